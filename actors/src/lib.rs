@@ -192,6 +192,8 @@ pub use crate::global_name::{
 
 // Nodes, their trees and their networks.
 #[cfg(feature = "network")]
+pub use crate::registry::access::AccessRefusal;
+#[cfg(feature = "network")]
 pub use blastema_contract::link::LinkRow;
 #[cfg(feature = "network")]
 pub use blastema_contract::naming::NodeRow;

@@ -3,6 +3,7 @@
 //! Local parties bind by type; the network binds through a [`Skeleton`], which knows the contract
 //! but not the type behind it. Both compare the contract's identity first.
 
+pub(crate) mod access;
 pub(crate) mod encoding;
 #[cfg(feature = "network")]
 pub(crate) mod lookup;
@@ -15,6 +16,7 @@ pub(crate) mod service_fn;
 use crate::messaging::death_watch::{Deaths, Down, DownReason, Watchable, Watcher};
 use crate::messaging::injection::Injection;
 use crate::messaging::sender::Sender;
+use access::AccessControl;
 #[cfg(feature = "network")]
 use blastema_core::net::NodeId;
 use blastema_core::sorted::SortedMap;
@@ -174,6 +176,7 @@ struct Inner {
     remote: RemoteNames,
     /// Where objects that are not components can be watched.
     deaths: Deaths,
+    access: AccessControl,
 }
 
 impl Inner {
@@ -243,6 +246,11 @@ impl Registry {
     /// Objects that are not components are watched there.
     pub(crate) fn watch_in(&self, deaths: Deaths) {
         self.lock().deaths = deaths;
+    }
+
+    /// What other nodes may do with the objects.
+    pub(crate) fn access(&self) -> AccessControl {
+        self.lock().access.clone()
     }
 
     /// Gives a name to an object.

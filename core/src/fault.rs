@@ -67,6 +67,9 @@ pub enum FaultKind {
     /// A network leaves the computer without authentication: every station on it can command the
     /// robot. It stands while the node runs.
     Insecure,
+    /// A node wanted to do what the robot's policy does not let it: shown by the node that refused
+    /// it, and by the one whose subscription was refused.
+    Forbidden,
     /// A fault of the application's own list.
     Custom(Arc<str>),
 }
@@ -94,7 +97,7 @@ impl fmt::Display for Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 25] = [
+    pub const BUILT_IN: [FaultKind; 26] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -120,9 +123,10 @@ impl FaultKind {
         FaultKind::CrashLoop,
         FaultKind::NodePaused,
         FaultKind::Insecure,
+        FaultKind::Forbidden,
     ];
 
-    /// The code by which logs, tables and manuals know this kind: `B01` to `B25`, or the
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B26`, or the
     /// application's own.
     pub fn code(&self) -> &str {
         match self {
@@ -151,6 +155,7 @@ impl FaultKind {
             FaultKind::CrashLoop => "B23",
             FaultKind::NodePaused => "B24",
             FaultKind::Insecure => "B25",
+            FaultKind::Forbidden => "B26",
             FaultKind::Custom(code) => code,
         }
     }
@@ -183,6 +188,7 @@ impl FaultKind {
             FaultKind::CrashLoop => "crash loop",
             FaultKind::NodePaused => "node paused",
             FaultKind::Insecure => "insecure network",
+            FaultKind::Forbidden => "forbidden",
             FaultKind::Custom(code) => code,
         }
     }
@@ -196,7 +202,8 @@ impl FaultKind {
             | FaultKind::CommanderGone
             | FaultKind::Unreplicated
             | FaultKind::NodePaused
-            | FaultKind::Insecure => Severity::Warning,
+            | FaultKind::Insecure
+            | FaultKind::Forbidden => Severity::Warning,
             FaultKind::Fatal
             | FaultKind::NodeLost
             | FaultKind::RestartStorm

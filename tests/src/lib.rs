@@ -119,13 +119,23 @@ impl RobotKeys {
 
     /// The signed text of a roster of that robot.
     pub fn roster(nodes: &[&str], seed: u8, serial: u64) -> String {
-        let listed = nodes.iter().map(|node| RosterNode {
+        let nodes: Vec<_> = nodes.iter().map(|node| (*node, Role::Node)).collect();
+        RobotKeys::roster_with(&nodes, &[], seed, serial)
+    }
+
+    /// The same with these lines of a policy, and the roles of some nodes.
+    pub fn roster_with(nodes: &[(&str, Role)], policy: &[&str], seed: u8, serial: u64) -> String {
+        let listed = nodes.iter().map(|(node, role)| RosterNode {
             name: name(node),
             keys: seed_of(node, seed).public_keys(),
-            role: Role::Node,
+            role: *role,
         });
         let mut roster = NodeRoster::new(name("ranger"), listed).expect("different names");
         roster.serial = serial;
+        let lines: String = policy.iter().map(|line| format!("{line}\n")).collect();
+        let text = roster.to_text().replace("end", &format!("policy\n{lines}end"));
+        let roster =
+            if policy.is_empty() { roster } else { NodeRoster::parse(&text).expect("lines") };
         roster.sign(&Seed::new([seed; 32]))
     }
 

@@ -78,7 +78,8 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
         let declared = self.0.into_iter();
         let declared = declared.map(|(declared, open)| (declared, open(cell).into_skeleton()));
         let refused = |why| SpecError::Actuator { name: name.clone(), why };
-        let port = table.declare(name, declared.collect()).map_err(refused)?;
+        let access = environment.registry.access();
+        let port = table.declare(name, declared.collect(), access).map_err(refused)?;
         environment.registry.open(name, port);
         Ok(())
     }

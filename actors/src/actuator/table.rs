@@ -7,6 +7,7 @@
 use super::command::{ActuatorCommand, CommandKind, CommandReply};
 use crate::messaging::reply::Responder;
 use crate::platform;
+use crate::registry::access::{AccessControl, AccessWish, MessageOrigin};
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
 use crate::runtime::callbacks::{CallKind, CallOutcome, Callbacks};
@@ -107,6 +108,7 @@ impl ActuatorTable {
         &self,
         object: &ObjectName,
         declared: Vec<(DeclaredActuator, Arc<dyn Skeleton>)>,
+        access: AccessControl,
     ) -> Result<ContractPort, DeliveryError> {
         for (DeclaredActuator { identity, span, safe, cut_off }, skeleton) in declared {
             // Above every epoch of any earlier process of this node.
@@ -125,8 +127,10 @@ impl ActuatorTable {
             lock(&self.actuators).insert(key, Arc::new(actuator));
         }
         let (table, object) = (self.clone(), object.clone());
-        let serve = move |order: ActuatorCommand, answer: Responder<ActuatorCommand>| {
-            table.serve(&object, order, answer)
+        let serve = move |order: ActuatorCommand,
+                          from: MessageOrigin,
+                          answer: Responder<ActuatorCommand>| {
+            table.serve((&object, &access), order, from, answer)
         };
         Ok(ContractPort::of_service_fn(ServiceFn::<ActuatorCommand>(Arc::new(serve))))
     }
@@ -196,8 +200,9 @@ impl ActuatorTable {
 
     fn serve(
         &self,
-        object: &ObjectName,
+        (object, access): (&ObjectName, &AccessControl),
         order: ActuatorCommand,
+        from: MessageOrigin,
         answer: Responder<ActuatorCommand>,
     ) {
         let ActuatorCommand { identity, wish } = order;
@@ -208,6 +213,10 @@ impl ActuatorTable {
                 return answer.give(CommandReply::refused(&why));
             }
         };
+        // Each message is checked: the number of a lease is easily guessed.
+        if let Err(why) = access.check(from, AccessWish::Command, object, || theirs.name.clone()) {
+            return answer.give(CommandReply::refused(&why));
+        }
         let Some(actuator) = self.find(object, &theirs) else {
             let why = DeliveryError::Unknown { name: format!("{} of {object}", theirs.name) };
             return answer.give(CommandReply::refused(&why));

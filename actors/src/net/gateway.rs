@@ -1,5 +1,6 @@
 //! Between the objects of this node and those of all others.
 
+mod forbidden;
 mod inbound;
 mod inputs;
 mod peer;
@@ -37,6 +38,7 @@ use blastema_core::net::{NodeId, OrderingKey};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, FaultKind, FaultLocation, GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
+use forbidden::ForbiddenAlarm;
 use inbound::{InboundBacklog, PeerBinding, REFUSAL_CHECK_INTERVAL};
 use peer::GatewayPeer;
 use std::sync::{Arc, OnceLock};
@@ -95,6 +97,7 @@ pub(super) struct GatewayActor {
     next: u64,
     /// Messages of isolated nodes.
     of_isolated: u64,
+    forbidden: ForbiddenAlarm,
     /// Room that what is being served takes, until it is passed on.
     credit: Option<Credit>,
     /// The node ends; the sessions follow once nothing waits here.
@@ -152,9 +155,13 @@ impl GatewayActor {
     }
 
     fn wired(wiring: GatewaySetup) -> Self {
+        let mut exchange = PeerProtocol::default();
+        if let Some(policy) = wiring.registry.access().policy() {
+            exchange.handle_access((*policy).clone());
+        }
         GatewayActor {
             wiring,
-            exchange: PeerProtocol::default(),
+            exchange,
             naming: NodeDirectory::default(),
             peers: SortedMap::new(),
             replies: SortedMap::new(),
@@ -165,6 +172,7 @@ impl GatewayActor {
             notices: SortedMap::new(),
             next: 0,
             of_isolated: 0,
+            forbidden: ForbiddenAlarm::default(),
             credit: None,
             leaving: false,
             revision: None,
@@ -274,6 +282,15 @@ impl GatewayActor {
             }
             PeerProtocolOutput::Subscribe { peer, subscription, topic, identities } => {
                 self.subscribe(peer, subscription, &topic, identities, context);
+            }
+            PeerProtocolOutput::AccessDenied { denied } => {
+                self.wiring.registry.access().record(*denied);
+            }
+            PeerProtocolOutput::SubscriptionForbidden { peer, why } => {
+                self.subscription_forbidden(peer, &why);
+            }
+            PeerProtocolOutput::Reset { peer } => {
+                self.wiring.sessions.begin_anew.do_send(ResetSession { peer: Some(peer) });
             }
             PeerProtocolOutput::Unsubscribe { peer, subscription } => {
                 self.end_forward((peer, subscription));
@@ -471,7 +488,10 @@ impl Actor for GatewayActor {
             gateway.collect_losses();
             gateway.drive(context);
         });
-        context.run_interval(REFUSAL_CHECK_INTERVAL, |gateway, _| gateway.look_at_refusals());
+        context.run_interval(REFUSAL_CHECK_INTERVAL, |gateway, _| {
+            gateway.look_at_refusals();
+            gateway.look_at_access();
+        });
     }
 }
 

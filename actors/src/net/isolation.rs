@@ -1,17 +1,16 @@
 //! Keeps nodes out that were isolated: the body of the machine in the core.
 
 use super::stub::PeerStubs;
+use crate::registry::access::MessageOrigin;
 use crate::registry::service_fn::ServiceFn;
-use crate::registry::{ContractPort, MessageMetadata, Registry, ReplyTo, Skeleton};
+use crate::registry::{ContractPort, Registry};
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::router::SetIsolation;
-use blastema_core::contract::codec;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::isolation::{Isolation, IsolationDecision, IsolationOutput, VoteRefused};
-use blastema_core::{DeliveryError, FaultKind, Incarnation, NodeName, ObjectName};
+use blastema_core::{Incarnation, NodeName, ObjectName};
 use blastema_macros::Event;
-use bytes::Bytes;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tracing::warn;
 
@@ -55,9 +54,12 @@ impl IsolationControl {
             machine: Arc::new(Mutex::new(machine)),
             observers: Arc::new(observers),
         };
-        // This node's own votes do not go this way.
-        let service_fn = ServiceFn::<Votes>(Arc::new(|_, answer| answer.give(())));
-        let port = ContractPort::of_peers(service_fn, Arc::new(BallotBox(wardens.clone())));
+        let receiver = wardens.clone();
+        let take = ServiceFn::<Votes>(Arc::new(move |votes, from, answer| {
+            receiver.take(&votes, from);
+            answer.give(());
+        }));
+        let port = ContractPort::of_service_fn(take);
         let object = ObjectName::new(OBJECT).expect("a name of letters");
         wardens.observers.registry.register_hidden(object, port);
         wardens
@@ -105,6 +107,15 @@ impl IsolationControl {
         self.carry_out(machine);
     }
 
+    /// Takes votes of another node. Whose they are, the session says that they come over.
+    fn take(&self, votes: &Votes, from: MessageOrigin) {
+        let mut machine = self.lock();
+        if let Some(from) = from.peer.and_then(|peer| machine.peer(peer)) {
+            machine.handle_ballot(&from, &votes.message);
+        }
+        self.carry_out(machine);
+    }
+
     /// Does what the machine wants, outside of the lock.
     fn carry_out(&self, mut machine: MutexGuard<'_, Isolation>) {
         let outputs: Vec<_> = std::iter::from_fn(|| machine.poll_output()).collect();
@@ -147,31 +158,5 @@ impl IsolationControl {
             let incarnation = Incarnation::default();
             monitor.do_send(NodeReported { node, incarnation, condition });
         }
-    }
-}
-
-/// Takes votes. Whose they are, the session says that they come over.
-struct BallotBox(IsolationControl);
-
-impl Skeleton for BallotBox {
-    fn deliver(
-        &self,
-        message: &Bytes,
-        MessageMetadata { from: peer, .. }: MessageMetadata,
-        _: Option<ReplyTo>,
-    ) -> Result<(), DeliveryError> {
-        let votes = codec::decode::<Votes>(message)
-            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
-        let mut machine = self.0.lock();
-        if let Some(from) = peer.and_then(|peer| machine.peer(peer)) {
-            machine.handle_ballot(&from, &votes.message);
-        }
-        self.0.carry_out(machine);
-        Ok(())
-    }
-
-    fn declare(&self, _: FaultKind, _: String) {
-        // The node's own contracts differ only between nodes of different versions, which sessions
-        // tell.
     }
 }

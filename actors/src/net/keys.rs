@@ -136,6 +136,11 @@ impl NodeKeys {
         &self.roster.robot
     }
 
+    /// This node.
+    pub(super) fn node(&self) -> &NodeName {
+        &self.own.node
+    }
+
     /// The roster's serial number.
     pub(crate) fn serial(&self) -> u64 {
         self.roster.serial

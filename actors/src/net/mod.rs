@@ -266,6 +266,9 @@ pub(crate) fn start(
         paths: sessions.clone().recipient(),
     });
 
+    if let Some(keys) = &environment.keys {
+        environment.registry.access().replace(gateway::GatewayActor::policy(keys));
+    }
     let stubs = Arc::new(stub::PeerStubs::new(own_isolation));
     let to_sessions = gateway::SessionRecipients {
         say: sessions.clone().recipient(),
@@ -329,7 +332,9 @@ pub(crate) fn start(
     let networks: Vec<(_, Addr<links::LinksActor>)> = networks.collect();
     let roster_watch = roster.as_ref().zip(keys).map(|(roster, keys)| {
         let links = networks.iter().map(|(_, links)| links.clone().recipient());
-        let told = links.chain([router.clone().recipient(), roster.clone().recipient()]).collect();
+        let others =
+            [router.clone().recipient(), roster.clone().recipient(), gateway.clone().recipient()];
+        let told = links.chain(others).collect();
         let watch = Arc::new(RosterWatch::start(keys, told));
         roster.do_send(AttachRosterWatch(Arc::downgrade(&watch)));
         watch

@@ -330,6 +330,15 @@ impl Node {
         &self.0.environment.dead_letters
     }
 
+    /// What other nodes wanted to do here and may not, by the
+    /// [roles and the policy](crate::manual::security#roles-and-policy) of the robot's roster: at
+    /// most 1,024 different refusals, in the order of nodes. Each is logged under the target
+    /// `blastema::audit`, at first and once a minute while it goes on.
+    #[cfg(feature = "network")]
+    pub fn refusals(&self) -> Vec<crate::AccessRefusal> {
+        self.0.environment.registry.access().refusals()
+    }
+
     /// Threads that were given up because a handler never returned.
     pub fn abandoned_threads(&self) -> usize {
         self.0.environment.arbiters.abandoned()

@@ -141,7 +141,7 @@ async fn ask_on(
 /// Answers other nodes that watch objects of this one.
 pub(crate) fn serve(registry: &Registry) {
     let service_fn = DeathWatchService { registry: registry.downgrade(), objects: Arc::default() };
-    let serve = move |AwaitEnd { object, seen }, answer| service_fn.serve(object, seen, answer);
+    let serve = move |AwaitEnd { object, seen }, _, answer| service_fn.serve(object, seen, answer);
     let object = ObjectName::new(OBJECT).expect("a name of letters");
     registry.register_hidden(
         object,

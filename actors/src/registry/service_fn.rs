@@ -10,6 +10,7 @@ use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sender::Sender;
 use crate::messaging::sink::MessageSink;
 use crate::platform;
+use crate::registry::access::MessageOrigin;
 use crate::registry::encoding::encoded_reply;
 use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
 use blastema_core::contract::codec;
@@ -21,7 +22,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// Serves one message; the answer may be given later. Must not wait.
-pub(crate) type ServeFn<M> = Arc<dyn Fn(M, Responder<M>) + Send + Sync>;
+pub(crate) type ServeFn<M> = Arc<dyn Fn(M, MessageOrigin, Responder<M>) + Send + Sync>;
 
 /// Where messages of one contract are served by a closure.
 pub(crate) struct ServiceFn<M: Contract>(pub(crate) ServeFn<M>);
@@ -41,7 +42,8 @@ impl<M: Contract> MessageSink<M> for ServiceFn<M> {
         if let Some(why) = heartbeat::send_refusal() {
             return Err(SendError::new(why, message));
         }
-        (self.0)(message, Responder::called_back(Box::new(|_| ()), None));
+        let answer = Responder::called_back(Box::new(|_| ()), None);
+        (self.0)(message, MessageOrigin::default(), answer);
         Ok(())
     }
 
@@ -60,7 +62,7 @@ impl<M: Contract> MessageSink<M> for ServiceFn<M> {
         }
         let until = within.map(|within| platform::now() + within);
         let (answer, reply) = Responder::awaited_until(until);
-        (self.0)(message, answer);
+        (self.0)(message, MessageOrigin::default(), answer);
         Ok(reply)
     }
 }
@@ -69,7 +71,7 @@ impl<M: Contract> Skeleton for ServiceFn<M> {
     fn deliver(
         &self,
         message: &Bytes,
-        MessageMetadata { until, .. }: MessageMetadata,
+        metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), DeliveryError> {
         let decoded = codec::decode_shared::<M>(message)
@@ -81,8 +83,8 @@ impl<M: Contract> Skeleton for ServiceFn<M> {
                         reply_to(result.and_then(|reply| encoded_reply::<M>(reply, None)));
                     }
                 };
-                let answer = Responder::called_back(Box::new(callback), until);
-                (self.0)(message, answer);
+                let answer = Responder::called_back(Box::new(callback), metadata.until);
+                (self.0)(message, MessageOrigin::from(&metadata), answer);
                 Ok(())
             }
             (Err(why), reply_to) => {
@@ -103,14 +105,7 @@ impl<M: Contract> Skeleton for ServiceFn<M> {
 impl ContractPort {
     /// A contract that the node itself serves at the object's name.
     pub(crate) fn of_service_fn<M: Contract>(service_fn: ServiceFn<M>) -> Self {
-        ContractPort::of_peers(service_fn.clone(), Arc::new(service_fn))
-    }
-
-    /// The same, where it matters which node says it: what comes from others goes by `skeleton`.
-    pub(crate) fn of_peers<M: Contract>(
-        service_fn: ServiceFn<M>,
-        skeleton: Arc<dyn Skeleton>,
-    ) -> Self {
+        let skeleton = Arc::new(service_fn.clone());
         ContractPort::new::<M>(Sender(Arc::new(service_fn)), skeleton)
     }
 }

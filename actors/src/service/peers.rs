@@ -6,12 +6,12 @@
 
 use super::words::{CompareTerms, ReplicaSays};
 use crate::messaging::reply::Responder;
+use crate::registry::ContractPort;
+use crate::registry::access::MessageOrigin;
 use crate::registry::service_fn::ServiceFn;
-use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
 use actix::prelude::*;
 use blastema_core::net::NodeId;
-use blastema_core::{Contract, DeliveryError, FaultKind, NodeName};
-use bytes::Bytes;
+use blastema_core::{Contract, NodeName};
 use std::sync::Arc;
 
 /// A message that names the node that it comes from.
@@ -44,41 +44,22 @@ pub(super) struct Spoken<M: Contract> {
 
 /// Where other replicas speak.
 pub(super) fn port<M: Signed>(body: Recipient<Spoken<M>>) -> ContractPort {
-    // A replica on this node says nothing to itself.
-    let inside = desk(body.clone(), None);
-    ContractPort::of_peers(inside, Arc::new(Gate(body)))
+    ContractPort::of_service_fn(receiver(body))
 }
 
-fn desk<M: Signed>(body: Recipient<Spoken<M>>, peer: Option<NodeId>) -> ServiceFn<M> {
-    ServiceFn(Arc::new(move |message: M, answer| {
+fn receiver<M: Signed>(body: Recipient<Spoken<M>>) -> ServiceFn<M> {
+    ServiceFn(Arc::new(move |message: M, MessageOrigin { peer }, answer| {
         let by = NodeName::new(message.from()).ok();
+        // A replica on this node says nothing to itself.
         let by = by.filter(|name| peer == Some(NodeId::of(name)));
         body.do_send(Spoken { by, message, answer });
     }))
 }
 
-/// Takes what comes from other nodes.
-struct Gate<M: Signed>(Recipient<Spoken<M>>);
-
-impl<M: Signed> Skeleton for Gate<M> {
-    fn deliver(
-        &self,
-        message: &Bytes,
-        postmark: MessageMetadata,
-        reply_to: Option<ReplyTo>,
-    ) -> Result<(), DeliveryError> {
-        desk(self.0.clone(), postmark.from).deliver(message, postmark, reply_to)
-    }
-
-    fn declare(&self, _: FaultKind, _: String) {
-        // The node's own contracts differ only between nodes of different versions, which sessions
-        // tell.
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::registry::{MessageMetadata, Skeleton};
     use blastema_core::contract::codec;
     use blastema_doubles::{Probe, paused};
 
@@ -86,7 +67,7 @@ mod tests {
     fn a_replica_is_heard_in_no_name_but_its_own() {
         paused(async {
             let heard = Probe::<Spoken<ReplicaSays>>::start();
-            let gate = Gate(heard.recipient());
+            let gate = receiver(heard.recipient());
             let node = |name: &str| NodeName::new(name).unwrap();
             let cases = [
                 ("n2", Some("n2"), Some(node("n2"))),

@@ -119,11 +119,11 @@ impl ReplicaBody {
         let body = guardian.start(carried.body.clone(), arbiter, make);
         let mut ports = SortedMap::new();
         let asked = body.clone().recipient::<Asked>();
-        let serve = ServiceFn::<AskService>(Arc::new(move |ask, answer| {
+        let serve = ServiceFn::<AskService>(Arc::new(move |ask, _, answer| {
             asked.do_send(Asked(ask, answer));
         }));
         let wondered = body.clone().recipient::<Wondered>();
-        let who = ServiceFn::<WhoServes>(Arc::new(move |question, answer| {
+        let who = ServiceFn::<WhoServes>(Arc::new(move |question, _, answer| {
             wondered.do_send(Wondered(question, answer));
         }));
         ports.insert(ReplicaSays::NAME, peers::port::<ReplicaSays>(body.clone().recipient()));

@@ -94,7 +94,8 @@ impl<C: Component> Declarations<C> for VariablePorts<C> {
         let owner = cell.clone();
         let isolated = move || owner.record.is_isolated();
         let refused = |why| SpecError::Variable { name: name.clone(), why };
-        let port = store.declare(name, declared, isolated).map_err(refused)?;
+        let rights = environment.registry.access();
+        let port = store.declare(name, declared, isolated, rights).map_err(refused)?;
         environment.registry.open(name, port);
         store.watch_owner(name, &environment.registry);
         Ok(())

@@ -9,6 +9,7 @@ use crate::platform;
 use crate::platform::file_lock::FileLock;
 use crate::platform::panics;
 use crate::platform::panics::PanicGuard;
+use crate::registry::access::{AccessControl, AccessWish, MessageOrigin};
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry};
 use blastema_core::contract::codec;
@@ -152,6 +153,29 @@ impl Inner {
     }
 }
 
+/// Whether a message may do what it wants with all variables that it names.
+fn may(
+    rights: &AccessControl,
+    from: MessageOrigin,
+    access: &VariableRequest,
+) -> Result<(), DeliveryError> {
+    let check = |wish, VariableSelector { object, identity }: &VariableSelector| {
+        rights.check(from, wish, object, || {
+            // What cannot be read is refused as such when it is served.
+            PeerIdentity::decode(identity).map_or_else(|_| String::new(), |identity| identity.name)
+        })
+    };
+    match access {
+        VariableRequest::Read { variable } | VariableRequest::Watch { variable, .. } => {
+            check(AccessWish::Read, variable)
+        }
+        VariableRequest::Write { writes } => {
+            writes.iter().try_for_each(|write| check(AccessWish::Write, &write.variable))
+        }
+        VariableRequest::Choose { variable, .. } => check(AccessWish::Write, variable),
+    }
+}
+
 /// The variables of a node. Clones share them.
 #[derive(Clone)]
 pub(crate) struct VariableStore(Arc<Mutex<Inner>>);
@@ -224,6 +248,7 @@ impl VariableStore {
         object: &ObjectName,
         declared: Vec<DeclaredVariable>,
         is_isolated: impl Fn() -> bool + Send + Sync + 'static,
+        rights: AccessControl,
     ) -> Result<ContractPort, DeliveryError> {
         let mut inner = self.lock();
         for DeclaredVariable { identity, default, policy, check, observer } in declared {
@@ -237,10 +262,16 @@ impl VariableStore {
         drop(inner);
         let store = self.clone();
         let isolated = DeliveryError::Isolated { object: object.to_string() };
-        let serve = move |access: VariableRequest, answer: Responder<VariableRequest>| {
-            match is_isolated() {
-                true => answer.give(VariableReply::refused(&isolated)),
-                false => store.serve(access, answer),
+        let serve = move |access: VariableRequest,
+                          from: MessageOrigin,
+                          answer: Responder<VariableRequest>| {
+            let permitted = match is_isolated() {
+                true => Err(isolated.clone()),
+                false => may(&rights, from, &access),
+            };
+            match permitted {
+                Ok(()) => store.serve(access, answer),
+                Err(why) => answer.give(VariableReply::refused(&why)),
             }
         };
         Ok(ContractPort::of_service_fn(ServiceFn::<VariableRequest>(Arc::new(serve))))

@@ -46,6 +46,8 @@ pub enum DeadReason {
     Undecodable,
     /// The message could not be delivered, for another reason.
     Refused,
+    /// The sender's node did not have the right to send it.
+    Forbidden,
 }
 
 impl DeadReason {
@@ -68,6 +70,7 @@ impl DeadReason {
             DeadReason::TooLarge => "too large",
             DeadReason::Undecodable => "undecodable",
             DeadReason::Refused => "refused",
+            DeadReason::Forbidden => "forbidden",
         }
     }
 }
@@ -105,6 +108,7 @@ impl From<&DeliveryError> for DeadReason {
                 DeadReason::TooLarge
             }
             DeliveryError::Undecodable { .. } => DeadReason::Undecodable,
+            DeliveryError::Forbidden { .. } => DeadReason::Forbidden,
             _ => DeadReason::Refused,
         }
     }

@@ -282,6 +282,22 @@ pub enum DeliveryError {
     /// The sender itself is isolated, or in its safe state: nothing that it sends gets out.
     #[error("the sender is isolated, or in its safe state: the fault list says why")]
     SenderIsolated,
+    /// The sender's node does not have the right to do this: the receiver's node holds a roster
+    /// that gives it to others. Change the roles or the policy by `blastema keys edit`.
+    #[error(
+        "node {node} may not {verb} on {object}, by roster {serial} of the receiver's node: change roles or \
+         policy by `blastema keys edit`"
+    )]
+    Forbidden {
+        /// The node that was refused.
+        node: String,
+        /// What it wanted to do: a verb of policy lines.
+        verb: String,
+        /// At which object, topic or name, as policy lines name it.
+        object: String,
+        /// The serial number of the roster.
+        serial: u64,
+    },
 }
 
 /// Prints the text of `Display`: a `main` that returns this error, and `unwrap`, print by `Debug`.
@@ -359,7 +375,8 @@ impl DeliveryError {
             | DeliveryError::LeaseEnded { .. }
             | DeliveryError::Superseded { .. }
             | DeliveryError::Unclaimed { .. }
-            | DeliveryError::NameTaken { .. } => Outcome::NotTaken,
+            | DeliveryError::NameTaken { .. }
+            | DeliveryError::Forbidden { .. } => Outcome::NotTaken,
             // The callee may have been stopped, or shut out, while it served; and what cannot be
             // decoded may be the reply.
             DeliveryError::Stopped

@@ -167,6 +167,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::StateLost
         | FaultKind::NodePaused
         | FaultKind::Insecure
+        | FaultKind::Forbidden
         | FaultKind::Custom(_) => false,
     }
 }

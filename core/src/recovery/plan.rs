@@ -160,6 +160,8 @@ impl Default for Plan {
             FaultKind::NodePaused => observe.clone(),
             // The user has accepted it.
             FaultKind::Insecure => observe.clone(),
+            // A user must change the policy, or the program.
+            FaultKind::Forbidden => observe.clone(),
             // The service goes on; what is missing is on other nodes, or gone.
             FaultKind::Unreplicated | FaultKind::StateLost => observe.clone(),
             // Its nodes elect a primary by themselves as soon as they can.

@@ -3,6 +3,7 @@
 
 mod attacker;
 mod media;
+mod policy;
 mod processes;
 mod relay;
 mod rosters;

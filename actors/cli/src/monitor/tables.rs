@@ -8,7 +8,7 @@ use std::fmt::Write;
 pub(crate) type Column = (&'static str, &'static str);
 
 /// The tables in their order: the title, the key in the snapshot, the columns.
-const TABLES: [(&str, &str, &[Column]); 10] = [
+const TABLES: [(&str, &str, &[Column]); 11] = [
     (
         "objects",
         "table",
@@ -94,6 +94,19 @@ const TABLES: [(&str, &str, &[Column]); 10] = [
             ("returned", "returned"),
             ("refused", "refused"),
             ("differences", "differences"),
+        ],
+    ),
+    (
+        "forbidden",
+        "forbidden",
+        &[
+            ("node", "node"),
+            ("wanted to", "verb"),
+            ("object", "object"),
+            ("contract", "contract"),
+            ("policy line", "policy_line"),
+            ("times", "times"),
+            ("last", "last_ms"),
         ],
     ),
     (

@@ -76,6 +76,7 @@ impl GatewayActor {
     fn session_opened(&mut self, node: NodeName, incarnation: Incarnation, session: u32) {
         let (id, send_state) = self.meet(&node);
         self.begin_peer(id, session, incarnation);
+        self.forget_forbidden(id);
         self.forget_past(id);
         let now = platform::now();
         self.exchange.handle_opened(id, incarnation, now);

@@ -1,5 +1,6 @@
 //! Everything that a node knows of other nodes at one moment.
 
+use crate::AccessRefusal;
 use crate::global_name::ClaimRow;
 use crate::node::Node;
 use crate::node::network_row::NetworkRow;
@@ -26,6 +27,8 @@ pub struct NetworkSnapshot {
     pub claims: Vec<ClaimRow>,
     /// The services that the node hosts, and the primary of each.
     pub services: Vec<ServiceRow>,
+    /// What other nodes were refused by the robot's policy.
+    pub forbidden: Vec<AccessRefusal>,
 }
 
 impl NetworkSnapshot {
@@ -37,6 +40,7 @@ impl NetworkSnapshot {
             sessions,
             claims: node.claims(),
             services: node.services(),
+            forbidden: node.refusals(),
         }
     }
 
@@ -47,6 +51,7 @@ impl NetworkSnapshot {
         document["sessions"] = self.sessions.as_deref().map(|rows| rows_of(rows, session)).into();
         document["global_names"] = rows_of(&self.claims, claim).into();
         document["services"] = rows_of(&self.services, service).into();
+        document["forbidden"] = rows_of(&self.forbidden, forbidden).into();
         document
     }
 }
@@ -96,6 +101,19 @@ fn session(row: &SessionRow) -> Value {
         "returned": counters.returned,
         "refused": status.refusals.total(),
         "differences": row.differences,
+    })
+}
+
+fn forbidden(row: &AccessRefusal) -> Value {
+    json!({
+        "node": row.node.as_str(),
+        "verb": row.verb,
+        "object": row.object,
+        "contract": row.contract,
+        "policy_line": row.policy_line,
+        "times": row.times,
+        "first_ms": millis(row.first),
+        "last_ms": millis(row.last),
     })
 }
 

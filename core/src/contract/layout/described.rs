@@ -250,6 +250,7 @@ describe! {
         Panic, UnexpectedExit, Hang, Silence, ErrorState, InitializationFailed, Fatal, CheckFailed,
         Overload, ContractMismatch, LinkDown, LinkDegraded, NodeLost, RestartStorm,
         NodeFaulty, NameTaken, CommanderGone, NodeInSafeState, Unreplicated,
-        StateLost, ServiceUnavailable, Unavailable, CrashLoop, NodePaused, Insecure, Custom(Arc<str>),
+        StateLost, ServiceUnavailable, Unavailable, CrashLoop, NodePaused, Insecure, Forbidden,
+        Custom(Arc<str>),
     }
 }

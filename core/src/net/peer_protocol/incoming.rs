@@ -49,6 +49,10 @@ impl PeerProtocol {
                 if !within.is_zero() && left.is_none() {
                     return self.answer(peer, epoch, call, Err(DeliveryError::DeadlinePassed));
                 }
+                if let Some(denied) = session.access.refusal(binding, true) {
+                    let why = self.refuse_access(denied);
+                    return self.answer(peer, epoch, call, Err(why));
+                }
                 let key = id.map(|id| (peer, session.incarnation, id));
                 let admitted = key.map(|key| self.requests.admit(key, (peer, epoch, call), now));
                 match admitted {
@@ -77,6 +81,10 @@ impl PeerProtocol {
             }
             PeerMessage::Tell { binding, timestamp_us, id, payload } => {
                 let (call, age, until) = (None, session.age(timestamp_us, now), None);
+                if let Some(denied) = session.access.refusal(binding, false) {
+                    self.refuse_access(denied);
+                    return;
+                }
                 self.outputs.push_back(PeerProtocolOutput::Serve {
                     peer,
                     epoch,
@@ -98,19 +106,28 @@ impl PeerProtocol {
             PeerMessage::Subscribe { subscription, topic, identities } => {
                 self.handle_subscribe(peer, subscription, topic, &identities);
             }
+            PeerMessage::SubscribeRefused {
+                why: why @ DeliveryError::Forbidden { .. }, ..
+            } => {
+                self.outputs.push_back(PeerProtocolOutput::SubscriptionForbidden { peer, why });
+            }
             PeerMessage::SubscribeRefused { why, .. } => {
                 let difference = why.to_string();
                 self.outputs.push_back(PeerProtocolOutput::Differs { peer, difference });
             }
             PeerMessage::Unsubscribe { subscription } => {
                 session.taken = session.taken.saturating_sub(1);
+                session.access.unsubscribe(subscription);
                 self.outputs.push_back(PeerProtocolOutput::Unsubscribe { peer, subscription });
             }
             PeerMessage::Event { subscription, timestamp_us, payload } => {
                 let age = session.age(timestamp_us, now);
-                self.handle_peers_event(subscription, age, payload.into_bytes());
+                self.handle_peers_event(peer, subscription, age, payload.into_bytes());
             }
             PeerMessage::Notice { number, payload } => {
+                if !self.admit_notice(peer) {
+                    return self.handle_noticed(peer, epoch, number);
+                }
                 let payload = payload.into_bytes();
                 self.outputs.push_back(PeerProtocolOutput::Notice { peer, epoch, number, payload });
             }
@@ -151,6 +168,9 @@ impl PeerProtocol {
             self.outputs.push_back(control(peer, &refused));
             return;
         };
+        if let Err(why) = self.admit_binding(peer, binding, &object, &identity.name) {
+            return self.handle_bound(peer, epoch, binding, Err((why, None)));
+        }
         if identity.delivery == Delivery::Redundant
             && let Some(session) = self.session(peer, epoch)
         {
@@ -173,6 +193,9 @@ impl PeerProtocol {
             return;
         };
         let topic = TopicContract { topic, contract: identities[0].name.clone() };
+        if let Err(why) = self.admit_subscription(peer, subscription, &topic) {
+            return self.handle_subscribe_refused(peer, subscription, why);
+        }
         let output = PeerProtocolOutput::Subscribe { peer, subscription, topic, identities };
         self.outputs.push_back(output);
     }
@@ -233,7 +256,13 @@ impl PeerProtocol {
         }
     }
 
-    fn handle_peers_event(&mut self, subscription: u32, age: Duration, payload: Bytes) {
+    fn handle_peers_event(
+        &mut self,
+        peer: NodeId,
+        subscription: u32,
+        age: Duration,
+        payload: Bytes,
+    ) {
         let form = |interest: &RemoteTopic| {
             let form = usize::try_from(subscription.checked_sub(interest.subscription)?).ok()?;
             (form < interest.identities.len()).then_some(form)
@@ -243,6 +272,9 @@ impl PeerProtocol {
         match interests.find_map(|(topic, interest)| Some((topic, form(interest)?))) {
             Some((topic, form)) => {
                 let topic = topic.clone();
+                if !self.was_offered(peer, &topic) {
+                    return;
+                }
                 self.outputs.push_back(PeerProtocolOutput::Event { topic, form, age, payload });
             }
             // It crossed our unsubscribing.

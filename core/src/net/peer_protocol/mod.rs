@@ -8,6 +8,7 @@
 //! A peer's part of it lives as long as the session with it. Each session has an epoch, so that
 //! what was begun in one is never answered in the next.
 
+mod access;
 mod age;
 mod budget;
 mod incoming;
@@ -28,6 +29,7 @@ use self::reply_cache::ReplyCache;
 
 use super::session::ordering_key::OrderingKey;
 use super::session::size_class::SizeClass;
+use super::trust::access::AccessPolicy;
 use super::wire::Refusals;
 use super::wire::message::{FORMS_MAX, PeerMessage};
 use super::wire::node_id::NodeId;
@@ -64,6 +66,8 @@ pub struct PeerProtocol {
     epochs: u64,
     /// Requests of other nodes that are known by an identity.
     requests: ReplyCache,
+    /// What peers may do here; without one, everything.
+    access: Option<AccessPolicy>,
     refusals: Refusals,
     outputs: VecDeque<PeerProtocolOutput>,
 }
@@ -97,6 +101,7 @@ impl PeerProtocol {
             next_call: self.next_call,
             epochs: self.epochs,
             requests: self.requests.clone(),
+            access: self.access.clone(),
             refusals: self.refusals,
             ..PeerProtocol::default()
         };
@@ -149,10 +154,8 @@ impl PeerProtocol {
         let state = self.peers.entry(peer).or_default();
         state.session = Some(session);
         let again = std::mem::take(&mut state.again);
-        for (topic, interest) in &self.interests {
-            let message = subscribe(topic, interest);
-            self.outputs.push_back(control(peer, &message));
-        }
+        let topics: Vec<_> = self.interests.keys().cloned().collect();
+        topics.iter().for_each(|topic| self.offer_interest(peer, topic));
         again.into_iter().for_each(|call| self.handle_call(call));
     }
 
@@ -348,6 +351,8 @@ impl PeerProtocol {
         let before = self.interests.remove(&topic);
         if let Some(RemoteTopic { subscription, .. }) = before {
             self.tell_all(&PeerMessage::Unsubscribe { subscription });
+            let sessions = self.peers.values_mut().filter_map(|peer| peer.session.as_mut());
+            sessions.for_each(|session| session.access.interest_ended(subscription));
         }
         if identities.is_empty() {
             return;
@@ -355,9 +360,9 @@ impl PeerProtocol {
         let subscription = self.next_subscription + 1;
         self.next_subscription += FORMS_MAX as u32;
         let interest = RemoteTopic { subscription, identities };
-        let message = subscribe(&topic, &interest);
-        self.interests.insert(topic, interest);
-        self.tell_all(&message);
+        self.interests.insert(topic.clone(), interest);
+        let peers: Vec<_> = self.peers.keys().copied().collect();
+        peers.into_iter().for_each(|peer| self.offer_interest(peer, &topic));
     }
 
     /// An event was published here, at `sent`, for a peer's subscription.

@@ -1,5 +1,6 @@
 //! What is going on with one peer, as long as its session lasts.
 
+use super::access::PeerAccess;
 use super::budget::PendingBudget;
 use super::types::{Call, PeerProtocolOutput, SessionEpoch};
 use crate::net::peer_protocol::age::AgeEstimator;
@@ -42,6 +43,8 @@ pub(super) struct PeerSession {
     pub(super) full: SortedMap<ObjectName, SortedSet<u32>>,
     /// How much waits for bindings.
     pub(super) budget: PendingBudget,
+    /// What the peer has asked for.
+    pub(super) access: PeerAccess,
 }
 
 /// Its number, how it travels, and with what it stays in order.
@@ -97,6 +100,7 @@ impl PeerSession {
             redundant_calls: SortedSet::new(),
             full: SortedMap::new(),
             budget: PendingBudget::default(),
+            access: PeerAccess::default(),
         }
     }
 

@@ -490,3 +490,5 @@ fn what_waited_in_a_machine_that_failed_is_told_as_lost_and_what_comes_back_of_i
     restarted.handle_returned(peer, message.into_bytes(), died.clone(), TransmitState::Perhaps);
     assert_eq!(restarted.poll_output(), lost("count", died));
 }
+
+mod access;

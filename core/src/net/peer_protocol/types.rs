@@ -3,6 +3,7 @@
 use crate::net::peer_protocol::naming::DirectoryUpdate;
 use crate::net::session::ordering_key::OrderingKey;
 use crate::net::session::size_class::SizeClass;
+use crate::net::trust::access::AccessDenied;
 use crate::net::wire::node_id::NodeId;
 use crate::net::wire::segment::Stream;
 use crate::{
@@ -186,6 +187,24 @@ pub enum PeerProtocolOutput {
         /// The contract as the peer knows it, and then the earlier versions that it understands.
         /// What is sent by the n-th of them goes under the number and n.
         identities: Vec<PeerIdentity>,
+    },
+    /// A peer was refused what it may not do, and told so where it waits for an answer.
+    AccessDenied {
+        /// Who, and what.
+        denied: Box<AccessDenied>,
+    },
+    /// A peer refuses a subscription of this node, by its policy.
+    SubscriptionForbidden {
+        /// Who refuses it.
+        peer: NodeId,
+        /// What it says.
+        why: DeliveryError,
+    },
+    /// Another policy counts, by which the peer may do more than before, or less: reset the session
+    /// with it.
+    Reset {
+        /// Which peer.
+        peer: NodeId,
     },
     /// Send no more of this.
     Unsubscribe {

@@ -14,11 +14,13 @@
 //! | `key_file` | the two files that hold a secret |
 //! | `roster` | the list, its canonical text, its signature, its serial number |
 //! | `policy` | roles, verbs, patterns, and the decision whether a peer may do something |
+//! | `access` | the rights of a roster's nodes at one of them, and what they were refused |
 //!
-//! A node reads its key and the roster when it starts, and seals its networks with them. Roles and
-//! the policy are parsed and shown; nothing enforces them yet. What this module does not do: it
-//! reads no file and no clock, and takes randomness as an argument.
+//! A node reads its key and the roster when it starts, and seals its networks with them. The peer
+//! protocol, actuators, variables and names of the robot ask `access`. What this module does not do:
+//! it reads no file and no clock, and takes randomness as an argument.
 
+pub mod access;
 pub mod crypto;
 pub mod key_file;
 pub mod policy;

@@ -92,7 +92,7 @@ words! {
 
 impl Role {
     /// Whether a peer of this role may do it where no line matches.
-    fn may(self, verb: Verb) -> bool {
+    pub(super) fn may(self, verb: Verb) -> bool {
         match verb {
             Verb::Operate => self == Role::Operator,
             Verb::Warden => self == Role::Warden,
@@ -154,7 +154,7 @@ impl Pattern {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PolicyLine {
     pub(super) peers: Vec<NodeName>,
-    verbs: Vec<Verb>,
+    pub(super) verbs: Vec<Verb>,
     object: Pattern,
     contract: Option<Pattern>,
 }

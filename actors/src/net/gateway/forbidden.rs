@@ -1,0 +1,73 @@
+//! What peers may not do here, and what this node may not do at peers.
+
+use super::GatewayActor;
+use crate::net::keys::NodeKeys;
+use crate::net::roster_watch::RosterChanged;
+use crate::platform;
+use actix::prelude::*;
+use blastema_core::net::NodeId;
+use blastema_core::net::trust::access::{AccessPolicy, REFUSAL_REMINDER};
+use blastema_core::sorted::SortedSet;
+use blastema_core::{DeliveryError, FaultKind, Instant};
+use tracing::error;
+
+/// The fault *forbidden* of the gateway.
+#[derive(Default)]
+pub(super) struct ForbiddenAlarm {
+    /// It was declared, and not cleared since.
+    stands: bool,
+    /// When a peer was refused something for the last time, at the last look.
+    last_refusal: Option<Instant>,
+    /// Peers that refuse a subscription of this node, in their present session.
+    refused_by: SortedSet<NodeId>,
+}
+
+impl GatewayActor {
+    /// From now on the policy of this roster counts.
+    pub(in crate::net) fn policy(keys: &NodeKeys) -> AccessPolicy {
+        AccessPolicy::new(keys.node().clone(), keys.roster())
+    }
+
+    /// A peer refuses a subscription of this node.
+    pub(super) fn subscription_forbidden(&mut self, peer: NodeId, why: &DeliveryError) {
+        error!("no event arrives: {why}");
+        self.forbidden.refused_by.insert(peer);
+        self.forbidden.stands = true;
+        self.wiring.faults.declare(FaultKind::Forbidden, format!("no event arrives: {why}"));
+    }
+
+    /// A session with a peer begins: its policy may be another one now.
+    pub(super) fn forget_forbidden(&mut self, peer: NodeId) {
+        self.forbidden.refused_by.remove(&peer);
+    }
+
+    /// Declares what was refused since the last look, and clears the fault when nothing was for a
+    /// minute.
+    pub(super) fn look_at_access(&mut self) {
+        let alarm = &mut self.forbidden;
+        if let Some(row) = self.wiring.registry.access().newest()
+            && alarm.last_refusal.replace(row.last) != Some(row.last)
+            && !std::mem::replace(&mut alarm.stands, true)
+        {
+            let detail =
+                format!("refused {} times: {}", row.times, DeliveryError::from(&row.denied));
+            self.wiring.faults.declare(FaultKind::Forbidden, detail);
+        }
+        let is_over = |last: Instant| platform::now() >= last + REFUSAL_REMINDER;
+        if alarm.stands && alarm.refused_by.is_empty() && alarm.last_refusal.is_none_or(is_over) {
+            alarm.stands = false;
+            self.wiring.faults.clear(FaultKind::Forbidden);
+        }
+    }
+}
+
+impl Handler<RosterChanged> for GatewayActor {
+    type Result = ();
+
+    fn handle(&mut self, message: RosterChanged, context: &mut Context<Self>) {
+        let policy = GatewayActor::policy(&message.0);
+        self.wiring.registry.access().replace(policy.clone());
+        self.exchange.handle_access(policy);
+        self.drive(context);
+    }
+}

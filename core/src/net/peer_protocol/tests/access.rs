@@ -1,0 +1,158 @@
+//! What the policy of the robot lets the left end do at the right one.
+
+use super::*;
+use crate::net::trust::access::AccessPolicy;
+use crate::net::trust::crypto::Seed;
+use crate::net::trust::policy::Role;
+use crate::net::trust::roster::{NodeRoster, RosterNode};
+
+/// The rights at the right end, by these lines; the left end has this role.
+fn policy(left: Role, lines: &[&str]) -> AccessPolicy {
+    let nodes = [("left", left), ("right", Role::Node), ("other", Role::Node)];
+    let listed = nodes.iter().zip(1..).map(|((name, role), seed)| RosterNode {
+        name: node(name),
+        keys: Seed::new([seed; 32]).public_keys(),
+        role: *role,
+    });
+    let roster = NodeRoster::new(node("ranger"), listed).expect("different nodes");
+    let lines: String = lines.iter().map(|line| format!("{line}\n")).collect();
+    let lines = format!("policy\n{lines}end");
+    let roster = NodeRoster::parse(&roster.to_text().replace("end", &lines)).expect("lines");
+    AccessPolicy::new(node("right"), &roster)
+}
+
+fn guarded(left: Role, lines: &[&str]) -> Pair {
+    let mut pair = Pair::new();
+    pair.ends[1].handle_access(policy(left, lines));
+    for end in 0..2 {
+        let peer = pair.ids[1 - end];
+        pair.ends[end].handle_reachable(peer);
+        pair.ends[end].handle_opened(peer, Incarnation(1), at(0));
+    }
+    pair.run();
+    pair
+}
+
+fn is_forbidden(output: &PeerProtocolOutput) -> bool {
+    let why = match output {
+        PeerProtocolOutput::Resolve { result: Err(why), .. } => why,
+        PeerProtocolOutput::Lost { why, .. } => why,
+        PeerProtocolOutput::SubscriptionForbidden { why, .. } => why,
+        _ => return false,
+    };
+    matches!(why, DeliveryError::Forbidden { .. })
+}
+
+/// The verbs that the right end has refused since the last look. Nothing else came out of it.
+fn refused(pair: &mut Pair) -> Vec<String> {
+    let outputs = pair.take(1).into_iter();
+    let verbs = outputs.map(|output| match output {
+        PeerProtocolOutput::AccessDenied { denied } => {
+            assert_eq!(denied.peer, node("left"));
+            denied.verb.to_string()
+        }
+        other => panic!("{other:?}"),
+    });
+    verbs.collect()
+}
+
+#[test]
+fn a_peer_that_may_neither_ask_nor_tell_is_not_bound() {
+    let mut pair = guarded(Role::Node, &["only other may ask tell on right/arm"]);
+    pair.call(count(), Some(7));
+    assert_eq!(refused(&mut pair), ["ask"]);
+    let resolved = pair.take(0);
+    assert!(matches!(&resolved[..], [output] if is_forbidden(output)), "{resolved:?}");
+
+    let mut pair = guarded(Role::Guest, &[]);
+    pair.call(count(), None);
+    assert_eq!(refused(&mut pair), ["ask"]);
+    let lost = pair.take(0);
+    assert!(matches!(&lost[..], [output] if is_forbidden(output)), "{lost:?}");
+}
+
+#[test]
+fn a_peer_that_may_only_tell_is_refused_what_it_asks_and_the_reverse() {
+    let mut pair = guarded(Role::Node, &["only other may ask on right/*"]);
+    pair.call(count(), None);
+    pair.agree();
+    assert!(matches!(&pair.take(1)[..], [PeerProtocolOutput::Serve { call: None, .. }]));
+    pair.call(count(), Some(7));
+    assert_eq!(refused(&mut pair), ["ask"]);
+    assert!(matches!(&pair.take(0)[..], [output] if is_forbidden(output)));
+
+    let mut pair = guarded(Role::Node, &["only other may tell on ** by count"]);
+    pair.call(count(), Some(7));
+    pair.agree();
+    assert!(matches!(&pair.take(1)[..], [PeerProtocolOutput::Serve { call: Some(_), .. }]));
+    pair.call(count(), None);
+    assert_eq!(refused(&mut pair), ["tell"]);
+}
+
+#[test]
+fn a_peer_that_may_not_listen_is_told_and_gets_no_event() {
+    let mut pair = guarded(Role::Node, &["only other may listen on news"]);
+    pair.ends[0].handle_interest(topic(), vec![count()]);
+    pair.run();
+    assert_eq!(refused(&mut pair), ["listen"]);
+    assert!(matches!(&pair.take(0)[..], [output] if is_forbidden(output)));
+}
+
+#[test]
+fn a_peer_that_may_not_publish_is_not_told_who_listens_and_its_events_are_dropped() {
+    let mut pair = guarded(Role::Node, &["only other may publish on news"]);
+    pair.ends[1].handle_interest(topic(), vec![count()]);
+    pair.run();
+    assert_eq!(pair.take(0), [], "it is not told");
+    // It guesses the number.
+    let event = PeerMessage::Event { subscription: 1, timestamp_us: 0, payload: payload().into() };
+    let (left, event) = (pair.ids[0], event.encode().into_bytes());
+    pair.ends[1].handle_message(left, event, at(0));
+    pair.run();
+    assert_eq!(refused(&mut pair), ["publish"]);
+}
+
+#[test]
+fn a_fault_of_a_peer_that_may_not_hand_any_over_is_confirmed_and_dropped() {
+    let mut pair = guarded(Role::Node, &["only other may recover on right"]);
+    let right = pair.ids[1];
+    pair.ends[0].handle_notice(right, 3, payload());
+    pair.run();
+    assert_eq!(refused(&mut pair), ["recover"]);
+    let noticed = PeerProtocolOutput::Noticed { number: 3, arrived: true };
+    assert_eq!(pair.take(0), [noticed], "it is not sent again");
+}
+
+#[test]
+fn another_policy_resets_the_sessions_that_it_judges_otherwise_and_no_other() {
+    let mut pair = guarded(Role::Node, &[]);
+    pair.call(count(), Some(7));
+    pair.agree();
+    pair.take(1);
+    let elsewhere = "only other may ask on right/leg";
+    pair.ends[1].handle_access(policy(Role::Node, &[elsewhere]));
+    pair.run();
+    assert_eq!(pair.take(1), []);
+
+    let here = "only other may ask on right/arm";
+    pair.ends[1].handle_access(policy(Role::Node, &[elsewhere, here]));
+    pair.run();
+    let reset = PeerProtocolOutput::Reset { peer: pair.ids[0] };
+    assert_eq!(pair.take(1), [reset.clone()]);
+
+    // What was refused is judged again as well.
+    let mut pair = guarded(Role::Node, &["only other may listen on news"]);
+    pair.ends[0].handle_interest(topic(), vec![count()]);
+    pair.run();
+    refused(&mut pair);
+    pair.ends[1].handle_access(policy(Role::Node, &[]));
+    pair.run();
+    assert_eq!(pair.take(1), [reset.clone()]);
+
+    let mut pair = guarded(Role::Node, &["only other may publish on news"]);
+    pair.ends[1].handle_interest(topic(), vec![count()]);
+    pair.run();
+    pair.ends[1].handle_access(policy(Role::Node, &[]));
+    pair.run();
+    assert_eq!(pair.take(1), [reset]);
+}

@@ -1,0 +1,318 @@
+//! What each node of a roster may do at this one, and what it was refused.
+
+use super::policy::{Permission, PolicyLine, Role, Verb, permission};
+use super::roster::NodeRoster;
+use crate::net::NodeId;
+use crate::sorted::SortedMap;
+use crate::{DeliveryError, Instant, NodeName, ObjectName};
+use std::time::Duration;
+
+/// What every node may use that is not a guest, whatever the lines say: the middleware's own
+/// contracts. Those of them that a right is needed for are told apart by [`rights_for`].
+const INTERNAL: &str = "blastema/";
+/// Nodes of any role exchange rosters.
+const ROSTERS: &str = "net/roster";
+
+/// The rights of a roster's nodes at one of them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AccessPolicy {
+    own: NodeName,
+    serial: u64,
+    nodes: SortedMap<NodeId, (NodeName, Role)>,
+    lines: Vec<PolicyLine>,
+}
+
+/// A right that a peer does not have.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct AccessDenied {
+    /// The node.
+    pub peer: NodeName,
+    /// What it wanted to do.
+    pub verb: Verb,
+    /// At which object, topic or name: as patterns of policy lines name it.
+    pub object: String,
+    /// By which contract; empty where there is none.
+    pub contract: String,
+    /// The policy line that gives the right to others, from 1 on; `None` if the node's role does
+    /// not have it.
+    pub line: Option<usize>,
+    /// The serial number of the roster.
+    pub serial: u64,
+}
+
+/// What a binding needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::net) enum BindingNeeds {
+    /// A peer of any role.
+    Nothing,
+    /// A peer that is not a guest.
+    Membership,
+    /// This right.
+    Right(Verb),
+    /// The right to ask for requests, to tell for messages without a reply.
+    AskOrTell,
+}
+
+/// What a binding of this contract at this object needs. Commands and variables are checked where
+/// they are served, since only the message says of which actuator or variable it is.
+pub(in crate::net) fn needs(object: &ObjectName, contract: &str) -> BindingNeeds {
+    match contract.strip_prefix(INTERNAL) {
+        None => BindingNeeds::AskOrTell,
+        Some("command" | "variables") => BindingNeeds::Nothing,
+        Some("actor-message") if object.as_str() == ROSTERS => BindingNeeds::Nothing,
+        Some("serve" | "who-serves") => BindingNeeds::Right(Verb::Ask),
+        Some("replica" | "service-terms") => BindingNeeds::Right(Verb::Claim),
+        // What a replica says to the component of its own node.
+        Some("save-state" | "load-state" | "role") => BindingNeeds::Right(Verb::Operate),
+        Some(_) => BindingNeeds::Membership,
+    }
+}
+
+impl AccessPolicy {
+    /// The rights that this roster gives at the node `own`.
+    pub fn new(own: NodeName, roster: &NodeRoster) -> Self {
+        let nodes = roster.nodes().iter();
+        let nodes = nodes.map(|node| (NodeId::of(&node.name), (node.name.clone(), node.role)));
+        let (serial, lines) = (roster.serial, roster.policy().to_vec());
+        AccessPolicy { own, serial, nodes: nodes.collect(), lines }
+    }
+
+    /// An object of this node, as patterns of policy lines name it: `arm/gripper`.
+    pub fn object(&self, object: &ObjectName) -> String {
+        format!("{}/{object}", self.own)
+    }
+
+    /// This node, as patterns of policy lines name it.
+    pub fn own(&self) -> &NodeName {
+        &self.own
+    }
+
+    /// Whether the peer may do this everywhere, so that nothing else need be looked at.
+    pub fn is_open(&self, peer: NodeId, verb: Verb) -> bool {
+        let role = self.nodes.get(&peer).map_or(Role::Guest, |(_, role)| *role);
+        role.may(verb) && !self.lines.iter().any(|line| line.verbs.contains(&verb))
+    }
+
+    /// Whether a peer may do this at an object by a contract. The object is a name with its node's
+    /// in front, a topic, or a name of the whole robot.
+    ///
+    /// # Errors
+    /// It may not.
+    pub fn check(
+        &self,
+        peer: NodeId,
+        verb: Verb,
+        object: &str,
+        contract: &str,
+    ) -> Result<(), Box<AccessDenied>> {
+        let known = self.nodes.get(&peer);
+        let verdict = match known {
+            Some((name, role)) => permission(&self.lines, (name, *role), verb, (object, contract)),
+            None => Permission::RefusedByRole(Role::Guest),
+        };
+        let line = match verdict {
+            Permission::Allowed => return Ok(()),
+            Permission::RefusedByLine(line) => Some(line),
+            Permission::RefusedByRole(_) => None,
+        };
+        Err(self.denied(peer, verb, (object, contract), line))
+    }
+
+    /// Whether a peer is a node of the robot and no guest.
+    ///
+    /// # Errors
+    /// It is not.
+    pub(in crate::net) fn check_membership(
+        &self,
+        peer: NodeId,
+        object: &str,
+        contract: &str,
+    ) -> Result<(), Box<AccessDenied>> {
+        match self.nodes.get(&peer) {
+            Some((_, role)) if *role != Role::Guest => Ok(()),
+            _ => Err(self.denied(peer, Verb::Tell, (object, contract), None)),
+        }
+    }
+
+    fn denied(
+        &self,
+        peer: NodeId,
+        verb: Verb,
+        (object, contract): (&str, &str),
+        line: Option<usize>,
+    ) -> Box<AccessDenied> {
+        let unlisted = || NodeName::new(&peer.to_string()).expect("a number is a name");
+        let peer = self.nodes.get(&peer).map_or_else(unlisted, |(name, _)| name.clone());
+        let (object, contract) = (object.to_owned(), contract.to_owned());
+        Box::new(AccessDenied { peer, verb, object, contract, line, serial: self.serial })
+    }
+}
+
+impl From<&AccessDenied> for DeliveryError {
+    fn from(denied: &AccessDenied) -> Self {
+        DeliveryError::Forbidden {
+            node: denied.peer.to_string(),
+            verb: denied.verb.word().to_owned(),
+            object: denied.object.clone(),
+            serial: denied.serial,
+        }
+    }
+}
+
+/// So many different refusals are remembered at most; the oldest is forgotten first.
+const ENTRIES_MAX: usize = 1024;
+/// A refusal that goes on is told again after this time.
+pub const REFUSAL_REMINDER: Duration = Duration::from_secs(60);
+
+/// What peers were refused: which, how often, and when last. Times are monotonic.
+#[derive(Clone, Debug, Default)]
+pub struct RefusalLog {
+    entries: SortedMap<RefusalKey, RefusalEntry>,
+}
+
+/// What is counted together: the peer, the verb, the object and the contract.
+type RefusalKey = (NodeName, Verb, String, String);
+
+#[derive(Clone, Debug)]
+struct RefusalEntry {
+    newest: AccessDenied,
+    times: u64,
+    first: Instant,
+    last: Instant,
+    told: Instant,
+}
+
+/// One row of the log.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RefusalRow {
+    /// What was refused to whom, the last time.
+    pub denied: AccessDenied,
+    /// How often.
+    pub times: u64,
+    /// When first.
+    pub first: Instant,
+    /// When last.
+    pub last: Instant,
+}
+
+impl RefusalLog {
+    /// A peer was refused something. Returns how often, if that is to be told: the first time, and
+    /// once a minute while it goes on.
+    pub fn handle_refused(&mut self, denied: AccessDenied, now: Instant) -> Option<u64> {
+        let AccessDenied { peer, verb, object, contract, .. } = denied.clone();
+        let key = (peer, verb, object, contract);
+        if let Some(entry) = self.entries.get_mut(&key) {
+            entry.times = entry.times.saturating_add(1);
+            (entry.newest, entry.last) = (denied, now);
+            let is_due = now >= entry.told + REFUSAL_REMINDER;
+            entry.told = if is_due { now } else { entry.told };
+            return is_due.then_some(entry.times);
+        }
+        if self.entries.len() >= ENTRIES_MAX {
+            let oldest = self.entries.iter().min_by_key(|(_, entry)| entry.last);
+            let oldest = oldest.map(|(key, _)| key.clone());
+            oldest.map(|key| self.entries.remove(&key));
+        }
+        let entry = RefusalEntry { newest: denied, times: 1, first: now, last: now, told: now };
+        self.entries.insert(key, entry);
+        Some(1)
+    }
+
+    /// What was refused, in the order of peers.
+    pub fn rows(&self) -> impl Iterator<Item = RefusalRow> {
+        self.entries.values().map(|entry| RefusalRow {
+            denied: entry.newest.clone(),
+            times: entry.times,
+            first: entry.first,
+            last: entry.last,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::net::trust::crypto::Seed;
+    use crate::net::trust::roster::RosterNode;
+
+    fn name(text: &str) -> NodeName {
+        NodeName::new(text).expect("a name")
+    }
+
+    fn id(text: &str) -> NodeId {
+        NodeId::of(&name(text))
+    }
+
+    fn denied(peer: &str, object: &str) -> AccessDenied {
+        let (object, contract) = (object.to_owned(), String::new());
+        AccessDenied { peer: name(peer), verb: Verb::Ask, object, contract, line: None, serial: 1 }
+    }
+
+    /// The rights at `base`, of a roster with these roles and lines.
+    pub(crate) fn policy(nodes: &[(&str, Role)], lines: &[&str]) -> AccessPolicy {
+        let listed = nodes.iter().zip(1..).map(|((node, role), seed)| RosterNode {
+            name: name(node),
+            keys: Seed::new([seed; 32]).public_keys(),
+            role: *role,
+        });
+        let mut roster = NodeRoster::new(name("ranger"), listed).expect("different nodes");
+        for line in lines {
+            let words: Vec<_> = line.split(' ').collect();
+            roster.policy.push(PolicyLine::parse(&words).expect("a line"));
+        }
+        AccessPolicy::new(name("base"), &roster)
+    }
+
+    #[test]
+    fn a_verb_without_a_line_is_open_to_all_but_guests_and_what_a_line_closes_is_named() {
+        let nodes = [("base", Role::Node), ("arm", Role::Node), ("visitor", Role::Guest)];
+        let policy = policy(&nodes, &["only base may lease on base/wheels"]);
+        assert!(policy.is_open(id("arm"), Verb::Ask) && !policy.is_open(id("arm"), Verb::Lease));
+        assert!(!policy.is_open(id("arm"), Verb::Operate));
+        assert!(!policy.is_open(id("visitor"), Verb::Ask) && !policy.is_open(id("x"), Verb::Ask));
+        assert_eq!(policy.check(id("arm"), Verb::Lease, "base/arm", "arm/move"), Ok(()));
+        let refused = policy.check(id("arm"), Verb::Lease, "base/wheels", "wheels/drive");
+        let refused = *refused.expect_err("a line gives it to base");
+        assert_eq!((refused.peer.as_str(), refused.line), ("arm", Some(1)));
+        assert_eq!((refused.object.as_str(), refused.serial), ("base/wheels", 1));
+        let refused = policy.check(id("visitor"), Verb::Ask, "base/wheels", "wheels/drive");
+        assert_eq!(refused.expect_err("a guest").line, None);
+        let refused = policy.check(id("unknown"), Verb::Ask, "base/wheels", "wheels/drive");
+        assert_eq!(refused.expect_err("it is not listed").peer.as_str(), id("unknown").to_string());
+    }
+
+    #[test]
+    fn contracts_of_the_middleware_need_what_they_do() {
+        let at = |object: &str, contract: &str| {
+            needs(&ObjectName::new(object).expect("a name"), contract)
+        };
+        assert_eq!(at("arm", "arm/move"), BindingNeeds::AskOrTell);
+        assert_eq!(at("arm", "blastema/command"), BindingNeeds::Nothing);
+        assert_eq!(at("map", "blastema/replica"), BindingNeeds::Right(Verb::Claim));
+        assert_eq!(at("map", "blastema/load-state"), BindingNeeds::Right(Verb::Operate));
+        assert_eq!(at("net/claims", "blastema/actor-message"), BindingNeeds::Membership);
+        assert_eq!(at("net/roster", "blastema/actor-message"), BindingNeeds::Nothing);
+    }
+
+    #[test]
+    fn a_refusal_is_told_at_first_and_once_a_minute_and_the_log_is_bounded() {
+        let (mut log, start) = (RefusalLog::default(), Instant::default());
+        assert_eq!(log.handle_refused(denied("arm", "base/wheels"), start), Some(1));
+        let told: Vec<_> = (1..=130)
+            .filter_map(|second| {
+                let now = start + Duration::from_secs(second);
+                log.handle_refused(denied("arm", "base/wheels"), now)
+            })
+            .collect();
+        assert_eq!(told, [61, 121]);
+        let row = log.rows().next().expect("one");
+        assert_eq!((row.times, row.last - row.first), (131, Duration::from_secs(130)));
+
+        for number in 0..2 * ENTRIES_MAX {
+            let now = start + Duration::from_secs(200 + number as u64);
+            assert_eq!(log.handle_refused(denied("arm", &format!("o{number}")), now), Some(1));
+        }
+        assert_eq!(log.rows().count(), ENTRIES_MAX);
+        assert!(log.rows().all(|row| row.first >= start + Duration::from_secs(200)));
+    }
+}
