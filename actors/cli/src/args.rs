@@ -109,7 +109,7 @@ pub(crate) enum Subcommand {
     /// Make and change the keys of a robot's nodes
     ///
     /// A node that has its key seals all its networks that leave the process: without a key of this
-    /// robot nothing is heard or, but on CAN, read. Roles and the policy are not enforced yet.
+    /// robot nothing is heard or, but on CAN, read. Roles and the policy say who may do what.
     ///
     /// ROBOT.robot signs the list of nodes: keep it off the robot, with a copy in a safe place.
     /// NODE.key is the secret of one node. ROBOT.roster is the signed list of all nodes, with their

@@ -1,6 +1,7 @@
 //! The actor of the global names.
 
 use crate::global_name::{ClaimCommand, ClaimState, GlobalNameTable};
+use crate::net::RosterChanged;
 use crate::net::fault_reporter::FaultReporter;
 use crate::net::peer_messages::{ActorMessageReceived, PeerChannel};
 use crate::platform;
@@ -76,6 +77,7 @@ pub(crate) struct GlobalNamesActor {
 /// Where the body is told and asked.
 pub(crate) struct GlobalNamesRecipients {
     pub(crate) peers: Recipient<PeerStatusChanged>,
+    pub(crate) rosters: Recipient<RosterChanged>,
     pub(crate) pings: Recipient<AreYouAlive>,
     #[cfg(test)]
     panic: Recipient<InjectPanic>,
@@ -112,6 +114,7 @@ impl GlobalNamesActor {
             #[cfg(test)]
             panic: body.clone().recipient(),
             peers: body.clone().recipient(),
+            rosters: body.clone().recipient(),
             pings: body.recipient(),
         }
     }
@@ -224,6 +227,9 @@ impl Actor for GlobalNamesActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
+        if let Some(policy) = self.setup.registry.access().policy() {
+            self.machine.handle_access((*policy).clone(), platform::now());
+        }
         context.run_interval(REFUSAL_CHECK_INTERVAL, |body, _| body.look_at_refusals());
         self.drive(context);
     }
@@ -268,9 +274,9 @@ impl MachineActor for GlobalNamesActor {
                 }
             }
             GlobalNamesOutput::StandsBy { name } => self.tell(&name, ClaimState::StandsBy),
-            GlobalNamesOutput::Refused(held) => {
-                let name = held.name.clone();
-                self.refused(&name, held.into());
+            GlobalNamesOutput::Refused { name, refused } => self.refused(&name, refused),
+            GlobalNamesOutput::AccessDenied { denied } => {
+                self.setup.registry.access().record(*denied)
             }
             GlobalNamesOutput::Lost { name, to, epoch, stands_by } => {
                 let what = if stands_by {
@@ -364,6 +370,15 @@ impl Handler<PeerStatusChanged> for GlobalNamesActor {
             }
             PeerStatusChanged::Left { node } => self.machine.handle_left(&node, now),
         }
+        self.drive(context);
+    }
+}
+
+impl Handler<RosterChanged> for GlobalNamesActor {
+    type Result = ();
+
+    fn handle(&mut self, message: RosterChanged, context: &mut Context<Self>) {
+        self.machine.handle_access(message.0.access_policy(), platform::now());
         self.drive(context);
     }
 }

@@ -38,6 +38,19 @@ pub enum ClaimError {
         /// The most that it may.
         limit: usize,
     },
+    /// The [policy](crate::manual::security#roles-and-policy) of the robot does not let this node
+    /// claim the name. Change roles or policy.
+    #[error(
+        "node {node} may not claim {name}, by its roster {serial}: change roles or policy by `blastema keys edit`"
+    )]
+    Forbidden {
+        /// The name.
+        name: String,
+        /// This node.
+        node: NodeName,
+        /// The serial number of its roster.
+        serial: u64,
+    },
     /// The node has ended.
     #[error("the node has ended")]
     Stopped,
@@ -48,6 +61,9 @@ impl From<ClaimRefused> for ClaimError {
         match refused {
             ClaimRefused::Held(held) => ClaimError::Held(held),
             ClaimRefused::TooMany { limit } => ClaimError::TooMany { limit },
+            ClaimRefused::Forbidden { name, node, serial } => {
+                ClaimError::Forbidden { name, node, serial }
+            }
         }
     }
 }

@@ -8,7 +8,9 @@ use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::router::SetIsolation;
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::isolation::{Isolation, IsolationDecision, IsolationOutput, VoteRefused};
+use blastema_core::net::isolation::{
+    Isolation, IsolationAuthority, IsolationDecision, IsolationOutput, VoteRefused,
+};
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use blastema_macros::Event;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -72,6 +74,13 @@ impl IsolationControl {
     /// Whether this node has had a session with it, or a node has voted on it.
     pub(super) fn know(&self, node: &NodeName) -> bool {
         self.lock().knows(node)
+    }
+
+    /// From now on the word of others counts.
+    pub(super) fn judge_by(&self, judges: IsolationAuthority) {
+        let mut machine = self.lock();
+        machine.handle_authority(judges);
+        self.carry_out(machine);
     }
 
     /// This node decides.

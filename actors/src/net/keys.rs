@@ -3,11 +3,15 @@
 use crate::platform;
 use crate::platform::key_files::{folder_of, read_public, read_secret};
 use blastema_contract::transport::MediumAddress;
+use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::net::routing::RouterKeys;
 use blastema_core::net::seal::{NoiseCrypto, SealProfile, Sealer, SealerConfig};
+use blastema_core::net::trust::access::AccessPolicy;
 use blastema_core::net::trust::key_file::KeyFile;
+use blastema_core::net::trust::policy::Role;
 use blastema_core::net::trust::roster::{NodeRoster, RosterOrder};
 use blastema_core::net::{NeighbourKey, NodeId};
+use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -136,9 +140,24 @@ impl NodeKeys {
         &self.roster.robot
     }
 
-    /// This node.
-    pub(super) fn node(&self) -> &NodeName {
-        &self.own.node
+    /// The role of a node.
+    pub(crate) fn role_of(&self, node: &NodeName) -> Option<Role> {
+        self.roster.node(node).map(|listed| listed.role)
+    }
+
+    /// Whose word isolates a node: the wardens of the roster, or more than half of all.
+    pub(crate) fn judges(&self) -> IsolationAuthority {
+        let wardens = self.roster.nodes().iter().filter(|node| node.role == Role::Warden);
+        let wardens: SortedSet<_> = wardens.map(|node| node.name.clone()).collect();
+        match wardens.is_empty() {
+            true => IsolationAuthority::Majority,
+            false => IsolationAuthority::Named(wardens),
+        }
+    }
+
+    /// What the roster lets other nodes do here, and this one elsewhere.
+    pub(crate) fn access_policy(&self) -> AccessPolicy {
+        AccessPolicy::new(self.own.node.clone(), &self.roster)
     }
 
     /// The roster's serial number.

@@ -40,6 +40,7 @@ mod tests;
 
 pub(crate) use carrier::Interface;
 pub(crate) use discovery::DiscoverySpec;
+pub(crate) use roster_watch::RosterChanged;
 
 use self::fault_reporter::FaultReporter;
 use crate::messaging::dead_letters::DeadLetterLog;
@@ -159,6 +160,8 @@ pub(crate) struct NetEnvironment {
     pub(crate) cleared: Option<Recipient<DeclaredFaultCleared>>,
     /// Are told whom they can talk to.
     pub(crate) observers: Vec<Recipient<PeerStatusChanged>>,
+    /// Are told of a newer roster.
+    pub(crate) roster_observers: Vec<Recipient<RosterChanged>>,
     /// With which frames are sealed.
     pub(crate) keys: Option<Arc<keys::NodeKeys>>,
 }
@@ -266,9 +269,6 @@ pub(crate) fn start(
         paths: sessions.clone().recipient(),
     });
 
-    if let Some(keys) = &environment.keys {
-        environment.registry.access().replace(gateway::GatewayActor::policy(keys));
-    }
     let stubs = Arc::new(stub::PeerStubs::new(own_isolation));
     let to_sessions = gateway::SessionRecipients {
         say: sessions.clone().recipient(),
@@ -334,7 +334,7 @@ pub(crate) fn start(
         let links = networks.iter().map(|(_, links)| links.clone().recipient());
         let others =
             [router.clone().recipient(), roster.clone().recipient(), gateway.clone().recipient()];
-        let told = links.chain(others).collect();
+        let told = links.chain(others).chain(environment.roster_observers).collect();
         let watch = Arc::new(RosterWatch::start(keys, told));
         roster.do_send(AttachRosterWatch(Arc::downgrade(&watch)));
         watch

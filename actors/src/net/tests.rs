@@ -215,6 +215,7 @@ impl Robot {
             judges: IsolationAuthority::Majority,
             session_timeout: IDLE_TIMEOUT,
             observers: Vec::new(),
+            roster_observers: Vec::new(),
             keys: None,
         };
         let net = start(environment, specs).unwrap();

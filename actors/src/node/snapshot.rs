@@ -261,6 +261,7 @@ mod tests {
                     sessions: in_time(future::pending()).await,
                     claims: Vec::new(),
                     services: Vec::new(),
+                    forbidden: Vec::new(),
                 },
                 actuators: Vec::new(),
                 topics: Vec::new(),

@@ -25,6 +25,7 @@ pub use self::unmet::UnmetClaims;
 
 use self::types::{ClaimRecord, GlobalNameMessage, NameClaim};
 use crate::contract::codec;
+use crate::net::trust::access::AccessPolicy;
 use crate::net::wire::Refusals;
 use crate::sorted::{SortedMap, SortedSet};
 use crate::timer::Timers;
@@ -86,6 +87,8 @@ pub struct GlobalNames {
     vacant: SortedMap<ObjectName, Instant>,
     last_epoch: u64,
     alive_at: Instant,
+    /// Which nodes may claim which names; without one, all may.
+    access: Option<AccessPolicy>,
     /// Until then nothing is granted; `None` once that is over.
     settles: Option<Instant>,
     /// In the place of another machine of the same incarnation: it has forgotten what it was
@@ -112,6 +115,7 @@ impl GlobalNames {
             vacant: SortedMap::new(),
             last_epoch,
             alive_at,
+            access: None,
             settles,
             forgetful: false,
             outputs: VecDeque::new(),
@@ -169,13 +173,15 @@ impl GlobalNames {
     /// wait: it is told later then.
     ///
     /// # Errors
-    /// [`ClaimRefused`] where another claimant holds it and the policy is to be refused.
+    /// [`ClaimRefused`] where another claimant holds it and the policy is to be refused, and where
+    /// this node may not claim it.
     pub fn handle_claim(
         &mut self,
         wanted: ClaimRequest,
         now: Instant,
     ) -> Result<Option<u64>, ClaimRefused> {
         let ClaimRequest { name, object, policy } = wanted;
+        self.may_claim(&self.config.node, &name).map_err(|denied| ClaimRefused::from(&*denied))?;
         if self.own.len() >= CLAIMS_MAX && !self.own.contains_key(&name) {
             return Err(ClaimRefused::TooMany { limit: CLAIMS_MAX });
         }
@@ -321,8 +327,7 @@ impl GlobalNames {
         if before.as_ref() == Some(&stake) {
             return;
         }
-        self.last_epoch = self.last_epoch.max(stake.epoch.unwrap_or_default());
-        self.known.entry(name.clone()).or_default().insert(from.clone(), stake);
+        self.believe(from, &name, stake);
         self.look_at(&name, now);
     }
 
@@ -335,12 +340,7 @@ impl GlobalNames {
                 telling.remove(name);
             }
         }
-        if let Some(claimants) = self.known.get_mut(name) {
-            claimants.remove(from);
-            if claimants.is_empty() {
-                self.known.remove(name);
-            }
-        }
+        self.disbelieve(from, name);
         self.look_at(name, now);
     }
 
@@ -366,8 +366,9 @@ impl GlobalNames {
             }
             (Some(Holder { node: holder, epoch, .. }), None) if policy == ClaimPolicy::Refuse => {
                 self.handle_withdrawn(name);
-                let held = NameHeld { name: name.clone(), holder, epoch };
-                self.outputs.push_back(GlobalNamesOutput::Refused(held));
+                let refused = NameHeld { name: name.clone(), holder, epoch }.into();
+                let name = name.clone();
+                self.outputs.push_back(GlobalNamesOutput::Refused { name, refused });
             }
             (Some(_), Some(_)) => {}
             (Some(_), None) => {
@@ -503,6 +504,7 @@ impl Machine for GlobalNames {
     }
 }
 
+mod access;
 #[cfg(test)]
 mod tests;
 mod timers;

@@ -1,4 +1,7 @@
 use super::*;
+use crate::net::trust::crypto::Seed;
+use crate::net::trust::policy::Role;
+use crate::net::trust::roster::{NodeRoster, RosterNode};
 use std::time::Duration;
 
 const LEASE: Duration = Duration::from_millis(400);
@@ -77,8 +80,12 @@ impl Robot {
                     GlobalNamesOutput::Lost { name, to, .. } => {
                         self.outputs.push(format!("{from} lost {name} to {to}"));
                     }
-                    GlobalNamesOutput::Refused(held) => {
-                        self.outputs.push(format!("{from} is refused {}", held.name));
+                    GlobalNamesOutput::Refused { name, .. } => {
+                        self.outputs.push(format!("{from} is refused {name}"));
+                    }
+                    GlobalNamesOutput::AccessDenied { denied } => {
+                        let (peer, verb) = (&denied.peer, denied.verb);
+                        self.outputs.push(format!("{from} refuses {peer} to {verb}"));
                     }
                     GlobalNamesOutput::Held { name, holder } => {
                         let known = self.nodes[&from].shown.get(&name).cloned();
@@ -345,4 +352,54 @@ fn claims_that_begin_anew_within_their_nodes_incarnation_keep_what_they_hold_and
 fn outputs(name: &str, epoch: u64) -> ClaimRecord {
     let stake = NameClaim { epoch: Some(epoch), object: None };
     ClaimRecord { name: ObjectName::new(name).unwrap(), stake }
+}
+
+/// The rights at each node, where these alone may claim the name.
+fn only(may_claim: &str) -> impl Fn(&str) -> AccessPolicy {
+    let nodes = ["a", "b", "c"].iter().zip(1..).map(|(name, seed)| RosterNode {
+        name: node(name),
+        keys: Seed::new([seed; 32]).public_keys(),
+        role: Role::Node,
+    });
+    let roster = NodeRoster::new(node("ranger"), nodes).expect("different nodes");
+    let line = format!("policy\nonly {may_claim} may claim on map\nend");
+    let roster = NodeRoster::parse(&roster.to_text().replace("end", &line)).expect("a line");
+    move |own| AccessPolicy::new(node(own), &roster)
+}
+
+#[test]
+fn only_who_may_claim_a_name_gets_it_and_another_policy_takes_it_away() {
+    let mut robot = Robot::new(&["a", "b", "c"]);
+    // The other nodes know the policy, and the claimant does not mind it.
+    let policy = only("b");
+    for own in ["b", "c"] {
+        let machine = robot.nodes.get_mut(&node(own)).expect("it is there");
+        machine.handle_access(policy(own), ms(0));
+    }
+    assert!(robot.claim("a", ClaimPolicy::Refuse).is_ok_and(|epoch| epoch.is_some()));
+    // It tells them that it wants the name, and that it has it.
+    let refusals = ["b refuses a to claim", "c refuses a to claim"];
+    assert_eq!(robot.outputs(), [&refusals[..], &refusals, &["a has map"]].concat());
+    assert_eq!((robot.holder("b"), robot.holder("c")), (None, None));
+    // That it is ignored is no reason to ask for it again.
+    robot.advance(5_000);
+    assert_eq!(robot.outputs(), Vec::<String>::new());
+    assert!(robot.claim("b", ClaimPolicy::Refuse).is_ok_and(|epoch| epoch.is_some()));
+    let refused = robot.claim("c", ClaimPolicy::Standby);
+    assert!(matches!(refused, Err(ClaimRefused::Forbidden { .. })), "{refused:?}");
+    assert_eq!(robot.holder("c").as_deref(), Some("b"));
+    robot.outputs();
+
+    let policy = only("a c");
+    for own in ["b", "c"] {
+        let machine = robot.nodes.get_mut(&node(own)).expect("it is there");
+        machine.handle_access(policy(own), ms(robot.now));
+        robot.carry();
+    }
+    assert!(robot.outputs().contains(&"b is refused map".to_owned()));
+    robot.advance(5_000);
+    assert_eq!(
+        ["a", "b", "c"].map(|seen_by| robot.holder(seen_by)),
+        [const { "a" }; 3].map(|a| Some(a.to_owned()))
+    );
 }

@@ -1,5 +1,6 @@
 //! Configuration, inputs and outputs of the global names.
 
+use crate::net::trust::access::AccessDenied;
 use crate::sorted::SortedSet;
 use crate::{Incarnation, NodeName, ObjectName, hash};
 use bytes::Bytes;
@@ -93,6 +94,18 @@ pub enum ClaimRefused {
         /// The most that it may.
         limit: usize,
     },
+    /// The policy of the robot does not let the node claim the name. Change roles or policy.
+    #[error(
+        "node {node} may not claim {name}, by its roster {serial}: change roles or policy by `blastema keys edit`"
+    )]
+    Forbidden {
+        /// The name.
+        name: String,
+        /// The node.
+        node: NodeName,
+        /// The serial number of the roster.
+        serial: u64,
+    },
 }
 
 /// What is to be done.
@@ -117,8 +130,19 @@ pub enum GlobalNamesOutput {
         /// Which.
         name: ObjectName,
     },
-    /// A claim that had to wait after our start is refused.
-    Refused(NameHeld),
+    /// A claim that had to wait after our start is refused; or one that was granted, by another
+    /// policy.
+    Refused {
+        /// Which.
+        name: ObjectName,
+        /// Why.
+        refused: ClaimRefused,
+    },
+    /// Another node claims a name that it may not.
+    AccessDenied {
+        /// Which node, and what.
+        denied: Box<AccessDenied>,
+    },
     /// A name that was ours is another's: two had claimed it, out of each other's sight.
     Lost {
         /// Which.

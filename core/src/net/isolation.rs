@@ -143,6 +143,12 @@ impl Isolation {
         }
     }
 
+    /// From now on the word of others counts.
+    pub fn handle_authority(&mut self, judges: IsolationAuthority) {
+        self.judges = judges;
+        self.settle();
+    }
+
     /// The next thing to do, in order.
     pub fn poll_output(&mut self) -> Option<IsolationOutput> {
         self.outputs.pop_front()

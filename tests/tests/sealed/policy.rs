@@ -7,7 +7,10 @@
 use super::{PATIENCE, until};
 use blastema::core::net::trust::policy::Role;
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, FaultKind, Network, VariableSpec};
+use blastema::{
+    ActuatorSpec, ClaimError, ClaimPolicy, ClaimState, FaultKind, FaultLocation, Network,
+    StartError, VariableSpec,
+};
 use blastema_tests::{RobotKeys, free_addresses};
 use std::fs;
 use std::net::SocketAddr;
@@ -291,5 +294,74 @@ fn a_guest_may_do_what_a_line_gives_it_and_nothing_else() {
         for node in [base, arm, head] {
             node.shutdown().await;
         }
+    });
+}
+
+#[test]
+fn a_name_is_had_only_by_a_node_that_may_claim_it_and_until_it_may_no_more() {
+    blastema::run(async {
+        let open: Vec<_> = NODES.map(|node| (node, Role::Node)).into();
+        let robot = Robot::new(&open, &["only arm may claim on map".to_owned()]);
+        let [base, arm, head] = robot.start_all().await;
+        let refused = head.claim("map", ClaimPolicy::Standby).await;
+        assert!(matches!(refused, Err(ClaimError::Forbidden { .. })), "{refused:?}");
+        let claim = arm.claim("map", ClaimPolicy::Refuse).await.expect("it may");
+        let is = |node: Option<&str>| {
+            let holder = base.holder("map");
+            holder.as_ref().map(|holder| holder.node.as_str()) == node
+        };
+        until(async || is(Some("arm")), "the arm has the name").await;
+
+        robot.put(&open, &["only head may claim on map".to_owned()], 2);
+        until(async || is(None), "nobody has it").await;
+        let is_over = async || matches!(claim.state(), ClaimState::Refused(_));
+        until(is_over, "the arm is told").await;
+        let mut claimed = None;
+        let claims = async || {
+            claimed = head.claim("map", ClaimPolicy::Standby).await.ok();
+            claimed.is_some()
+        };
+        until(claims, "the head may").await;
+        until(async || is(Some("head")), "the head has the name").await;
+        for node in [base, arm, head] {
+            node.shutdown().await;
+        }
+    });
+}
+
+#[test]
+fn the_word_of_a_warden_of_the_roster_isolates_and_that_of_another_node_does_not() {
+    blastema::run(async {
+        let nodes = [("base", Role::Node), ("arm", Role::Node), ("head", Role::Warden)];
+        let robot = Robot::new(&nodes, &[]);
+        let [base, arm, head] = robot.start_all().await;
+        let keeps_out = async |node: &Node, other: &str| {
+            let faults = node.faults().await.entries;
+            faults.iter().any(|entry| {
+                let located = &entry.fault.location;
+                entry.fault.kind == FaultKind::NodeFaulty
+                    && matches!(located, FaultLocation::Node(node) if node.as_str() == other)
+            })
+        };
+        arm.isolate("head").expect("it may vote");
+        head.isolate("arm").expect("it may vote");
+        until(async || keeps_out(&base, "arm").await, "the base keeps the arm out").await;
+        assert!(!keeps_out(&base, "head").await);
+        for node in [base, arm, head] {
+            node.shutdown().await;
+        }
+    });
+}
+
+#[test]
+fn a_warden_in_the_program_that_the_roster_does_not_name_is_refused_at_the_start() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let keys = RobotKeys::new(folder.path(), &NODES, 1);
+        let network = Network::new("lan", "udp://127.0.0.1:0").peer("arm", "127.0.0.1:1");
+        let base = Node::builder("base").keys(keys.of("base")).network(network).warden("arm");
+        let refused = base.start().await.map(|_| ()).expect_err("it is no warden");
+        let StartError::Keys(why) = &refused else { panic!("{refused}") };
+        assert!(why.contains("arm") && why.contains("role warden"), "{why}");
     });
 }

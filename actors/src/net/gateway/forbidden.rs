@@ -1,12 +1,11 @@
 //! What peers may not do here, and what this node may not do at peers.
 
 use super::GatewayActor;
-use crate::net::keys::NodeKeys;
 use crate::net::roster_watch::RosterChanged;
 use crate::platform;
 use actix::prelude::*;
 use blastema_core::net::NodeId;
-use blastema_core::net::trust::access::{AccessPolicy, REFUSAL_REMINDER};
+use blastema_core::net::trust::access::REFUSAL_REMINDER;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{DeliveryError, FaultKind, Instant};
 use tracing::error;
@@ -23,11 +22,6 @@ pub(super) struct ForbiddenAlarm {
 }
 
 impl GatewayActor {
-    /// From now on the policy of this roster counts.
-    pub(in crate::net) fn policy(keys: &NodeKeys) -> AccessPolicy {
-        AccessPolicy::new(keys.node().clone(), keys.roster())
-    }
-
     /// A peer refuses a subscription of this node.
     pub(super) fn subscription_forbidden(&mut self, peer: NodeId, why: &DeliveryError) {
         error!("no event arrives: {why}");
@@ -65,7 +59,8 @@ impl Handler<RosterChanged> for GatewayActor {
     type Result = ();
 
     fn handle(&mut self, message: RosterChanged, context: &mut Context<Self>) {
-        let policy = GatewayActor::policy(&message.0);
+        self.wiring.wardens.judge_by(message.0.judges());
+        let policy = message.0.access_policy();
         self.wiring.registry.access().replace(policy.clone());
         self.exchange.handle_access(policy);
         self.drive(context);

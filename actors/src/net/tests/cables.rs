@@ -153,6 +153,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             judges: IsolationAuthority::Majority,
             session_timeout: IDLE_TIMEOUT,
             observers: Vec::new(),
+            roster_observers: Vec::new(),
             keys: None,
         };
 

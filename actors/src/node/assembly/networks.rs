@@ -182,6 +182,9 @@ fn make_networks(
     if let IsolationAuthority::Named(wardens) = &judges {
         described.extend(wardens.iter().cloned());
     }
+    if let Some(keys) = &keys {
+        environment.registry.access().replace(keys.access_policy());
+    }
     let net_environment = NetEnvironment {
         node: node.clone(),
         incarnation,
@@ -199,6 +202,7 @@ fn make_networks(
         judges,
         session_timeout,
         observers: Vec::new(),
+        roster_observers: Vec::new(),
         keys,
     };
     let slowest = specs.iter().flat_map(|spec| &spec.links).map(|link| link.hello_interval).max();
@@ -215,8 +219,8 @@ fn make_networks(
     let rest = SafeStateActor::start(setup, guardian, arbiter.as_ref());
     parts.controller.do_send(SubscribeSafeState(rest.own));
     enrolments.push(middleware(named("net/rest"), Some(rest.pings)));
-    let observers = vec![claims.peers, rest.peers];
-    let net_environment = NetEnvironment { observers, ..net_environment };
+    let (observers, roster_observers) = (vec![claims.peers, rest.peers], vec![claims.rosters]);
+    let net_environment = NetEnvironment { observers, roster_observers, ..net_environment };
     let handle = net::start(net_environment, specs)
         .map_err(|error| StartError::Network(error.to_string()))?;
     let own = handle.pings().into_iter();

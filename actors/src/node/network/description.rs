@@ -9,6 +9,8 @@ use crate::service::{Carried, ServiceSpecError};
 use crate::settings::network::SESSION_TIMEOUT;
 use blastema_core::NodeName;
 use blastema_core::net::isolation::IsolationAuthority;
+use blastema_core::net::trust::policy::Role;
+use blastema_core::sorted::SortedSet;
 use std::env;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -45,9 +47,9 @@ impl Default for NetworkDescription {
 impl NetworkDescription {
     /// Reads the keys, and finds what can be known to be wrong before anything is started.
     pub(in crate::node) fn check(&mut self, node: &NodeName) -> Result<(), StartError> {
-        self.judges()?;
         SESSION_TIMEOUT.check(self.session_timeout)?;
         self.read_keys(node)?;
+        self.judges()?;
         check_networks(&self.networks, node, self.keys.as_deref())
     }
 
@@ -72,15 +74,26 @@ impl NetworkDescription {
         Ok(())
     }
 
-    /// Whose word isolates a node.
+    /// Whose word isolates a node. With keys, the roster says it, and `warden` of the builder may
+    /// only repeat it.
     pub(in crate::node) fn judges(&self) -> Result<IsolationAuthority, StartError> {
-        if self.wardens.is_empty() {
-            return Ok(IsolationAuthority::Majority);
-        }
         let wardens = self.wardens.iter().map(|name| NodeName::new(name));
         let wardens = wardens
-            .collect::<Result<_, _>>()
+            .collect::<Result<SortedSet<_>, _>>()
             .map_err(StartError::name_of("the name of a node that isolates others"))?;
-        Ok(IsolationAuthority::Named(wardens))
+        let Some(keys) = &self.keys else {
+            return Ok(match wardens.is_empty() {
+                true => IsolationAuthority::Majority,
+                false => IsolationAuthority::Named(wardens),
+            });
+        };
+        match wardens.iter().find(|warden| keys.role_of(warden) != Some(Role::Warden)) {
+            None => Ok(keys.judges()),
+            Some(warden) => Err(StartError::Keys(format!(
+                "{warden} is named by `.warden`, and roster {} does not give it the role warden: write \
+                 `role warden` at its line by `blastema keys edit`, or leave `.warden` out",
+                keys.serial()
+            ))),
+        }
     }
 }

@@ -38,7 +38,7 @@ impl BindingAccess {
     fn of(policy: &AccessPolicy, peer: NodeId, object: &ObjectName, contract: &str) -> Self {
         let name = || policy.object(object);
         let both = |verdict: Verdict| BindingAccess { ask: verdict.clone(), tell: verdict };
-        match needs(object, contract) {
+        match needs(contract) {
             BindingNeeds::Nothing => both(Ok(())),
             BindingNeeds::Membership => both(policy.check_membership(peer, &name(), contract)),
             // A service and a name of the robot belong to no node.

@@ -10,8 +10,6 @@ use std::time::Duration;
 /// What every node may use that is not a guest, whatever the lines say: the middleware's own
 /// contracts. Those of them that a right is needed for are told apart by [`rights_for`].
 const INTERNAL: &str = "blastema/";
-/// Nodes of any role exchange rosters.
-const ROSTERS: &str = "net/roster";
 
 /// The rights of a roster's nodes at one of them.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -55,11 +53,12 @@ pub(in crate::net) enum BindingNeeds {
 
 /// What a binding of this contract at this object needs. Commands and variables are checked where
 /// they are served, since only the message says of which actuator or variable it is.
-pub(in crate::net) fn needs(object: &ObjectName, contract: &str) -> BindingNeeds {
+pub(in crate::net) fn needs(contract: &str) -> BindingNeeds {
     match contract.strip_prefix(INTERNAL) {
         None => BindingNeeds::AskOrTell,
         Some("command" | "variables") => BindingNeeds::Nothing,
-        Some("actor-message") if object.as_str() == ROSTERS => BindingNeeds::Nothing,
+        // What nodes say of themselves; names that they claim are judged one by one.
+        Some("actor-message") => BindingNeeds::Nothing,
         Some("serve" | "who-serves") => BindingNeeds::Right(Verb::Ask),
         Some("replica" | "service-terms") => BindingNeeds::Right(Verb::Claim),
         // What a replica says to the component of its own node.
@@ -283,15 +282,12 @@ mod tests {
 
     #[test]
     fn contracts_of_the_middleware_need_what_they_do() {
-        let at = |object: &str, contract: &str| {
-            needs(&ObjectName::new(object).expect("a name"), contract)
-        };
-        assert_eq!(at("arm", "arm/move"), BindingNeeds::AskOrTell);
-        assert_eq!(at("arm", "blastema/command"), BindingNeeds::Nothing);
-        assert_eq!(at("map", "blastema/replica"), BindingNeeds::Right(Verb::Claim));
-        assert_eq!(at("map", "blastema/load-state"), BindingNeeds::Right(Verb::Operate));
-        assert_eq!(at("net/claims", "blastema/actor-message"), BindingNeeds::Membership);
-        assert_eq!(at("net/roster", "blastema/actor-message"), BindingNeeds::Nothing);
+        assert_eq!(needs("arm/move"), BindingNeeds::AskOrTell);
+        assert_eq!(needs("blastema/command"), BindingNeeds::Nothing);
+        assert_eq!(needs("blastema/replica"), BindingNeeds::Right(Verb::Claim));
+        assert_eq!(needs("blastema/load-state"), BindingNeeds::Right(Verb::Operate));
+        assert_eq!(needs("blastema/votes"), BindingNeeds::Membership);
+        assert_eq!(needs("blastema/actor-message"), BindingNeeds::Nothing);
     }
 
     #[test]
