@@ -315,7 +315,12 @@ impl GatewayActor {
                 }
             }
             PeerProtocolOutput::Names { peer, announcement } => {
+                // The peer tells what it listens to before it tells its objects.
+                let is_all = announcement.complete;
                 self.naming.handle_announcement(peer, announcement);
+                if is_all {
+                    self.with_send_state(peer, PeerSendState::handle_announced);
+                }
             }
             PeerProtocolOutput::Bye { peer } => self.handle_bye(peer),
             PeerProtocolOutput::Forget { peer, why } => self.forget(peer, &why),

@@ -55,6 +55,8 @@ pub(super) struct PeerSendState {
     full: Mutex<SortedSet<ObjectName>>,
     /// There are some; to be looked at without the lock.
     any_full: AtomicBool,
+    /// In this session the peer has told what it listens to, and which objects it has.
+    told: AtomicBool,
     changed: Arc<Notify>,
 }
 
@@ -98,7 +100,14 @@ impl PeerSendState {
         self.met.store(true, Relaxed);
         self.full_budget.store(0, Relaxed);
         self.full_streams.store(0, Relaxed);
+        self.told.store(false, Relaxed);
         self.set(PeerCondition::Open);
+    }
+
+    /// The peer has told its topics, and then its objects.
+    pub(super) fn handle_announced(&self) {
+        self.told.store(true, Relaxed);
+        self.changed.notify_waiters();
     }
 
     /// The session holds all that it should of this stream and load.
@@ -245,11 +254,12 @@ impl PeerSendState {
         DeliveryError::WayFull { node: self.node.to_string(), bulk: load == SizeClass::Bulk }
     }
 
-    /// Completes when a session is open, and a path leads there.
+    /// Completes when a session is open, a path leads there, and the peer has told what it listens
+    /// to.
     async fn opened(&self) {
         loop {
             let changed = self.changed.notified();
-            if self.has_session() && self.path.load(Relaxed) {
+            if self.has_session() && self.told.load(Relaxed) && self.path.load(Relaxed) {
                 return;
             }
             changed.await;
@@ -330,6 +340,7 @@ impl PeerStubs {
                 credits: SendCredits::new(&changed),
                 full: Mutex::default(),
                 any_full: AtomicBool::new(false),
+                told: AtomicBool::new(false),
                 changed,
             })
         });

@@ -428,3 +428,49 @@ async fn a_probe_listens_like_any_other() {
 
     assert_eq!(probe.drain(), [Map(7)]);
 }
+
+/// Listens to six topics.
+struct Listener(Seen);
+
+const SIX: [&str; 6] = ["six/a", "six/b", "six/c", "six/d", "six/e", "six/f"];
+
+impl Component for Listener {
+    fn ports(ports: &mut Ports<Self>) {
+        for topic in SIX {
+            ports.listen::<Image>().on(topic);
+        }
+    }
+}
+
+impl Handle<Image> for Listener {
+    async fn handle(&mut self, Image(n): Image, _: &mut Context<Self>) {
+        self.0.lock().unwrap().push((n, None));
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_node_that_is_connected_has_told_what_it_listens_to() {
+    for _ in 0..20 {
+        let medium = MemoryMedium::default();
+        let node = |name: &str, far: &str| {
+            let network =
+                Network::memory("ethernet", &medium, name).link(Link::in_memory(far, far));
+            Node::builder(name).network(network)
+        };
+        let here = TestNode::start(node("module1", "module2")).await;
+        let publishers = SIX.map(|topic| here.publisher::<Image>(topic).unwrap());
+        let seen = Seen::default();
+        let kept = seen.clone();
+        let listener = ChildSpec::new("listener", move || Listener(kept.clone()));
+        let there = TestNode::start(node("module2", "module1").child(listener)).await;
+        assert!(here.connected("module2", 10_000 * MS).await);
+        for (publisher, number) in publishers.iter().zip(0..) {
+            publisher.publish(Image(number)).unwrap();
+        }
+        here.advance(1000 * MS).await;
+        let mut heard: Vec<_> = seen.lock().unwrap().iter().map(|(n, _)| *n).collect();
+        heard.sort();
+        assert_eq!(heard, [0, 1, 2, 3, 4, 5]);
+        drop((here, there));
+    }
+}

@@ -162,9 +162,10 @@ impl Robot {
 
     async fn start_all(&self) -> [Node; 3] {
         let nodes = [self.start(0).await, self.start(1).await, self.start(2).await];
-        for peer in &nodes[1..] {
-            assert!(nodes[0].connected(&peer.name().to_string(), PATIENCE).await);
-            assert!(peer.connected("base", PATIENCE).await);
+        for (own, node) in nodes.iter().enumerate() {
+            for (_, other) in NODES.iter().enumerate().filter(|(other, _)| *other != own) {
+                assert!(node.connected(other, PATIENCE).await, "{} to {other}", NODES[own]);
+            }
         }
         nodes
     }
@@ -229,7 +230,7 @@ fn only_who_is_named_may_use_the_wheels_and_another_roster_changes_it_while_all_
         let orders = [&arm, &head].map(|node| node.publisher::<Report>("orders").expect("a name"));
         until(async || orders[0].matched() == 1, "the base listens to the arm").await;
         for (publisher, by) in orders.iter().zip(["arm", "head"]) {
-            publisher.publish(Report(by.into())).expect("it is sent, if anybody listens");
+            publisher.publish(Report(by.into())).expect("it is sent to all that listen");
         }
         let heard = |own: usize| robot.ears[own].lock().expect("nothing panics").clone();
         until(async || heard(1) == ["first"], "the arm hears the base").await;
@@ -313,7 +314,7 @@ fn a_name_is_had_only_by_a_node_that_may_claim_it_and_until_it_may_no_more() {
         until(async || is(Some("arm")), "the arm has the name").await;
 
         robot.put(&open, &["only head may claim on map".to_owned()], 2);
-        until(async || is(None), "nobody has it").await;
+        until(async || is(None), "it has no holder").await;
         let is_over = async || matches!(claim.state(), ClaimState::Refused(_));
         until(is_over, "the arm is told").await;
         let mut claimed = None;

@@ -25,19 +25,19 @@ pub(super) struct PeerAccess {
     barred: SortedSet<u32>,
 }
 
-type Verdict = Result<(), Box<AccessDenied>>;
+type AccessVerdict = Result<(), Box<AccessDenied>>;
 
 /// What a peer may send through a binding.
 #[derive(Debug, PartialEq, Eq)]
 struct BindingAccess {
-    ask: Verdict,
-    tell: Verdict,
+    ask: AccessVerdict,
+    tell: AccessVerdict,
 }
 
 impl BindingAccess {
     fn of(policy: &AccessPolicy, peer: NodeId, object: &ObjectName, contract: &str) -> Self {
         let name = || policy.object(object);
-        let both = |verdict: Verdict| BindingAccess { ask: verdict.clone(), tell: verdict };
+        let both = |verdict: AccessVerdict| BindingAccess { ask: verdict.clone(), tell: verdict };
         match needs(contract) {
             BindingNeeds::Nothing => both(Ok(())),
             BindingNeeds::Membership => both(policy.check_membership(peer, &name(), contract)),
