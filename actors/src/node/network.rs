@@ -6,6 +6,7 @@ mod claims;
 mod connections;
 pub(in crate::node) mod description;
 mod exposure;
+pub(in crate::node) mod file;
 mod isolation;
 pub(in crate::node) mod services;
 pub(in crate::node) mod signs;
@@ -64,6 +65,7 @@ pub struct Network {
 }
 
 /// Who is admitted, as it was written.
+#[derive(Debug)]
 enum Admitted {
     AnyNode,
     Only(Vec<String>),

@@ -19,11 +19,26 @@ pub(super) fn play_role() {
     let Some(scheme) = role() else { return };
     blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
     let at = addresses();
+    if scheme == FILE {
+        return play_as_described();
+    }
     let file = Path::new(&at[2]).join("right.key");
     blastema::run(async {
         let counter = ChildSpec::new("right-counter", || super::Counter(0));
         let builder = Node::builder("right").work_threads(1).keys(file).child(counter);
         let _node = builder.network(network(&scheme, 1, &at)).start().await.expect("it starts");
+        std::future::pending::<()>().await;
+    });
+}
+
+/// A role whose networks and keys stand in a file that the environment names, and overrides.
+const FILE: &str = "file";
+
+fn play_as_described() {
+    blastema::run(async {
+        let counter = ChildSpec::new("right-counter", || super::Counter(0));
+        let builder = Node::builder("right").work_threads(1).child(counter);
+        let _node = builder.start().await.expect("it starts");
         std::future::pending::<()>().await;
     });
 }
@@ -166,5 +181,38 @@ fn a_revoked_node_loses_its_link_while_all_run_and_a_listed_one_gets_one() {
         assert!(pair.left.connected("right", PATIENCE).await);
         assert_eq!(pair.first_answer().await, 2);
         pair.left.shutdown().await;
+    });
+}
+
+#[test]
+fn networks_and_keys_stand_in_files_and_environment_and_program_override_them() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        RobotKeys::new(folder.path(), &NODES, 1);
+        let at = free_addresses(2);
+        // Both files have a wrong address of the other node, or of their own.
+        let write = |own: usize, endpoint: &str, peer: &str| {
+            let file = folder.path().join(format!("{}.toml", NODES[own]));
+            let text = format!(
+                "keys = \"{}.key\"\n[networks.lan]\nendpoint = \"udp://{endpoint}\"\n\
+                 peers = {{ {} = \"{peer}\" }}\n",
+                NODES[own],
+                NODES[1 - own]
+            );
+            std::fs::write(&file, text).expect("a folder");
+            file
+        };
+        let left = write(0, &at[0].to_string(), "127.0.0.1:1");
+        let right = write(1, "127.0.0.1:1", &at[0].to_string()).display().to_string();
+        let set = format!("networks.lan.endpoint=udp://{}; ", at[1]);
+        let variables = [("BLASTEMA_NETWORKS", &right), ("BLASTEMA_SET", &set)];
+        let _right = Process::start_with(FILE, &[], &variables);
+        let left = Node::builder("left").work_threads(1).networks_from(left);
+        let left = left.set(&format!("networks.lan.peers.right={}", at[1]));
+        let left = left.start().await.expect("it starts");
+        assert!(left.connected("right", PATIENCE).await, "{:?}", left.links().await);
+        assert!(left.networks()[0].sealed);
+        assert_eq!(ask(&left, "right").await, 1);
+        left.shutdown().await;
     });
 }

@@ -2,6 +2,7 @@
 
 use super::Network;
 use super::checks::check_networks;
+use super::file::NetworkFile;
 use crate::net::keys::NodeKeys;
 use crate::node::error::StartError;
 use crate::platform;
@@ -19,6 +20,7 @@ use std::time::Duration;
 /// The networks of a node, and what it does by way of them.
 pub(in crate::node) struct NetworkDescription {
     pub(in crate::node) networks: Vec<Network>,
+    pub(in crate::node) file: NetworkFile,
     pub(in crate::node) services: Vec<Result<Carried, ServiceSpecError>>,
     pub(in crate::node) wardens: Vec<String>,
     pub(in crate::node) session_timeout: Duration,
@@ -35,6 +37,7 @@ impl Default for NetworkDescription {
     fn default() -> Self {
         NetworkDescription {
             networks: Vec::new(),
+            file: NetworkFile::default(),
             services: Vec::new(),
             wardens: Vec::new(),
             session_timeout: SESSION_TIMEOUT.default,
@@ -48,9 +51,18 @@ impl NetworkDescription {
     /// Reads the keys, and finds what can be known to be wrong before anything is started.
     pub(in crate::node) fn check(&mut self, node: &NodeName) -> Result<(), StartError> {
         SESSION_TIMEOUT.check(self.session_timeout)?;
+        self.read_file()?;
         self.read_keys(node)?;
         self.judges()?;
         check_networks(&self.networks, node, self.keys.as_deref())
+    }
+
+    /// What the file describes counts as what is described in code.
+    fn read_file(&mut self) -> Result<(), StartError> {
+        let Some(mut described) = self.file.read()? else { return Ok(()) };
+        self.key_file = self.key_file.take().or(described.keys.take());
+        self.networks.extend(described.into_networks());
+        Ok(())
     }
 
     fn read_keys(&mut self, node: &NodeName) -> Result<(), StartError> {

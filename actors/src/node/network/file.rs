@@ -1,0 +1,394 @@
+//! Networks, their neighbours and the keys from a file, and what overrides it.
+//!
+//! ```toml
+//! keys = "module1.key"
+//!
+//! [networks.ethernet]
+//! endpoint = "udp://10.0.0.1:7400"
+//!
+//! [networks.ethernet.peers]
+//! module2 = "10.0.0.2:7400"
+//! module3 = { address = "10.0.0.3:7400", cost = 20, hello_every = "20ms" }
+//! ```
+//!
+//! The table is put together first, from the file and the overrides, and then read as one.
+
+use super::{Link, Network};
+use crate::node::error::StartError;
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{self, MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use std::{env, fmt, fs};
+use toml::{Table, Value};
+
+/// Names the file where the program names none.
+const FILE_VARIABLE: &str = "BLASTEMA_NETWORKS";
+/// Overrides keys of the file: `KEY=VALUE`, several with `;` between them.
+const SET_VARIABLE: &str = "BLASTEMA_SET";
+
+/// The file, and what overrides it.
+#[derive(Default)]
+pub(in crate::node) struct NetworkFile {
+    pub(in crate::node) path: Option<PathBuf>,
+    /// `KEY=VALUE`, as the program was told.
+    pub(in crate::node) overrides: Vec<String>,
+}
+
+/// What the file and its overrides describe.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct DescribedNetworks {
+    /// The file of the node's key.
+    pub(super) keys: Option<PathBuf>,
+    #[serde(default)]
+    networks: BTreeMap<String, DescribedNetwork>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DescribedNetwork {
+    endpoint: String,
+    #[serde(default)]
+    insecure: bool,
+    interface: Option<String>,
+    beacons: Option<String>,
+    discover: Option<Discover>,
+    #[serde(default)]
+    peers: BTreeMap<String, WrittenPeer>,
+}
+
+/// `"any"`, or a list of nodes.
+#[derive(Debug)]
+enum Discover {
+    AnyNode,
+    Only(Vec<String>),
+}
+
+/// An address, or a table with one.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DescribedPeer {
+    address: String,
+    link: Option<String>,
+    cost: Option<u16>,
+    hello_every: Option<Span>,
+    expected_within: Option<Span>,
+}
+
+/// A number and its unit, such as `20ms`, or `never`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Span(Duration);
+
+impl NetworkFile {
+    /// Reads the file and the overrides; `None` if there is neither.
+    ///
+    /// # Errors
+    /// What is wrong, where, and what to write.
+    pub(super) fn read(&self) -> Result<Option<DescribedNetworks>, StartError> {
+        let path = self.path.clone().or_else(|| {
+            env::var_os(FILE_VARIABLE).filter(|path| !path.is_empty()).map(PathBuf::from)
+        });
+        let set = env::var_os(SET_VARIABLE).map(|set| set.to_string_lossy().into_owned());
+        let set = set.iter().flat_map(|set| set.split(';').map(|one| (SET_VARIABLE, one.trim())));
+        let set = set.filter(|(_, one)| !one.is_empty());
+        let told = self.overrides.iter().map(|one| ("`set`", one.as_str()));
+        let overrides: Vec<_> = set.chain(told).collect();
+        if path.is_none() && overrides.is_empty() {
+            return Ok(None);
+        }
+        described(path.as_deref(), &overrides)
+            .map(Some)
+            .map_err(|reason| StartError::NetworkFile { file: path, reason })
+    }
+}
+
+fn described(path: Option<&Path>, overrides: &[(&str, &str)]) -> Result<DescribedNetworks, String> {
+    let mut table = Table::new();
+    if let Some(path) = path {
+        // A pipe would keep the start for ever.
+        let about = fs::metadata(path).map_err(|error| error.to_string())?;
+        if !about.is_file() {
+            return Err("it is no regular file".to_owned());
+        }
+        let text = fs::read_to_string(path).map_err(|error| error.to_string())?;
+        // Read by itself first: its errors show line and column.
+        let read = |error: toml::de::Error| error.to_string().trim_end().to_owned();
+        toml::from_str::<DescribedNetworks>(&text).map_err(read)?;
+        table = toml::from_str(&text).map_err(read)?;
+    }
+    for (source, one) in overrides {
+        set(&mut table, one).map_err(|why| format!("{source}: {one}: {why}"))?;
+    }
+    let mut described = DescribedNetworks::deserialize(table).map_err(|error| {
+        let set: Vec<_> = overrides.iter().map(|(_, one)| *one).collect();
+        format!("with {}: {}", set.join("; "), error.to_string().trim_end())
+    })?;
+    // What stands in a file is found from where the file is.
+    if let (Some(keys), Some(folder)) = (&mut described.keys, path.and_then(Path::parent)) {
+        *keys = folder.join(&*keys);
+    }
+    Ok(described)
+}
+
+/// Sets one key of the table: `networks.ethernet.endpoint=udp://…`.
+fn set(table: &mut Table, one: &str) -> Result<(), &'static str> {
+    let form = "write KEY=VALUE, such as networks.ethernet.endpoint=udp://10.0.0.1:7400";
+    let (key, value) = one.split_once('=').ok_or(form)?;
+    let (key, value) = (key.trim(), value.trim());
+    let value = match toml::from_str::<Table>(&format!("value = {value}")) {
+        Ok(mut read) => read.remove("value").ok_or(form)?,
+        // A text that needs no quotes here.
+        Err(_) => Value::String(value.to_owned()),
+    };
+    let mut parts: Vec<_> = key.split('.').collect();
+    let last = parts.pop().filter(|_| !key.split('.').any(str::is_empty)).ok_or(form)?;
+    let mut place = table;
+    for part in parts {
+        let inner = place.entry(part).or_insert_with(|| Table::new().into());
+        place = inner.as_table_mut().ok_or("the key before the last dot is no table")?;
+    }
+    place.insert(last.to_owned(), value);
+    Ok(())
+}
+
+impl DescribedNetworks {
+    /// The networks, in the order of their names.
+    pub(super) fn into_networks(self) -> impl Iterator<Item = Network> {
+        self.networks.into_iter().map(|(name, described)| described.into_network(&name))
+    }
+}
+
+impl DescribedNetwork {
+    fn into_network(self, name: &str) -> Network {
+        let network = Network::new(name, &self.endpoint);
+        let network = if self.insecure { network.insecure() } else { network };
+        let network = match &self.interface {
+            Some(interface) => network.interface(interface),
+            None => network,
+        };
+        let network = match &self.beacons {
+            Some(group) => network.beacons(group),
+            None => network,
+        };
+        let network = match &self.discover {
+            Some(Discover::AnyNode) => network.discover_anybody(),
+            Some(Discover::Only(nodes)) => network.discover(nodes.iter().map(String::as_str)),
+            None => network,
+        };
+        self.peers
+            .into_iter()
+            .fold(network, |network, (node, WrittenPeer(peer))| network.link(peer.into_link(&node)))
+    }
+}
+
+impl DescribedPeer {
+    fn into_link(self, node: &str) -> Link {
+        let mut link = Link::to(node, &self.address);
+        if let Some(name) = &self.link {
+            link = link.named(name);
+        }
+        if let Some(cost) = self.cost {
+            link = link.cost(cost);
+        }
+        if let Some(Span(interval)) = self.hello_every {
+            link = link.hello_every(interval);
+        }
+        if let Some(Span(span)) = self.expected_within {
+            link = link.expected_within(span);
+        }
+        link
+    }
+}
+
+impl<'de> Deserialize<'de> for Span {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        let text = String::deserialize(from)?;
+        span(&text).ok_or_else(|| {
+            de::Error::custom(format!(
+                "`{text}` is no time: write a number and its unit (us, ms, s, min, h), such as 20ms, or never"
+            ))
+        })
+    }
+}
+
+fn span(text: &str) -> Option<Span> {
+    if text == "never" {
+        return Some(Span(Duration::MAX));
+    }
+    let digits = text.find(|c: char| !c.is_ascii_digit() && c != '.')?;
+    let (number, unit) = text.split_at(digits);
+    let seconds = match unit.trim() {
+        "us" => 1e-6,
+        "ms" => 1e-3,
+        "s" => 1.0,
+        "min" => 60.0,
+        "h" => 3600.0,
+        _ => return None,
+    };
+    let number: f64 = number.parse().ok()?;
+    Duration::try_from_secs_f64(number * seconds).ok().map(Span)
+}
+
+impl<'de> Deserialize<'de> for Discover {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        struct Written;
+
+        impl<'de> Visitor<'de> for Written {
+            type Value = Discover;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("\"any\", or a list of nodes such as [\"arm\", \"head\"]")
+            }
+
+            fn visit_str<E: de::Error>(self, text: &str) -> Result<Discover, E> {
+                match text {
+                    "any" => Ok(Discover::AnyNode),
+                    other => Err(E::invalid_value(de::Unexpected::Str(other), &self)),
+                }
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut nodes: A) -> Result<Discover, A::Error> {
+                let mut listed = Vec::new();
+                while let Some(node) = nodes.next_element()? {
+                    listed.push(node);
+                }
+                Ok(Discover::Only(listed))
+            }
+        }
+
+        from.deserialize_any(Written)
+    }
+}
+
+/// An address, or a table: what stands for a peer in the file.
+#[derive(Debug)]
+struct WrittenPeer(DescribedPeer);
+
+impl<'de> Deserialize<'de> for WrittenPeer {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        struct Written;
+
+        impl<'de> Visitor<'de> for Written {
+            type Value = DescribedPeer;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an address such as \"10.0.0.2:7400\", or a table with one")
+            }
+
+            fn visit_str<E: de::Error>(self, address: &str) -> Result<DescribedPeer, E> {
+                Ok(DescribedPeer { address: address.to_owned(), ..DescribedPeer::default() })
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, table: A) -> Result<DescribedPeer, A::Error> {
+                DescribedPeer::deserialize(MapAccessDeserializer::new(table))
+            }
+        }
+
+        from.deserialize_any(Written).map(WrittenPeer)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    const FILE: &str = r#"
+keys = "module1.key"
+
+[networks.ethernet]
+endpoint = "udp://10.0.0.1:7400"
+interface = "eth0"
+beacons = "239.255.0.1:7399"
+discover = ["module4"]
+
+[networks.ethernet.peers]
+module2 = "10.0.0.2:7400"
+module3 = { address = "10.0.0.3:7400", cost = 20, hello_every = "20ms", expected_within = "never" }
+
+[networks.line]
+endpoint = "serial:///dev/ttyUSB0"
+insecure = true
+peers = { module2 = "" }
+"#;
+
+    fn read(text: &str, overrides: &[&str]) -> Result<DescribedNetworks, String> {
+        let mut file = tempfile::NamedTempFile::new().expect("a folder");
+        file.write_all(text.as_bytes()).expect("it is ours");
+        let overrides: Vec<_> = overrides.iter().map(|one| ("here", *one)).collect();
+        described(Some(file.path()), &overrides)
+    }
+
+    #[test]
+    fn a_file_describes_what_code_does() {
+        let described = read(FILE, &[]).expect("it is right");
+        let keys = described.keys.clone().expect("they are named");
+        assert!(keys.is_absolute() && keys.ends_with("module1.key"), "{}", keys.display());
+        let read: Vec<_> = described.into_networks().collect();
+        let written = [
+            Network::new("ethernet", "udp://10.0.0.1:7400")
+                .interface("eth0")
+                .beacons("239.255.0.1:7399")
+                .discover(["module4"])
+                .peer("module2", "10.0.0.2:7400")
+                .link(
+                    Link::to("module3", "10.0.0.3:7400")
+                        .cost(20)
+                        .hello_every(Duration::from_millis(20))
+                        .expected_within(Duration::MAX),
+                ),
+            Network::new("line", "serial:///dev/ttyUSB0").insecure().peer("module2", ""),
+        ];
+        assert_eq!(format!("{read:?}"), format!("{written:?}"));
+        for (read, written) in read.iter().zip(&written) {
+            assert_eq!((read.insecure, &read.beacons), (written.insecure, &written.beacons));
+            let (ours, theirs) = (&read.admission, &written.admission);
+            assert_eq!(format!("{ours:?}"), format!("{theirs:?}"));
+        }
+    }
+
+    #[test]
+    fn what_overrides_the_file_counts_in_its_order() {
+        let overrides = [
+            "networks.ethernet.endpoint = udp://127.0.0.1:1",
+            "networks.ethernet.peers.module3.cost=30",
+            "networks.ethernet.peers.module5=10.0.0.5:7400",
+            "networks.line.insecure=false",
+            "networks.ethernet.endpoint=udp://127.0.0.1:2",
+        ];
+        let described = read(FILE, &overrides).expect("it is right");
+        let ethernet = &described.networks["ethernet"];
+        assert_eq!(ethernet.endpoint, "udp://127.0.0.1:2");
+        assert_eq!(ethernet.peers["module3"].0.cost, Some(30));
+        assert_eq!(ethernet.peers["module5"].0.address, "10.0.0.5:7400");
+        assert!(!described.networks["line"].insecure);
+        // Without a file there is only what they say.
+        let only = super::described(None, &[("here", overrides[0])]).expect("it is right");
+        assert_eq!(only.networks.len(), 1);
+    }
+
+    #[test]
+    fn what_is_wrong_is_shown_where_it_stands_and_with_what_to_write() {
+        let refused = |from: &str, to: &str, overrides: &[&str], expected: &[&str]| {
+            let error = read(&FILE.replace(from, to), overrides).expect_err(to);
+            assert!(expected.iter().all(|part| error.contains(part)), "{error}");
+        };
+        refused("endpoint = \"udp", "endpont = \"udp", &[], &["line 5", "endpont", "`endpoint`"]);
+        refused("cost = 20", "cots = 20", &[], &["line 12", "cots", "`cost`"]);
+        refused("\"20ms\"", "\"20\"", &[], &["line 12", "`20` is no time", "20ms"]);
+        refused("[\"module4\"]", "\"all\"", &[], &["line 8", "\"any\", or a list"]);
+        refused("= \"10.0.0.2:7400\"", "= 7", &[], &["line 11", "an address"]);
+        refused("[networks.ethernet]", "[network.ethernet]", &[], &["network", "`networks`"]);
+        refused("", "", &["networks.line"], &["here", "KEY=VALUE"]);
+        refused("", "", &["networks..x=1"], &["here", "KEY=VALUE"]);
+        refused("", "", &["keys.x=1"], &["here", "no table"]);
+        refused("", "", &["networks.line.cost=1"], &["networks.line.cost=1", "unknown field"]);
+        refused("", "", &["networks.radio.insecure=true"], &["missing field `endpoint`"]);
+        let folder = tempfile::tempdir().expect("a folder");
+        let error = described(Some(folder.path()), &[]).expect_err("a folder");
+        assert!(error.contains("no regular file"), "{error}");
+    }
+}
