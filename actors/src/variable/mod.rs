@@ -186,7 +186,8 @@ impl<V: Variable> VariableRef<V> {
 
     /// Returns the value.
     ///
-    /// # Errors [`DeliveryError::NoVariable`] where the object has no such variable,
+    /// # Errors
+    /// [`DeliveryError::NoVariable`] where the object has no such variable,
     /// [`DeliveryError::ContractDiffers`] where it is another one, [`DeliveryError::Undecided`]
     /// while a decision is awaited; from other nodes, also the errors of any request.
     pub async fn read(&self) -> Result<Reading<V>, DeliveryError> {
@@ -245,12 +246,15 @@ pub struct VariableWatch<V: Variable> {
 
 impl<V: Variable> VariableWatch<V> {
     /// Waits for the next change. A value that awaits a decision is reported as such, with the
-    /// previous value.
+    /// previous value. While the owner or its node is absent, the watch waits, and then misses
+    /// nothing that is still true.
     ///
     /// # Errors
-    /// As [`VariableRef::read`]; the watch goes on with the next call, and misses nothing that is
-    /// still true by then. Where the owner's node cannot be reached, wait a little before that.
+    /// What waiting does not help against: [`DeliveryError::NoVariable`],
+    /// [`DeliveryError::ContractDiffers`], [`DeliveryError::Forbidden`]; an unknown object, unless
+    /// it has been read before; and that this node ends.
     pub async fn next(&mut self) -> Result<Reading<V>, DeliveryError> {
+        let mut retry = FIRST_RETRY;
         loop {
             let variable = self.variable.wanted();
             let access = VariableRequest::Watch { variable, after: self.seen };
@@ -261,11 +265,40 @@ impl<V: Variable> VariableWatch<V> {
                     self.seen = reading.revision;
                     return Ok(reading);
                 }
+                Err(why) if self.is_absence(&why) => {
+                    tokio::time::sleep(retry).await;
+                    retry = (retry * 2).min(LAST_RETRY);
+                }
                 Err(why) => return Err(why),
             }
         }
     }
+
+    /// Whether the owner may be back later.
+    fn is_absence(&self, why: &DeliveryError) -> bool {
+        match why {
+            DeliveryError::Full
+            | DeliveryError::WayFull { .. }
+            | DeliveryError::Restarting
+            | DeliveryError::Unreachable { .. }
+            | DeliveryError::Undelivered { .. }
+            | DeliveryError::OutcomeUnknown { .. }
+            | DeliveryError::PeerDied { .. }
+            | DeliveryError::Left { .. }
+            | DeliveryError::Isolated { .. } => true,
+            // Its node is there again, and the owner not yet.
+            DeliveryError::Unknown { .. }
+            | DeliveryError::Misspelt { .. }
+            | DeliveryError::NotServed { .. }
+            | DeliveryError::NoVariable { .. } => self.seen != 0,
+            _ => false,
+        }
+    }
 }
+
+/// After how long a watch asks again for the first time, and at most.
+const FIRST_RETRY: Duration = Duration::from_millis(50);
+const LAST_RETRY: Duration = Duration::from_secs(1);
 
 /// Values that are written together or not at all. All of the variables must be on one node.
 #[derive(Debug, Default)]

@@ -187,14 +187,14 @@ impl Component for Console {
         cx.spawn(async move {
             let mut watch = speed.watch();
             loop {
-                let told = match watch.next().await {
-                    Ok(reading) => reading.value.0.to_string(),
-                    Err(_) => {
-                        tokio::time::sleep(100 * MS).await;
-                        continue;
-                    }
+                let (told, is_over) = match watch.next().await {
+                    Ok(reading) => (reading.value.0.to_string(), false),
+                    Err(why) => (why.to_string(), true),
                 };
                 heard.lock().unwrap().push(told);
+                if is_over {
+                    return;
+                }
             }
         });
         Ok(())
@@ -229,4 +229,27 @@ async fn a_watcher_hears_of_every_change_and_after_a_cut_of_what_is_true_then() 
     here.cable("ethernet").unwrap().restore();
     here.advance(5000 * MS).await;
     assert_eq!(heard.lock().unwrap()[4..], ["0.75"]);
+
+    // Its node ends, and comes back later without the arm at first.
+    there.shutdown().await;
+    here.advance(5000 * MS).await;
+    let there = TestNode::start(node("module2", "module1", &medium)).await;
+    here.advance(5000 * MS).await;
+    there.shutdown().await;
+    let arm = node("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
+    let _there = TestNode::start(arm).await;
+    here.advance(5000 * MS).await;
+    assert_eq!(heard.lock().unwrap()[5..], ["0.5"]);
+}
+
+#[blastema_testkit::test]
+async fn a_watch_of_what_never_will_be_there_says_so() {
+    #[derive(Clone, Debug, Variable)]
+    struct Colour(u32);
+
+    let (here, _there) = two_nodes().await;
+    let mut colour = here.variable::<Colour>("module2:arm").unwrap().watch();
+    assert!(matches!(colour.next().await, Err(DeliveryError::NoVariable { .. })));
+    let mut nothing = here.variable::<Speed>("module2:lag").unwrap().watch();
+    assert!(matches!(nothing.next().await, Err(DeliveryError::Unknown { .. })));
 }
