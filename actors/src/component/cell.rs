@@ -456,6 +456,10 @@ impl<C: Component> AliveSource for ComponentCell<C> {
         QueueReading { queued, oldest }
     }
 
+    fn is_held(&self) -> bool {
+        self.record.is_isolated()
+    }
+
     fn tell_exits(&self) {
         let record = &self.record;
         record.tell(DueExits::Settled);

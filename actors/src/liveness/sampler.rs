@@ -42,6 +42,8 @@ pub(crate) trait AliveSource: Send + Sync {
     fn incarnation(&self) -> Incarnation;
     /// How many messages wait, and how long the oldest of them has.
     fn queue(&self) -> QueueReading;
+    /// Whether what waits is kept from it, since it is isolated.
+    fn is_held(&self) -> bool;
     /// Tells of its incarnations that have ended, where its host has not come to that yet.
     fn tell_exits(&self);
 }
@@ -370,7 +372,8 @@ impl Looked for SampledActivities {
 
     fn queue(&self, slot: SlotId) -> QueueReading {
         let inside = self.get(slot).and_then(|known| known.inside.upgrade());
-        inside.map(|inside| inside.queue()).unwrap_or_default()
+        // What is kept from it makes it neither late nor stuck.
+        inside.filter(|inside| !inside.is_held()).map(|inside| inside.queue()).unwrap_or_default()
     }
 }
 

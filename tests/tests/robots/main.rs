@@ -163,3 +163,13 @@ fn robots_by_chance_keep_their_promises_on_real_threads() {
     let clock = |seed| Clock::Real { threads: 1 + u8::try_from(seed % 3).expect("below 3") };
     run_seeds(test, "BLASTEMA_REAL_SEEDS", 10, 1, clock);
 }
+
+/// Robots that showed defects which few others show.
+#[test]
+fn robots_that_have_shown_defects_keep_their_promises() {
+    let shown = [711_617, 712_785, 712_908, 714_159];
+    for seed in shown {
+        let breaches = breaches(&Arc::new(Robot::of_seed(seed, Clock::Virtual)));
+        assert!(breaches.is_empty(), "seed {seed}: {}", breaches.join("\n"));
+    }
+}
