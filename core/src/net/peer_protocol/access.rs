@@ -3,22 +3,26 @@
 //! A peer's binding and subscription is judged once, and again when another policy counts: where
 //! the verdict then differs, the session with the peer is reset, so that both ends agree again.
 
-use super::{
-    BINDINGS_MAX, PeerProtocol, PeerProtocolOutput, RemoteTopic, TopicContract, subscribe,
-};
+use super::{PeerProtocol, PeerProtocolOutput, RemoteTopic, TopicContract, subscribe};
 use crate::net::trust::access::{AccessDenied, AccessPolicy, BindingNeeds, needs};
 use crate::net::trust::policy::Verb;
 use crate::net::wire::node_id::NodeId;
 use crate::sorted::{SortedMap, SortedSet};
 use crate::{DeliveryError, ObjectName};
 
-/// What a session's peer has asked for, as long as a policy counts.
+/// What the component of a service is called after the service's name.
+const REPLICA: &str = "/replica";
+/// The contract by which services are asked.
+const SERVICE_CONTRACT: &str = "blastema/serve";
+
+/// What a session's peer has asked for.
 #[derive(Debug, Default)]
 pub(super) struct PeerAccess {
+    /// What it has bound, as long as a policy counts.
     bindings: SortedMap<u32, (ObjectName, String)>,
     /// Those of its bindings that take requests only, or only messages without a reply.
     partial: SortedMap<u32, BindingAccess>,
-    /// Its subscriptions, the refused ones as well.
+    /// Its subscriptions; those that the policy refuses as well.
     subscriptions: SortedMap<u32, TopicContract>,
     /// Subscriptions of this node to topics on which the peer may not publish. It was not told of
     /// them.
@@ -43,10 +47,17 @@ impl BindingAccess {
             BindingNeeds::Membership => both(policy.check_membership(peer, &name(), contract)),
             // A service and a name of the robot belong to no node.
             BindingNeeds::Right(verb) => both(policy.check(peer, verb, object.as_str(), contract)),
-            BindingNeeds::AskOrTell => BindingAccess {
-                ask: policy.check(peer, Verb::Ask, &name(), contract),
-                tell: policy.check(peer, Verb::Tell, &name(), contract),
-            },
+            BindingNeeds::AskOrTell => {
+                // The component of a service has no way around the rights at the service.
+                let service = object.as_str().strip_suffix(REPLICA);
+                let check = |verb| {
+                    let verdict = policy.check(peer, verb, &name(), contract);
+                    let of_service =
+                        |service| policy.check(peer, Verb::Ask, service, SERVICE_CONTRACT);
+                    verdict.and_then(|()| service.map_or(Ok(()), of_service))
+                };
+                BindingAccess { ask: check(Verb::Ask), tell: check(Verb::Tell) }
+            }
         }
     }
 }
@@ -59,14 +70,31 @@ impl PeerAccess {
         verdict.as_ref().err().cloned()
     }
 
+    /// How much is kept of the peer's.
+    #[cfg(test)]
+    pub(super) fn kept(&self) -> usize {
+        self.bindings.len() + self.subscriptions.len()
+    }
+
     /// This node has ended a subscription.
     pub(super) fn interest_ended(&mut self, subscription: u32) {
         self.barred.remove(&subscription);
     }
 
-    /// The peer has ended a subscription.
-    pub(super) fn unsubscribe(&mut self, subscription: u32) {
-        self.subscriptions.remove(&subscription);
+    /// The peer has a subscription. Answers whether it is one more.
+    pub(super) fn subscribe(&mut self, subscription: u32, topic: TopicContract) -> bool {
+        self.subscriptions.insert(subscription, topic).is_none()
+    }
+
+    /// The peer has ended a subscription. Answers whether it had it.
+    pub(super) fn unsubscribe(&mut self, subscription: u32) -> bool {
+        self.subscriptions.remove(&subscription).is_some()
+    }
+
+    /// What was to be bound is not.
+    pub(super) fn unbind(&mut self, binding: u32) {
+        self.bindings.remove(&binding);
+        self.partial.remove(&binding);
     }
 }
 
@@ -127,16 +155,10 @@ impl PeerProtocol {
     pub(super) fn admit_subscription(
         &mut self,
         peer: NodeId,
-        subscription: u32,
         topic: &TopicContract,
     ) -> Result<(), DeliveryError> {
         let Some(policy) = &self.access else { return Ok(()) };
         let verdict = policy.check(peer, Verb::Listen, &topic.topic, &topic.contract);
-        if let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut())
-            && session.access.subscriptions.len() < BINDINGS_MAX
-        {
-            session.access.subscriptions.insert(subscription, topic.clone());
-        }
         verdict.map_err(|denied| self.refuse_access(denied))
     }
 

@@ -116,8 +116,11 @@ impl PeerProtocol {
                 self.outputs.push_back(PeerProtocolOutput::Differs { peer, difference });
             }
             PeerMessage::Unsubscribe { subscription } => {
+                if !session.access.unsubscribe(subscription) {
+                    self.refusals.unexpected += 1;
+                    return;
+                }
                 session.taken = session.taken.saturating_sub(1);
-                session.access.unsubscribe(subscription);
                 self.outputs.push_back(PeerProtocolOutput::Unsubscribe { peer, subscription });
             }
             PeerMessage::Event { subscription, timestamp_us, payload } => {
@@ -193,7 +196,13 @@ impl PeerProtocol {
             return;
         };
         let topic = TopicContract { topic, contract: identities[0].name.clone() };
-        if let Err(why) = self.admit_subscription(peer, subscription, &topic) {
+        if let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut())
+            && !session.access.subscribe(subscription, topic.clone())
+        {
+            // The same number again is not one more.
+            session.taken = session.taken.saturating_sub(1);
+        }
+        if let Err(why) = self.admit_subscription(peer, &topic) {
             return self.handle_subscribe_refused(peer, subscription, why);
         }
         let output = PeerProtocolOutput::Subscribe { peer, subscription, topic, identities };

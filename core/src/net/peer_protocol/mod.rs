@@ -255,6 +255,7 @@ impl PeerProtocol {
         let Some(session) = self.session(peer, epoch) else { return };
         if result.is_err() {
             session.taken = session.taken.saturating_sub(1);
+            session.access.unbind(binding);
         }
         let answer = match result {
             Ok(()) => PeerMessage::Bound { binding },

@@ -160,6 +160,9 @@ impl From<&AccessDenied> for DeliveryError {
 
 /// So many different refusals are remembered at most; the oldest is forgotten first.
 const ENTRIES_MAX: usize = 1024;
+/// So many refusals of one peer are told within [`REFUSAL_REMINDER`]; further ones are only
+/// counted.
+const TOLD_MAX: u32 = 32;
 /// A refusal that goes on is told again after this time.
 pub const REFUSAL_REMINDER: Duration = Duration::from_secs(60);
 
@@ -167,6 +170,8 @@ pub const REFUSAL_REMINDER: Duration = Duration::from_secs(60);
 #[derive(Clone, Debug, Default)]
 pub struct RefusalLog {
     entries: SortedMap<RefusalKey, RefusalEntry>,
+    /// Since when, and how many were told of each peer. Peers are nodes of the roster.
+    told: SortedMap<NodeName, (Instant, u32)>,
 }
 
 /// What is counted together: the peer, the verb, the object and the contract.
@@ -196,8 +201,19 @@ pub struct RefusalRow {
 
 impl RefusalLog {
     /// A peer was refused something. Returns how often, if that is to be told: the first time, and
-    /// once a minute while it goes on.
+    /// once a minute while it goes on; but no more than 32 times a minute of one peer.
     pub fn handle_refused(&mut self, denied: AccessDenied, now: Instant) -> Option<u64> {
+        let peer = denied.peer.clone();
+        let times = self.count(denied, now)?;
+        let (since, told) = self.told.entry(peer).or_insert((now, 0));
+        if now >= *since + REFUSAL_REMINDER {
+            (*since, *told) = (now, 0);
+        }
+        *told += 1;
+        (*told <= TOLD_MAX).then_some(times)
+    }
+
+    fn count(&mut self, denied: AccessDenied, now: Instant) -> Option<u64> {
         let AccessDenied { peer, verb, object, contract, .. } = denied.clone();
         let key = (peer, verb, object, contract);
         if let Some(entry) = self.entries.get_mut(&key) {
@@ -306,8 +322,12 @@ mod tests {
 
         for number in 0..2 * ENTRIES_MAX {
             let now = start + Duration::from_secs(200 + number as u64);
-            assert_eq!(log.handle_refused(denied("arm", &format!("o{number}")), now), Some(1));
+            log.handle_refused(denied("arm", &format!("o{number}")), now);
         }
+        let flood = start + Duration::from_secs(10_000);
+        let told = (0..ENTRIES_MAX)
+            .filter_map(|n| log.handle_refused(denied("arm", &format!("new{n}")), flood));
+        assert_eq!(told.count(), TOLD_MAX as usize);
         assert_eq!(log.rows().count(), ENTRIES_MAX);
         assert!(log.rows().all(|row| row.first >= start + Duration::from_secs(200)));
     }

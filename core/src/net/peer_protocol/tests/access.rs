@@ -156,3 +156,50 @@ fn another_policy_resets_the_sessions_that_it_judges_otherwise_and_no_other() {
     pair.run();
     assert_eq!(pair.take(1), [reset]);
 }
+
+#[test]
+fn the_component_of_a_service_is_no_way_around_the_rights_at_the_service() {
+    let mut pair = guarded(Role::Node, &["only other may ask on map"]);
+    for (object, is_open) in [("map/replica", false), ("map/other", true)] {
+        let call = Call {
+            node: node("right"),
+            object: ObjectName::new(object).expect("a name"),
+            contract: count(),
+            id: None,
+            sent: at(0),
+            until: None,
+            payload: payload().into(),
+            reply_as: None,
+        };
+        pair.ends[0].handle_call(call);
+        pair.run();
+        let bound = pair.take(1);
+        let is_bound = matches!(&bound[..], [PeerProtocolOutput::Bind { .. }]);
+        assert_eq!(is_bound, is_open, "{object}: {bound:?}");
+    }
+}
+
+#[test]
+fn what_a_peer_has_asked_for_stays_bounded_however_it_asks() {
+    let mut pair = guarded(Role::Node, &[]);
+    let left = pair.ids[0];
+    let identity: Bytes = count().full().encode().into();
+    for number in 0..2 * BINDINGS_MAX as u32 {
+        // What is refused by the object, and ended subscriptions that never were, make no room.
+        let bind = PeerMessage::Bind { binding: number, object: arm(), identity: identity.clone() };
+        pair.ends[1].handle_message(left, bind.encode().into_bytes(), at(0));
+        let gone = PeerMessage::Unsubscribe { subscription: number };
+        pair.ends[1].handle_message(left, gone.encode().into_bytes(), at(0));
+        while let Some(output) = pair.ends[1].poll_output() {
+            if let PeerProtocolOutput::Bind { peer, epoch, binding, .. } = output {
+                let unknown = DeliveryError::Unknown { name: "arm".into() };
+                let refused = (number % 2 == 0).then_some((unknown, None));
+                let answer = refused.map_or(Ok(()), Err);
+                pair.ends[1].handle_bound(peer, epoch, binding, answer);
+            }
+        }
+    }
+    let session = pair.ends[1].peers[&left].session.as_ref().expect("it is open");
+    assert_eq!(session.taken, BINDINGS_MAX);
+    assert_eq!(session.access.kept(), BINDINGS_MAX);
+}
