@@ -167,7 +167,7 @@ fn robots_by_chance_keep_their_promises_on_real_threads() {
 /// Robots that showed defects which few others show.
 #[test]
 fn robots_that_have_shown_defects_keep_their_promises() {
-    let shown = [711_617, 712_785, 712_908, 714_159];
+    let shown = [711_617, 712_785, 712_908, 714_159, 800_148];
     for seed in shown {
         let breaches = breaches(&Arc::new(Robot::of_seed(seed, Clock::Virtual)));
         assert!(breaches.is_empty(), "seed {seed}: {}", breaches.join("\n"));

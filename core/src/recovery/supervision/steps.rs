@@ -288,12 +288,12 @@ impl Supervisor {
         now: Instant,
     ) {
         let child = self.kept(key);
-        let expected = matches!(child.state, ChildPhase::Stopping { .. });
+        let is_stopped = matches!(child.state, ChildPhase::Stopping { .. });
         if child.state == ChildPhase::Down {
             return;
         }
         let may_end = child.may_end(in_order);
-        let expected = expected || self.going.contains(&key);
+        let expected = is_stopped || self.going.contains(&key);
         self.set_state(key, ChildPhase::Down);
         let child = self.kept(key);
         if !expected && child.goal == ChildTarget::Run {
@@ -309,6 +309,10 @@ impl Supervisor {
             } else {
                 child.failed = Some(reason);
             }
+        } else if child.goal == ChildTarget::Finished && !is_stopped {
+            // It has ended before it was told to stop, and gives back nothing that waits for it.
+            let child = child.name.clone();
+            self.outputs.push_back(SupervisorOutput::Retire { child });
         }
         self.after_end(key, now);
     }

@@ -184,6 +184,25 @@ fn a_temporary_member_ends_with_its_group_and_does_not_return() {
 }
 
 #[test]
+fn what_waits_for_a_temporary_member_that_ends_before_its_turn_to_stop_is_given_back() {
+    let guest = kept(Restart::Temporary);
+    let children = [("a", permanent()), ("guest", guest), ("c", permanent())];
+    for in_order in [true, false] {
+        let mut rig = Rig::with(Strategy::OneForAll, 3, &children);
+        rig.begin();
+        for child in ["a", "guest", "c"] {
+            rig.started(child, 1);
+        }
+
+        assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["stop c"]);
+        let ended = if in_order { rig.returned("guest", 1) } else { rig.died("guest", 1) };
+        assert_eq!(ended, ["retire guest"]);
+        assert_eq!(rig.stopped("c", 1), ["start a #2"]);
+        assert_eq!(rig.state("guest"), ChildState::Finished);
+    }
+}
+
+#[test]
 fn a_temporary_member_behind_anothers_hang_is_abandoned_with_it() {
     let guest = kept(Restart::Temporary);
     let children = [("a", permanent()), ("guest", guest), ("c", permanent())];
