@@ -122,13 +122,13 @@ impl PeerSendState {
     }
 
     /// Whether this has to wait. Nothing goes where the words that keep the session together do
-    /// not; of the other streams, one does not hold up the other. What waits for bindings does not hold
-    /// up control. Where there is no room for what
-    /// is small, bulk waits too: what is bulk here may be small to the session.
+    /// not: they are small, and control. Of the other streams, one does not hold up the other; what
+    /// waits for bindings does not hold up control. Where there is no room for what is small, bulk
+    /// waits too: what is bulk here may be small to the session.
     fn is_held(&self, class: CreditClass) -> bool {
         // Of which only the newest counts, nothing waits behind what does.
         let CreditClass { stream: Some(stream), load } = class else { return false };
-        let all = bit(Stream::Control, SizeClass::Small) | bit(Stream::Control, SizeClass::Bulk);
+        let all = bit(Stream::Control, SizeClass::Small);
         let full = self.full_streams.load(Relaxed);
         let mine = bit(stream, SizeClass::Small) | bit(stream, load);
         let waits = 1 << SizeClass::Small as u8 | 1 << load as u8;
@@ -475,6 +475,8 @@ mod tests {
         send_state.stream_is_full(Stream::Redundant, SizeClass::Small);
         send_state.handle_stream_ready(Stream::Data, SizeClass::Small);
         assert_eq!(space(&send_state), [true, true, false, true]);
+        send_state.stream_is_full(Stream::Control, SizeClass::Bulk);
+        assert_eq!(space(&send_state), [true, true, false, true], "the state of a service");
         send_state.stream_is_full(Stream::Control, SizeClass::Small);
         assert_eq!(space(&send_state), [false, false, false, true], "nothing could be bound");
     }
