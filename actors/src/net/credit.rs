@@ -2,7 +2,6 @@
 //! be there.
 
 use blastema_contract::session::{Credit, CreditPool};
-use blastema_core::Delivery;
 use blastema_core::net::SizeClass;
 use blastema_core::net::wire::segment::Stream;
 use std::sync::Arc;
@@ -19,30 +18,28 @@ const BYTES_MAX: usize = 1 << 20;
 /// What decides which messages share room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct CreditClass {
-    pub(super) delivery: Delivery,
+    /// By which it goes; `None` if only the newest counts.
+    pub(super) stream: Option<Stream>,
     pub(super) load: SizeClass,
 }
 
 impl CreditClass {
-    /// That of a message of so many bytes, which is to travel so.
-    pub(super) fn of(delivery: Delivery, bytes: usize) -> Self {
-        CreditClass { delivery, load: SizeClass::of(bytes) }
+    /// That of a message of so many bytes which goes by this stream.
+    pub(super) fn of(stream: Option<Stream>, bytes: usize) -> Self {
+        CreditClass { stream, load: SizeClass::of(bytes) }
     }
 
-    /// By which stream it goes.
-    pub(super) fn stream(self) -> Stream {
-        match self.delivery {
-            Delivery::Reliable | Delivery::Newest => Stream::Data,
-            Delivery::Redundant => Stream::Redundant,
-        }
+    /// The stream that it shares room with.
+    pub(super) fn shares(self) -> Stream {
+        self.stream.unwrap_or(Stream::Data)
     }
 }
 
-/// The credits to one peer: `redundant` messages, such as stops, have room that nothing else takes,
-/// and so has what is small beside bulk.
+/// The credits to one peer: what is control, and `redundant` messages, such as stops, have room that
+/// nothing else takes, and so has what is small beside bulk.
 pub(super) struct SendCredits {
     /// By stream, and by load.
-    pools: [[Arc<Pool>; 2]; 2],
+    pools: [[Arc<Pool>; 2]; 3],
 }
 
 /// Room for what shares it.
@@ -57,12 +54,11 @@ impl SendCredits {
     pub(super) fn new(changed: &Arc<Notify>) -> Self {
         let none = AtomicUsize::default;
         let pool = || Pool { messages: none(), bytes: none(), changed: changed.clone() };
-        SendCredits { pools: [(); 2].map(|()| [(); 2].map(|()| Arc::new(pool()))) }
+        SendCredits { pools: [(); 3].map(|()| [(); 2].map(|()| Arc::new(pool()))) }
     }
 
     fn pool(&self, class: CreditClass) -> &Arc<Pool> {
-        let redundant = usize::from(class.stream() == Stream::Redundant);
-        &self.pools[redundant][class.load as usize]
+        &self.pools[class.shares() as usize][class.load as usize]
     }
 
     /// More may be under way.
@@ -117,8 +113,8 @@ mod tests {
     #[test]
     fn what_fills_one_room_leaves_the_others_theirs_and_gives_it_back() {
         let credits = SendCredits::new(&Arc::new(Notify::new()));
-        let all = [Delivery::Reliable, Delivery::Redundant]
-            .map(|delivery| SizeClass::ALL.map(|load| CreditClass { delivery, load }));
+        let all = [Stream::Control, Stream::Data, Stream::Redundant]
+            .map(|stream| SizeClass::ALL.map(|load| CreditClass { stream: Some(stream), load }));
         for full in all.concat() {
             let each = if full.load == SizeClass::Bulk { 1 << 19 } else { 64 };
             let fill = || -> Vec<_> {
@@ -140,7 +136,7 @@ mod tests {
     #[test]
     fn events_leave_half_of_their_room_to_what_waits() {
         let credits = SendCredits::new(&Arc::new(Notify::new()));
-        let class = CreditClass::of(Delivery::Reliable, 64);
+        let class = CreditClass::of(Some(Stream::Data), 64);
 
         let events: Vec<_> = (0..9_999).map_while(|_| credits.take_for_event(64, class)).collect();
 

@@ -9,11 +9,12 @@ use actix::Recipient;
 use blastema_contract::session::Credit;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::net::SizeClass;
+use blastema_core::net::peer_protocol::stream_of;
 use blastema_core::net::session::PAYLOAD_MAX;
 use blastema_core::net::wire::segment::Stream;
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{
-    ContractIdentity, Delivery, DeliveryError, GatherBuffer, NodeName, ObjectAddress, ObjectName,
+    ContractIdentity, DeliveryError, GatherBuffer, NodeName, ObjectAddress, ObjectName,
 };
 use std::future::Future;
 use std::pin::Pin;
@@ -121,19 +122,18 @@ impl PeerSendState {
     }
 
     /// Whether this has to wait. Nothing goes where the words that keep the session together do
-    /// not; of the other streams, one does not hold up the other. Where there is no room for what
-    /// is small, bulk waits too: what is bulk here may be small to the session.
-    fn is_held(&self, CreditClass { delivery, load }: CreditClass) -> bool {
+    /// not: they are small, and control. Of the other streams, one does not hold up the other; what
+    /// waits for bindings does not hold up control. Where there is no room for what is small, bulk
+    /// waits too: what is bulk here may be small to the session.
+    fn is_held(&self, class: CreditClass) -> bool {
         // Of which only the newest counts, nothing waits behind what does.
-        if delivery == Delivery::Newest {
-            return false;
-        }
-        let stream = CreditClass { delivery, load }.stream();
-        let all = bit(Stream::Control, SizeClass::Small) | bit(Stream::Control, SizeClass::Bulk);
+        let CreditClass { stream: Some(stream), load } = class else { return false };
+        let all = bit(Stream::Control, SizeClass::Small);
         let full = self.full_streams.load(Relaxed);
         let mine = bit(stream, SizeClass::Small) | bit(stream, load);
         let waits = 1 << SizeClass::Small as u8 | 1 << load as u8;
-        full & (all | mine) != 0 || self.full_budget.load(Relaxed) & waits != 0
+        let budget = stream != Stream::Control && self.full_budget.load(Relaxed) & waits != 0;
+        full & (all | mine) != 0 || budget
     }
 
     /// What waits for bindings is as much as should, of this load.
@@ -364,6 +364,12 @@ struct PeerStub {
     gateway: Option<Recipient<SendToPeer>>,
 }
 
+impl PeerStub {
+    fn stream(&self) -> Option<Stream> {
+        stream_of(self.contract.name, self.contract.delivery)
+    }
+}
+
 impl RemoteStub for PeerStub {
     fn send(
         &self,
@@ -373,7 +379,7 @@ impl RemoteStub for PeerStub {
         if message.len() > PAYLOAD_MAX {
             return Err(DeliveryError::TooLargeForSession { limit: PAYLOAD_MAX });
         }
-        let class = CreditClass::of(self.contract.delivery, message.len());
+        let class = CreditClass::of(self.stream(), message.len());
         self.send_state.check(&self.to.object, class)?;
         let gateway = self.gateway.as_ref().ok_or(DeliveryError::Stopped)?;
         let taken = self.send_state.credits.take_credit(message.len(), class);
@@ -404,7 +410,7 @@ impl RemoteStub for PeerStub {
             DeliveryError::WayFull { bulk: true, .. } => SizeClass::Bulk,
             _ => SizeClass::Small,
         };
-        let class = CreditClass { delivery: self.contract.delivery, load };
+        let class = CreditClass { stream: self.stream(), load };
         Box::pin(self.send_state.space(&self.to.object, class))
     }
 }
@@ -414,10 +420,11 @@ mod tests {
     use super::*;
     use blastema_doubles::{paused, settle};
 
-    const SMALL: CreditClass = CreditClass { delivery: Delivery::Reliable, load: SizeClass::Small };
+    const SMALL: CreditClass = CreditClass { stream: Some(Stream::Data), load: SizeClass::Small };
     const BULK: CreditClass = CreditClass { load: SizeClass::Bulk, ..SMALL };
-    const STOP: CreditClass = CreditClass { delivery: Delivery::Redundant, ..SMALL };
-    const NEWEST: CreditClass = CreditClass { delivery: Delivery::Newest, ..SMALL };
+    const COMMAND: CreditClass = CreditClass { stream: Some(Stream::Control), ..SMALL };
+    const STOP: CreditClass = CreditClass { stream: Some(Stream::Redundant), ..SMALL };
+    const NEWEST: CreditClass = CreditClass { stream: None, ..SMALL };
 
     fn send_state() -> (Arc<PeerSendState>, ObjectName) {
         let name = |name| NodeName::new(name).unwrap();
@@ -468,6 +475,8 @@ mod tests {
         send_state.stream_is_full(Stream::Redundant, SizeClass::Small);
         send_state.handle_stream_ready(Stream::Data, SizeClass::Small);
         assert_eq!(space(&send_state), [true, true, false, true]);
+        send_state.stream_is_full(Stream::Control, SizeClass::Bulk);
+        assert_eq!(space(&send_state), [true, true, false, true], "the state of a service");
         send_state.stream_is_full(Stream::Control, SizeClass::Small);
         assert_eq!(space(&send_state), [false, false, false, true], "nothing could be bound");
     }
@@ -491,6 +500,18 @@ mod tests {
         assert_eq!(space(&send_state), [true, false, true, true], "it waits for bindings");
         send_state.handle_budget_ready(SizeClass::Bulk);
         assert_eq!(space(&send_state), [true; 4]);
+    }
+
+    #[test]
+    fn commands_have_room_however_much_data_waits_anywhere() {
+        let (send_state, object) = send_state();
+        let _small = send_state.credits.take_credit(1 << 20, SMALL);
+        for load in SizeClass::ALL {
+            send_state.stream_is_full(Stream::Data, load);
+            send_state.budget_is_full(load);
+        }
+        assert!(send_state.check(&object, SMALL).is_err());
+        assert_eq!(send_state.check(&object, COMMAND), Ok(()));
     }
 
     #[test]

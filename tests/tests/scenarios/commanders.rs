@@ -2,10 +2,12 @@
 
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Commander, Direction, FaultTransition, LeaseStatus, Link, MemoryMedium, Network,
-    NodeBuilder,
+    ActuatorSpec, Commander, Direction, FaultTransition, Impairment, LeaseStatus, Link,
+    MemoryMedium, Network, NodeBuilder,
 };
 use blastema_testkit::{TestNode, now};
+use std::sync::atomic::AtomicU32;
+use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -297,4 +299,70 @@ async fn wheels_that_are_between_two_incarnations_are_stopped_in_the_next() {
     robot.here.advance(100 * MS).await;
 
     assert_eq!(robot.speeds().last(), Some(&0.0));
+}
+
+/// The scan of a laser: no bulk.
+#[derive(Clone, Debug, Event)]
+#[contract(max_size = 32 * 1024)]
+struct Scan(u32, Vec<u8>);
+
+/// Counts scans, which come in order.
+struct Map(Arc<AtomicU32>);
+
+impl Component for Map {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Scan>();
+    }
+}
+
+impl Handle<Scan> for Map {
+    async fn handle(&mut self, scan: Scan, _: &mut Context<Self>) {
+        assert_eq!(scan.0, self.0.fetch_add(1, SeqCst), "none is lost, doubled or overtaken");
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_lease_is_kept_and_commands_are_answered_beside_scans_as_fast_as_they_are_taken() {
+    const SCANS: u32 = 4000;
+    let scans = Arc::new(AtomicU32::new(0));
+    let (track, medium) = (Track::default(), MemoryMedium::default());
+    let (wheels, counts) = (track.clone(), scans.clone());
+    let wheels = ChildSpec::new("wheels", move || Wheels(wheels.clone()));
+    let map = ChildSpec::new("map", move || Map(counts.clone())).queue(16, WhenFull::Wait);
+    let here = TestNode::start(node("module1", "module2", &medium)).await;
+    let there = node("module2", "module1", &medium).child(wheels).child(map);
+    let there = TestNode::start(there).await;
+    here.advance(2000 * MS).await;
+    let commander = here.commander::<Drive>("module2:wheels", "console").unwrap();
+    let delay = 15 * MS;
+    for node in [&here, &there] {
+        let long = Impairment { delay, ..Impairment::default() };
+        node.cable("ethernet").unwrap().impair(Direction::Outgoing, long);
+    }
+    commander.claim().await.unwrap();
+
+    let sender = here.sender::<Scan>("module2:map").unwrap();
+    let burst = tokio::task::spawn_local(async move {
+        for n in 0..SCANS {
+            sender.deliver(Scan(n, vec![7; 15_000])).await.expect("it is taken");
+        }
+    });
+    let mut commands = 0_u16;
+    while !burst.is_finished() {
+        commands += 1;
+        let speed = f32::from(commands);
+        assert_eq!(commander.command(Drive(speed)).await, Ok(speed), "command {commands}");
+        assert!(commander.holds());
+    }
+    burst.await.expect("all were taken");
+    here.advance(3000 * MS).await;
+
+    assert!(commands > 10, "{commands}");
+    assert_eq!(scans.load(SeqCst), SCANS);
+    assert!(!robot_stopped(&track), "the lease was never lost");
+    there.expect_no_faults().await;
+}
+
+fn robot_stopped(track: &Track) -> bool {
+    track.lock().unwrap().iter().any(|(speed, _)| *speed == 0.0)
 }

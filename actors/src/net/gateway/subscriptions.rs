@@ -8,6 +8,7 @@ use crate::topic::{ForwardId, RemoteForward, TopicKey, described};
 use actix::prelude::*;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::TopicContract;
+use blastema_core::net::peer_protocol::stream_of;
 use blastema_core::{ContractIdentity, Delivery, DeliveryError, GatherBuffer, PeerIdentity};
 use std::sync::Arc;
 
@@ -56,7 +57,7 @@ impl GatewayActor {
         let (delivery, losses) = (by.1, self.losses(known, &key));
         let unsent = losses.clone();
         let forward: RemoteForward = Arc::new(move |event: &GatherBuffer, sent| {
-            let class = CreditClass::of(delivery, event.len());
+            let class = CreditClass::of(stream_of("", delivery), event.len());
             // Publishing never waits: what a peer cannot take now is not sent.
             // Of which only the newest counts, nothing waits behind what does.
             let open = if newest { send_state.has_session() } else { send_state.is_open(class) };

@@ -4,12 +4,13 @@ use super::peer::{Binding, PendingCall, QueuedMessage};
 use super::reply_cache::RequestVerdict;
 use super::{
     BINDINGS_MAX, CALLS_MAX, PeerProtocol, PeerProtocolOutput, RemoteTopic, SessionEpoch,
-    TopicContract, control, refuse,
+    TopicContract, control, refuse, stream_of,
 };
 use crate::net::peer_protocol::naming::DirectoryUpdate;
 use crate::net::wire::message::{PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
-use crate::{Delivery, DeliveryError, GatherBuffer, Instant, ObjectName, PeerIdentity};
+use crate::net::wire::segment::Stream;
+use crate::{DeliveryError, GatherBuffer, Instant, ObjectName, PeerIdentity};
 use bytes::Bytes;
 use std::time::Duration;
 
@@ -40,9 +41,10 @@ impl PeerProtocol {
             PeerMessage::Request { binding, call, timestamp, within, id, payload } => {
                 let age = session.age(timestamp.saturating_mul(TICK_US), now);
                 let within = Duration::from_micros(within.saturating_mul(TICK_US));
-                if session.redundant.contains(&binding) && session.redundant_calls.len() < CALLS_MAX
+                if let Some(stream) = session.streams.get(&binding)
+                    && session.reply_streams.len() < CALLS_MAX
                 {
-                    session.redundant_calls.insert(call);
+                    session.reply_streams.insert(call, *stream);
                 }
                 let left = within.checked_sub(age).filter(|left| !left.is_zero());
                 let until = left.map(|left| now + left);
@@ -174,10 +176,11 @@ impl PeerProtocol {
         if let Err(why) = self.admit_binding(peer, binding, &object, &identity.name) {
             return self.handle_bound(peer, epoch, binding, Err((why, None)));
         }
-        if identity.delivery == Delivery::Redundant
+        if let Some(stream) = stream_of(&identity.name, identity.delivery)
+            && stream != Stream::Data
             && let Some(session) = self.session(peer, epoch)
         {
-            session.redundant.insert(binding);
+            session.streams.insert(binding, stream);
         }
         self.outputs.push_back(PeerProtocolOutput::Bind { peer, epoch, binding, object, identity });
     }
@@ -240,10 +243,12 @@ impl PeerProtocol {
             let binding = session.bindings.remove(&key)?;
             Some((key, binding))
         });
-        let Some(((object, name, _), Binding { contract, waiting, .. })) = binding else {
+        let Some(((object, name, _), binding)) = binding else {
             self.refusals.unexpected += 1;
             return;
         };
+        let stream = binding.stream();
+        let Binding { contract, waiting, .. } = binding;
         // Seen from our side, where the peer has sent its own.
         let theirs = PeerIdentity::decode(identity).ok();
         let why = match (theirs.map(|theirs| contract.check(&theirs)), why) {
@@ -257,7 +262,7 @@ impl PeerProtocol {
             self.outputs.push_back(PeerProtocolOutput::Differs { peer, difference });
         }
         let waiting = waiting.unwrap_or_default();
-        let backlogs = session.let_out(peer, &waiting);
+        let backlogs = session.let_out(peer, stream, &waiting);
         self.outputs.extend(backlogs);
         for QueuedMessage { pending, .. } in waiting {
             let (to, reply_as) = ((object.clone(), name), pending.map(|pending| pending.reply_as));

@@ -14,11 +14,13 @@ mod budget;
 mod incoming;
 mod peer;
 mod reply_cache;
+mod stream_choice;
 mod types;
 
 pub mod naming;
 pub mod receive_backlog;
 
+pub use self::stream_choice::stream_of;
 pub use self::types::{
     Call, MessageTarget, PeerProtocolOutput, SessionEpoch, TopicContract, TransmitState,
 };
@@ -48,7 +50,8 @@ const BINDINGS_MAX: usize = 16 * 1024;
 
 /// The most requests to one peer that wait for its next session.
 const AGAIN_MAX: usize = 1024;
-/// The most unanswered requests of one peer whose replies go every way; beyond, they go one way.
+/// The most unanswered requests of one peer whose replies have a stream of their own; beyond, they go with
+/// what others send.
 const CALLS_MAX: usize = 64 * 1024;
 /// For the caller to see its deadline pass by itself.
 const GRACE: Duration = Duration::from_secs(1);
@@ -212,8 +215,11 @@ impl PeerProtocol {
             let sent = session.send(peer, bound, waiting, &mut self.next_call);
             return self.outputs.push_back(sent);
         }
-        match session.budget.enter(waiting.payload.len()) {
+        let stream = stream_of(key.1, contract.delivery);
+        match session.budget(stream).enter(waiting.payload.len()) {
             BudgetVerdict::Open => {}
+            // What is control has room of its own, and waits for no word of this.
+            BudgetVerdict::Closing(_) if stream == Some(Stream::Control) => {}
             BudgetVerdict::Closing(load) => {
                 self.outputs.push_back(PeerProtocolOutput::Full { peer, load });
             }
@@ -311,10 +317,7 @@ impl PeerProtocol {
         result: Result<GatherBuffer, DeliveryError>,
     ) {
         let Some(session) = self.session(peer, epoch) else { return };
-        let stream = match session.redundant_calls.remove(&call) {
-            true => Stream::Redundant,
-            false => Stream::Data,
-        };
+        let stream = session.reply_streams.remove(&call).unwrap_or(Stream::Data);
         let (strand, message) =
             (OrderingKey::Call(call), PeerMessage::Reply { call, result }.encode());
         self.outputs.push_back(PeerProtocolOutput::Send { peer, stream, strand, message });
@@ -377,7 +380,9 @@ impl PeerProtocol {
         if let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) {
             let timestamp_us = session.timestamp_us(sent);
             let message = PeerMessage::Event { subscription, timestamp_us, payload };
-            let way = (subscription << 1, delivery, OrderingKey::Subscription(subscription));
+            // Events are what users send: no contract makes them control.
+            let stream = stream_of("", delivery);
+            let way = (subscription << 1, stream, OrderingKey::Subscription(subscription));
             self.outputs.push_back(carry(peer, way, &message));
         }
     }

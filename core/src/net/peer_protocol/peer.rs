@@ -2,6 +2,7 @@
 
 use super::access::PeerAccess;
 use super::budget::PendingBudget;
+use super::stream_choice::stream_of;
 use super::types::{Call, PeerProtocolOutput, SessionEpoch};
 use crate::net::peer_protocol::age::AgeEstimator;
 use crate::net::session::ordering_key::OrderingKey;
@@ -9,9 +10,7 @@ use crate::net::wire::message::{PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
 use crate::net::wire::segment::Stream;
 use crate::sorted::{SortedMap, SortedSet};
-use crate::{
-    ContractIdentity, Delivery, GatherBuffer, Incarnation, Instant, MessageId, ObjectName,
-};
+use crate::{ContractIdentity, GatherBuffer, Incarnation, Instant, MessageId, ObjectName};
 use std::time::Duration;
 
 /// A binding: the object, the contract's name and fingerprint.
@@ -35,20 +34,21 @@ pub(super) struct PeerSession {
     pub(super) notices: SortedSet<u64>,
     /// How many bindings and subscriptions the peer has here.
     pub(super) taken: usize,
-    /// The peer's bindings whose replies go every way; no more than it has bindings.
-    pub(super) redundant: SortedSet<u32>,
-    /// The requests through them that are not answered.
-    pub(super) redundant_calls: SortedSet<u64>,
+    /// The peer's bindings whose replies take another stream than data; no more than it has
+    /// bindings.
+    pub(super) streams: SortedMap<u32, Stream>,
+    /// The requests through them that are not answered, and the streams of their replies.
+    pub(super) reply_streams: SortedMap<u64, Stream>,
     /// The peer's objects that have no room, and by which of our bindings it has said so.
     pub(super) full: SortedMap<ObjectName, SortedSet<u32>>,
-    /// How much waits for bindings.
-    pub(super) budget: PendingBudget,
+    /// How much waits for bindings: of what is control, and of everything else.
+    budgets: [PendingBudget; 2],
     /// What the peer has asked for.
     pub(super) access: PeerAccess,
 }
 
-/// Its number, how it travels, and with what it stays in order.
-pub(super) type BindingRoute = (u32, Delivery, OrderingKey);
+/// Its number, its stream unless only the newest counts, and with what it stays in order.
+pub(super) type BindingRoute = (u32, Option<Stream>, OrderingKey);
 
 #[derive(Debug)]
 pub(super) struct Binding {
@@ -62,7 +62,11 @@ pub(super) struct Binding {
 
 impl Binding {
     pub(super) fn way(&self) -> BindingRoute {
-        (self.number, self.contract.delivery, self.strand)
+        (self.number, self.stream(), self.strand)
+    }
+
+    pub(super) fn stream(&self) -> Option<Stream> {
+        stream_of(self.contract.name, self.contract.delivery)
     }
 }
 
@@ -96,10 +100,10 @@ impl PeerSession {
             calls: SortedMap::new(),
             notices: SortedSet::new(),
             taken: 0,
-            redundant: SortedSet::new(),
-            redundant_calls: SortedSet::new(),
+            streams: SortedMap::new(),
+            reply_streams: SortedMap::new(),
             full: SortedMap::new(),
-            budget: PendingBudget::default(),
+            budgets: [(); 2].map(|()| PendingBudget::default()),
             access: PeerAccess::default(),
         }
     }
@@ -141,7 +145,7 @@ impl PeerSession {
     pub(super) fn send(
         &mut self,
         peer: NodeId,
-        (binding, delivery, strand): BindingRoute,
+        (binding, stream, strand): BindingRoute,
         waiting: QueuedMessage,
         next_call: &mut u64,
     ) -> PeerProtocolOutput {
@@ -159,16 +163,27 @@ impl PeerSession {
                 PeerMessage::Request { binding, call, timestamp, within, id, payload }
             }
         };
-        carry(peer, ((binding << 1) | 1, delivery, strand), &message)
+        carry(peer, ((binding << 1) | 1, stream, strand), &message)
+    }
+
+    /// What counts messages of this stream that wait for bindings.
+    pub(super) fn budget(&mut self, stream: Option<Stream>) -> &mut PendingBudget {
+        &mut self.budgets[usize::from(stream != Some(Stream::Control))]
     }
 
     /// These wait no longer. Answers with what is to be told to senders that were told to stop.
     pub(super) fn let_out(
         &mut self,
         peer: NodeId,
+        stream: Option<Stream>,
         waiting: &[QueuedMessage],
     ) -> impl Iterator<Item = PeerProtocolOutput> + use<> {
-        let again = self.budget.leave(waiting.iter().map(|waiting| waiting.payload.len()));
+        let lengths = waiting.iter().map(|waiting| waiting.payload.len());
+        let mut again = self.budget(stream).leave(lengths);
+        // Senders of control were never told to stop.
+        if stream == Some(Stream::Control) {
+            again.clear();
+        }
         again.into_iter().map(move |load| PeerProtocolOutput::Ready { peer, load })
     }
 
@@ -182,7 +197,7 @@ impl PeerSession {
         let key = self.numbers.get(&number)?;
         let binding = self.bindings.get_mut(key)?;
         let (waiting, way) = (binding.waiting.take()?, binding.way());
-        let ready = self.let_out(peer, &waiting);
+        let ready = self.let_out(peer, way.1, &waiting);
         let sent = waiting.into_iter().map(|waiting| self.send(peer, way, waiting, next_call));
         // Room first: the session may find itself full, and must have the last word.
         Some(ready.chain(sent).collect())
@@ -197,17 +212,12 @@ fn ticks(span: Duration) -> u64 {
 /// those of bindings odd.
 pub(super) fn carry(
     peer: NodeId,
-    (channel, delivery, strand): BindingRoute,
+    (channel, stream, strand): BindingRoute,
     message: &PeerMessage,
 ) -> PeerProtocolOutput {
     let message = message.encode();
-    match delivery {
-        Delivery::Reliable => {
-            PeerProtocolOutput::Send { peer, stream: Stream::Data, strand, message }
-        }
-        Delivery::Redundant => {
-            PeerProtocolOutput::Send { peer, stream: Stream::Redundant, strand, message }
-        }
-        Delivery::Newest => PeerProtocolOutput::SendNewest { peer, channel, message },
+    match stream {
+        Some(stream) => PeerProtocolOutput::Send { peer, stream, strand, message },
+        None => PeerProtocolOutput::SendNewest { peer, channel, message },
     }
 }

@@ -268,6 +268,35 @@ fn too_many_messages_for_one_binding_are_told_and_then_refused() {
 }
 
 #[test]
+fn commands_and_their_replies_are_control_and_wait_for_bindings_in_room_of_their_own() {
+    let mut pair = Pair::open();
+    for _ in 0..budget::TIMES * budget::MESSAGES + 1 {
+        pair.call(count(), None);
+    }
+    pair.take(0);
+    pair.take(1);
+
+    pair.call(ContractIdentity { name: "blastema/command", ..count() }, Some(10));
+    assert_eq!(pair.take(0), [], "it is not refused");
+    let (peer, epoch, binding) = match &pair.take(1)[..] {
+        [PeerProtocolOutput::Bind { peer, epoch, binding, .. }] => (*peer, *epoch, *binding),
+        other => panic!("{other:?}"),
+    };
+    pair.ends[1].handle_bound(peer, epoch, binding, Ok(()));
+    pair.run();
+
+    let (peer, call) = match &pair.take(1)[..] {
+        [PeerProtocolOutput::Serve { peer, call: Some(call), .. }] => (*peer, *call),
+        other => panic!("{other:?}"),
+    };
+    pair.ends[1].handle_answer(peer, epoch, call, Ok(payload().into()), at(0));
+    let reply = pair.ends[1].poll_output();
+    let Some(PeerProtocolOutput::Send { stream: Stream::Control, .. }) = reply else {
+        panic!("{reply:?}");
+    };
+}
+
+#[test]
 fn an_interest_is_told_now_and_to_every_later_session() {
     let mut pair = Pair::new();
     pair.ends[0].handle_interest(topic(), vec![count()]);

@@ -91,6 +91,8 @@ pub struct Session {
     congestion: usize,
     /// The window was already reduced for losses of transmissions before this.
     reduced_until: u64,
+    /// Parts of control since the last one of data.
+    control_run: usize,
     /// How many transmissions there were.
     orders: [u64; 2],
     /// Since when the peer owes an answer, or has no path.
@@ -157,6 +159,9 @@ impl Session {
     const QUEUEING_MAX: Duration = Duration::from_millis(200);
     /// Chunks that may always be in flight elsewhere.
     const CONGESTION_MIN: usize = 8;
+    /// Parts of control that go before one of data that waits: control goes first, and takes no more
+    /// than eight parts of nine.
+    const CONTROL_RUN: usize = 8;
     /// How long an unfinished message is kept.
     const REASSEMBLY_TIMEOUT: Duration = Duration::from_secs(5);
     /// How often an unanswered close is sent.
@@ -181,6 +186,7 @@ impl Session {
             retransmit_at: [None; 2],
             congestion: Self::CONGESTION_INITIAL,
             reduced_until: 0,
+            control_run: 0,
             orders: [0; 2],
             waiting_since: None,
             pieces: Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT),

@@ -7,6 +7,8 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 /// What is small, and of another strand, does not wait behind the rest of what is large, if it fits
 /// into one part.
 ///
+/// What is control goes by a stream of its own: it passes what was sent to its object before.
+///
 /// Before the session, messages wait for the binding of their contract, each contract by itself: to
 /// one object, what is of a contract that is bound passes what waits for that of another. And
 /// readings of which the newest counts are of no strand.

@@ -11,6 +11,8 @@ use crate::{DeliveryError, Instant};
 
 /// Which stream goes first when several wait.
 const BY_URGENCY: [Stream; 3] = [Stream::Control, Stream::Redundant, Stream::Data];
+/// The same when control has gone first often enough.
+const DATA_FIRST: [Stream; 3] = [Stream::Redundant, Stream::Data, Stream::Control];
 
 impl Session {
     /// Something of ours came back: it is repeated once the routers have had time to find another
@@ -60,7 +62,8 @@ impl Session {
         streams.map(|stream| self.streams[stream as usize].outbound.flying_bytes()).sum()
     }
 
-    /// Sends the next part that may be sent: control first, and what was lost before what is new.
+    /// Sends the next part that may be sent: control first, but for every ninth part if data waits,
+    /// and what was lost before what is new.
     pub(super) fn transmit_part(&mut self) -> bool {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return false };
         let Some(mtu) = self.path else { return false };
@@ -70,7 +73,8 @@ impl Session {
         // travels alone.
         let ack_capacity = 32.min(mtu / 8);
         let always = self.congestion_min();
-        for stream in BY_URGENCY {
+        let due = self.control_run >= Self::CONTROL_RUN;
+        for stream in if due { DATA_FIRST } else { BY_URGENCY } {
             let state = &mut self.streams[stream as usize];
             // The way of each copy is written before it.
             let way = if stream == Stream::Redundant { WAY_MAX } else { 0 };
@@ -82,7 +86,8 @@ impl Session {
             let held = match stream {
                 // Some of it may always be on its way, whatever data is before it.
                 Stream::Control => congested && state.outbound.flying() >= always,
-                Stream::Data => congested,
+                // Nor does control keep it from having one there.
+                Stream::Data => congested && !(due && state.outbound.flying() == 0),
                 // It keeps its time whatever one of the ways is like; the peer's window bounds it.
                 Stream::Redundant => false,
             };
@@ -92,6 +97,12 @@ impl Session {
             if let Some((sequence, part)) =
                 state.outbound.transmit(capacity, self.orders[lane(stream)], self.now)
             {
+                match stream {
+                    Stream::Control => self.control_run += 1,
+                    Stream::Data => self.control_run = 0,
+                    Stream::Redundant => {}
+                }
+                let state = &mut self.streams[stream as usize];
                 let owed = state.inbound.owed().is_some();
                 let ack = owed.then(|| state.inbound.acknowledge());
                 // What was cut for a larger path says of each piece which it is.

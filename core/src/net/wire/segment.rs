@@ -42,10 +42,10 @@ pub(crate) fn data_header(sequence: u64) -> usize {
     1 + 4 + varint_length(sequence)
 }
 
-/// Which of a session's ordered streams. Control goes first when both wait.
+/// Which of a session's ordered streams. Control goes first when both wait, eight parts of nine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Stream {
-    /// What keeps the robot together: bindings, faults, commands to recover.
+    /// What keeps the robot together: bindings, faults, commands, leases, votes.
     Control,
     /// What objects say to each other.
     Data,

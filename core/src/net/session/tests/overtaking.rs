@@ -144,3 +144,55 @@ fn what_was_not_cut_when_the_session_ends_was_not_sent_and_all_come_back_in_orde
         .map(|(bytes, sent)| (if bytes.len() == 3000 { b"map" } else { &bytes[..] }, *sent));
     assert!(outputs.eq(expected.map(|(text, sent)| (text.as_bytes(), sent))), "{all:?}");
 }
+
+/// Sends so many messages of so many bytes to this object.
+fn fill(pair: &mut Pair, stream: Stream, object: &str, count: usize, length: usize) {
+    for _ in 0..count {
+        let along = (stream, strand(object));
+        pair.ends[0].handle_send_along(along, vec![7; length], at(pair.now)).unwrap();
+    }
+    pair.drain();
+}
+
+/// The streams of the parts that were sent, repeated ones apart.
+fn streams_sent(pair: &Pair) -> Vec<Stream> {
+    let part = |(_, segment): &(usize, Segment)| match segment {
+        Segment::Data(data) if !data.again => Some(data.stream),
+        _ => None,
+    };
+    pair.sent.iter().filter_map(part).collect()
+}
+
+#[test]
+fn control_is_next_however_much_data_is_on_its_way_and_waits() {
+    let mut pair = Pair::open();
+    fill(&mut pair, Stream::Data, "map", 100, 15_000);
+    pair.sent.clear();
+
+    fill(&mut pair, Stream::Control, "wheels", 1, 20);
+    pair.ends[0].handle_timeout(at(pair.now));
+    pair.drain();
+
+    assert_eq!(streams_sent(&pair).first(), Some(&Stream::Control));
+}
+
+#[test]
+fn control_without_end_leaves_data_every_ninth_part() {
+    for congestion in [Session::CONGESTION_LEAST, Session::CONGESTION_INITIAL] {
+        let mut pair = Pair::open();
+        pair.ends[0].congestion = congestion;
+        fill(&mut pair, Stream::Control, "wheels", 270, 1000);
+        fill(&mut pair, Stream::Data, "map", 10, 15_000);
+        pair.sent.clear();
+
+        pair.run(5_000);
+
+        let sent = streams_sent(&pair);
+        let runs = sent.split(|stream| *stream == Stream::Data);
+        let longest = runs.map(<[Stream]>::len).max();
+        assert!(longest <= Some(Session::CONTROL_RUN), "{congestion}: {sent:?}");
+        let data = sent.iter().filter(|stream| **stream == Stream::Data).count();
+        assert!(data > 100 && sent.len() - data > 100, "{congestion}: both went: {data}");
+        assert_eq!(pair.ends[0].status().unacknowledged, 0);
+    }
+}
