@@ -448,10 +448,8 @@ impl<C: Component> AliveSource for ComponentCell<C> {
 
     fn queue(&self) -> QueueReading {
         let queued = self.queue.depth();
-        let posted_at = match queued {
-            0 => None,
-            _ => self.queue.with_oldest(|envelope| envelope.header().posted_at),
-        };
+        let looked = (queued > 0).then(|| self.queue.with_oldest(|first| first.header().posted_at));
+        let posted_at = looked.flatten();
         let oldest = posted_at.map_or(Duration::ZERO, |posted_at| platform::now() - posted_at);
         QueueReading { queued, oldest }
     }
@@ -461,8 +459,7 @@ impl<C: Component> AliveSource for ComponentCell<C> {
     }
 
     fn tell_exits(&self) {
-        let record = &self.record;
-        record.tell(DueExits::Settled);
+        self.record.tell(DueExits::Settled);
     }
 }
 
