@@ -4,6 +4,7 @@ use super::CallId;
 use crate::recovery::{ChildRules, Restart, RestartWindow};
 use crate::{Fault, FaultKind, Incarnation, Instant, ObjectName};
 use serde::{Deserialize, Serialize};
+use std::time::Duration;
 
 /// The state of the incarnation to be replaced. It decides how that incarnation is ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -143,6 +144,14 @@ impl SupervisedChild {
             ordered: false,
             on_the_spot: None,
         }
+    }
+
+    /// That it was restarted too often, and why it failed last: of a supervisor, which of its
+    /// children was the cause.
+    pub(super) fn excess(&self, intensity: u32, period: Duration) -> String {
+        let SupervisedChild { name, failed, .. } = self;
+        let cause = failed.as_ref().map_or(String::new(), |failed| format!(": {failed}"));
+        format!("{name} needed more than {intensity} restarts in {period:?}{cause}")
     }
 
     pub(super) fn is_alive(&self) -> bool {

@@ -452,13 +452,8 @@ impl Supervisor {
         within
     }
 
-    /// That a child was restarted too often, and why it failed last: of a supervisor, which of its
-    /// children was the cause.
     fn excess_of(&self, key: ChildKey) -> String {
-        let (intensity, period) = (self.rules.intensity, self.rules.period);
-        let SupervisedChild { name, failed, .. } = &self.children[&key];
-        let cause = failed.as_ref().map_or(String::new(), |failed| format!(": {failed}"));
-        format!("{name} needed more than {intensity} restarts in {period:?}{cause}")
+        self.children[&key].excess(self.rules.intensity, self.rules.period)
     }
 
     pub(super) fn restarted_on_the_spot(&mut self, key: ChildKey, next: Incarnation, now: Instant) {
