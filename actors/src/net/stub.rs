@@ -121,19 +121,23 @@ impl PeerSendState {
         self.changed.notify_waiters();
     }
 
-    /// Whether this has to wait. Nothing goes where the words that keep the session together do
-    /// not: they are small, and control. Of the other streams, one does not hold up the other; what
-    /// waits for bindings does not hold up control. Where there is no room for what is small, bulk
-    /// waits too: what is bulk here may be small to the session.
+    /// Whether this has to wait. Data does not go where the words that keep the session together do
+    /// not: they are small, and control. Otherwise one stream does not hold up another, so that a
+    /// stop goes however many commands wait; and what waits for bindings holds up data alone.
+    /// Where there is no room for what is small, bulk waits too: what is bulk here may be small to
+    /// the session.
     fn is_held(&self, class: CreditClass) -> bool {
         // Of which only the newest counts, nothing waits behind what does.
         let CreditClass { stream: Some(stream), load } = class else { return false };
-        let all = bit(Stream::Control, SizeClass::Small);
         let full = self.full_streams.load(Relaxed);
         let mine = bit(stream, SizeClass::Small) | bit(stream, load);
+        let words = match stream {
+            Stream::Data => bit(Stream::Control, SizeClass::Small),
+            Stream::Control | Stream::Redundant => 0,
+        };
         let waits = 1 << SizeClass::Small as u8 | 1 << load as u8;
-        let budget = stream != Stream::Control && self.full_budget.load(Relaxed) & waits != 0;
-        full & (all | mine) != 0 || budget
+        let budget = stream == Stream::Data && self.full_budget.load(Relaxed) & waits != 0;
+        full & (words | mine) != 0 || budget
     }
 
     /// What waits for bindings is as much as should, of this load.
@@ -458,7 +462,7 @@ mod tests {
         send_state.handle_stream_ready(Stream::Data, SizeClass::Small);
         assert_eq!(
             space(&send_state),
-            [false, false, false, true],
+            [false, false, true, true],
             "what waits is as much as should"
         );
         assert!(!send_state.is_open(SMALL));
@@ -478,7 +482,9 @@ mod tests {
         send_state.stream_is_full(Stream::Control, SizeClass::Bulk);
         assert_eq!(space(&send_state), [true, true, false, true], "the state of a service");
         send_state.stream_is_full(Stream::Control, SizeClass::Small);
-        assert_eq!(space(&send_state), [false, false, false, true], "nothing could be bound");
+        assert_eq!(space(&send_state), [false, false, false, true], "it is full itself");
+        send_state.handle_stream_ready(Stream::Redundant, SizeClass::Small);
+        assert_eq!(space(&send_state), [false, false, true, true], "a stop goes");
     }
 
     #[test]
