@@ -110,7 +110,8 @@ fn supervised_restarts_what_depends_on_the_laser_and_comes_to_rest_with_its_brak
             "motors#2 rests",
             "planner#2 rests",
             "brakes on: restart storm of module1",
-            "in safe state: drive needed more than 0 restarts in 10s",
+            "in safe state: drive needed more than 0 restarts in 10s: laser needed more than 1 restarts in 10s: \
+             it died",
         ],
     );
 }
