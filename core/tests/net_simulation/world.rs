@@ -74,7 +74,7 @@ pub(crate) struct World {
     pub(crate) due: Vec<Option<Instant>>,
     pub(crate) incarnations: Vec<u64>,
     /// The nodes' keys: advertisements are signed, and what goes over a relay is sealed.
-    roster: Option<NodeRoster>,
+    pub(crate) roster: Option<NodeRoster>,
     pub(crate) frames: Frames,
     pub(crate) count: u64,
     /// How often some traffic went another way.
