@@ -55,6 +55,8 @@ struct Actuator {
     object: ObjectName,
     identity: ContractIdentity,
     lease: Mutex<Lease>,
+    /// Where the commander is that holds the lease.
+    claimed_from: Mutex<MessageOrigin>,
     safe: Bytes,
     cut_off: Option<SafeOutputFn>,
     skeleton: Arc<dyn Skeleton>,
@@ -117,6 +119,7 @@ impl ActuatorTable {
                 object: object.clone(),
                 identity: identity.clone(),
                 lease: Mutex::new(lease),
+                claimed_from: Mutex::default(),
                 safe: safe?,
                 cut_off,
                 skeleton,
@@ -232,6 +235,10 @@ impl ActuatorTable {
             drop(lease);
             return answer.give(CommandReply::refused(&DeliveryError::Stopped));
         }
+        if let Some(why) = actuator.impersonation(&wish, from, &lease, now) {
+            drop(lease);
+            return answer.give(CommandReply::refused(&why));
+        }
         let done = match wish {
             // Its first command would wait, perhaps for longer than the lease.
             CommandKind::Claim { .. } if !actuator.skeleton.is_at_work() => {
@@ -241,6 +248,7 @@ impl ActuatorTable {
                 let commander =
                     CommanderId { name: commander, incarnation: Incarnation(incarnation) };
                 lease.handle_claim(commander, now).map(|grant| {
+                    *lock(&actuator.claimed_from) = from;
                     let span_us = u64::try_from(grant.span.as_micros()).unwrap_or(u64::MAX);
                     CommandReply::Granted { epoch: grant.epoch, span_us }
                 })
@@ -373,6 +381,23 @@ impl ActuatorTable {
 }
 
 impl Actuator {
+    /// Why this is none of the sender's: the name of a commander is that of an object of its node,
+    /// and a lease is used from where it was claimed. Its number is easily guessed.
+    fn impersonation(
+        &self,
+        wish: &CommandKind,
+        from: MessageOrigin,
+        lease: &Lease,
+        now: Instant,
+    ) -> Option<DeliveryError> {
+        if let CommandKind::Claim { commander, .. } = wish {
+            let reason = format!("{commander} is no commander of the node that claims for it");
+            return (!from.may_be(commander)).then_some(DeliveryError::Undecodable { reason });
+        }
+        let LeaseStatus::Held { epoch, .. } = lease.status(now) else { return None };
+        (*lock(&self.claimed_from) != from).then_some(DeliveryError::Superseded { epoch })
+    }
+
     /// Hands a command over. One at a time: what waits behind a component that is stuck would be
     /// carried out after its lease has ended.
     fn command(&self, message: Vec<u8>, answer: Responder<ActuatorCommand>) {
@@ -445,5 +470,65 @@ impl Handler<Look> for Timekeeper {
 
     fn handle(&mut self, _: Look, context: &mut Context<Self>) {
         self.look(context);
+    }
+}
+
+#[cfg(all(test, feature = "network"))]
+mod tests {
+    use super::*;
+    use blastema_core::NodeName;
+    use blastema_core::net::NodeId;
+    use std::sync::mpsc;
+
+    /// What a node wants of the actuator, as it comes through the network.
+    fn reply(table: &ActuatorTable, node: &str, wish: CommandKind) -> Result<u64, DeliveryError> {
+        let wheels = ObjectName::new("wheels").expect("a name");
+        let identity = ContractIdentity::of::<ActuatorCommand>().brief().encode();
+        let peer = Some(NodeId::of(&NodeName::new(node).expect("a name")));
+        let (told, reply) = mpsc::channel();
+        let answer = Responder::called_back(Box::new(move |result| drop(told.send(result))), None);
+        let (order, access) = (ActuatorCommand { identity, wish }, AccessControl::default());
+        table.serve((&wheels, &access), order, MessageOrigin { peer }, answer);
+        match reply.try_recv().expect("it is answered at once")? {
+            CommandReply::Granted { epoch, .. } => Ok(epoch),
+            CommandReply::Refused { why } => Err(crate::messaging::error::decode_kind(&why)),
+            CommandReply::Done(_) | CommandReply::Differs { .. } => Ok(0),
+        }
+    }
+
+    fn claim(commander: &str) -> CommandKind {
+        CommandKind::Claim { commander: commander.to_owned(), incarnation: 1 }
+    }
+
+    #[test]
+    fn a_lease_is_used_from_the_node_that_claimed_it_and_a_commander_has_its_nodes_name() {
+        let (table, wheels) =
+            (ActuatorTable::default(), ObjectName::new("wheels").expect("a name"));
+        let serve = |_, _, answer: Responder<ActuatorCommand>| {
+            answer.give(CommandReply::Done(Vec::new()));
+        };
+        let skeleton = Arc::new(ServiceFn::<ActuatorCommand>(Arc::new(serve)));
+        let declared = DeclaredActuator {
+            identity: ContractIdentity::of::<ActuatorCommand>(),
+            span: Duration::from_secs(60),
+            safe: Ok(Bytes::new()),
+            cut_off: None,
+        };
+        let port = table.declare(&wheels, vec![(declared, skeleton)], AccessControl::default());
+        port.expect("it is declared");
+
+        let refused = reply(&table, "arm", claim("base:planner"));
+        assert!(matches!(refused, Err(DeliveryError::Undecodable { .. })), "{refused:?}");
+        let epoch = reply(&table, "base", claim("base:planner")).expect("it is free");
+        for wish in [
+            CommandKind::Renew { epoch },
+            CommandKind::Release { epoch },
+            CommandKind::Command { epoch, message: Vec::new() },
+        ] {
+            assert_eq!(reply(&table, "arm", wish), Err(DeliveryError::Superseded { epoch }));
+        }
+        assert_eq!(reply(&table, "base", CommandKind::Renew { epoch }), Ok(0));
+        // The same commander begins again.
+        assert_eq!(reply(&table, "base", claim("base:planner")), Ok(epoch + 1));
     }
 }

@@ -289,9 +289,7 @@ impl GatewayActor {
             PeerProtocolOutput::SubscriptionForbidden { peer, why } => {
                 self.subscription_forbidden(peer, &why);
             }
-            PeerProtocolOutput::Reset { peer } => {
-                self.wiring.sessions.begin_anew.do_send(ResetSession { peer: Some(peer) });
-            }
+            PeerProtocolOutput::SubscriptionsAllowed { peer } => self.forget_forbidden(peer),
             PeerProtocolOutput::Unsubscribe { peer, subscription } => {
                 self.end_forward((peer, subscription));
             }

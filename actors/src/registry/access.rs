@@ -5,6 +5,10 @@
 #[cfg(feature = "network")]
 pub use self::rights::AccessRefusal;
 use super::MessageMetadata;
+#[cfg(feature = "network")]
+use blastema_core::NodeName;
+#[cfg(feature = "network")]
+use blastema_core::net::NodeId;
 use blastema_core::{DeliveryError, ObjectName};
 
 /// What a message wants of an object.
@@ -26,10 +30,25 @@ pub(crate) struct AccessControl {
 }
 
 /// Where a message comes from: an object of this node, or another node.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct MessageOrigin {
     #[cfg(feature = "network")]
-    pub(crate) peer: Option<blastema_core::net::NodeId>,
+    pub(crate) peer: Option<NodeId>,
+}
+
+impl MessageOrigin {
+    /// Whether an object of this name, such as `base:planner`, may have sent it.
+    #[cfg(feature = "network")]
+    pub(crate) fn may_be(self, object: &str) -> bool {
+        let node = object.split_once(':').and_then(|(node, _)| NodeName::new(node).ok());
+        self.peer.is_none_or(|peer| node.is_some_and(|node| NodeId::of(&node) == peer))
+    }
+
+    /// Without a network, all objects are of this node.
+    #[cfg(not(feature = "network"))]
+    pub(crate) fn may_be(self, _object: &str) -> bool {
+        true
+    }
 }
 
 impl From<&MessageMetadata> for MessageOrigin {
@@ -162,10 +181,10 @@ mod rights {
             self.rights.record(denied);
         }
 
-        /// The refusal that was last, and when.
-        pub(crate) fn newest(&self) -> Option<RefusalRow> {
+        /// The refusal of a program that was last, and when.
+        pub(crate) fn newest_of_a_program(&self) -> Option<RefusalRow> {
             let log = self.rights.log.lock().unwrap_or_else(PoisonError::into_inner);
-            log.rows().max_by_key(|row| row.last)
+            log.rows().filter(|row| row.denied.is_of_a_program()).max_by_key(|row| row.last)
         }
 
         /// What was refused, in the order of nodes.

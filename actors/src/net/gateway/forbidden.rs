@@ -17,7 +17,7 @@ pub(super) struct ForbiddenAlarm {
     stands: bool,
     /// When a peer was refused something for the last time, at the last look.
     last_refusal: Option<Instant>,
-    /// Peers that refuse a subscription of this node, in their present session.
+    /// Peers that refuse a subscription of this node.
     refused_by: SortedSet<NodeId>,
 }
 
@@ -30,7 +30,7 @@ impl GatewayActor {
         self.wiring.faults.declare(FaultKind::Forbidden, format!("no event arrives: {why}"));
     }
 
-    /// A session with a peer begins: its policy may be another one now.
+    /// A peer refuses no subscription any more, or the session with it has ended.
     pub(super) fn forget_forbidden(&mut self, peer: NodeId) {
         self.forbidden.refused_by.remove(&peer);
     }
@@ -39,7 +39,7 @@ impl GatewayActor {
     /// minute.
     pub(super) fn look_at_access(&mut self) {
         let alarm = &mut self.forbidden;
-        if let Some(row) = self.wiring.registry.access().newest()
+        if let Some(row) = self.wiring.registry.access().newest_of_a_program()
             && alarm.last_refusal.replace(row.last) != Some(row.last)
             && !std::mem::replace(&mut alarm.stands, true)
         {

@@ -76,7 +76,6 @@ impl GatewayActor {
     fn session_opened(&mut self, node: NodeName, incarnation: Incarnation, session: u32) {
         let (id, send_state) = self.meet(&node);
         self.begin_peer(id, session, incarnation);
-        self.forget_forbidden(id);
         self.forget_past(id);
         let now = platform::now();
         self.exchange.handle_opened(id, incarnation, now);
@@ -97,6 +96,7 @@ impl GatewayActor {
         let why = self.because(peer, why);
         self.exchange.handle_ended(peer, &why);
         self.naming.handle_ended(peer);
+        self.forget_forbidden(peer);
         if let Some(peer) = self.peers.get(&peer) {
             self.wiring.wardens.ended(&peer.node);
             self.report_peer(&PeerStatusChanged::Ended { node: peer.node.clone() });
@@ -115,6 +115,7 @@ impl Handler<IsolationChanged> for GatewayActor {
             let why = DeliveryError::Isolated { object: node.to_string() };
             self.exchange.handle_ended(peer, &why);
             self.naming.handle_ended(peer);
+            self.forget_forbidden(peer);
             self.report_peer(&PeerStatusChanged::Ended { node });
         } else {
             // What it said meanwhile was not heard: only a new session makes both agree again.

@@ -1,39 +1,48 @@
 //! What peers may do here, by the policy of the robot.
 //!
-//! A peer's binding and subscription is judged once, and again when another policy counts: where
-//! the verdict then differs, the session with the peer is reset, so that both ends agree again.
+//! A peer's binding and subscription is judged once, and again when another policy counts. A
+//! verdict that changes is told to the peer at once; everything else of the session goes on.
 
-use super::{PeerProtocol, PeerProtocolOutput, RemoteTopic, TopicContract, subscribe};
+use super::{
+    PeerProtocol, PeerProtocolOutput, PeerSession, RemoteTopic, TopicContract, control, subscribe,
+};
 use crate::net::trust::access::{AccessDenied, AccessPolicy, BindingNeeds, needs};
 use crate::net::trust::policy::Verb;
+use crate::net::wire::message::PeerMessage;
 use crate::net::wire::node_id::NodeId;
-use crate::sorted::{SortedMap, SortedSet};
+use crate::net::wire::segment::Stream;
 use crate::{DeliveryError, ObjectName};
+use bytes::Bytes;
 
 /// What the component of a service is called after the service's name.
 const REPLICA: &str = "/replica";
 /// The contract by which services are asked.
 const SERVICE_CONTRACT: &str = "blastema/serve";
 
-/// What a session's peer has asked for.
-#[derive(Debug, Default)]
-pub(super) struct PeerAccess {
-    /// What it has bound, as long as a policy counts.
-    bindings: SortedMap<u32, (ObjectName, String)>,
-    /// Those of its bindings that take requests only, or only messages without a reply.
-    partial: SortedMap<u32, BindingAccess>,
-    /// Its subscriptions; those that the policy refuses as well.
-    subscriptions: SortedMap<u32, TopicContract>,
-    /// Subscriptions of this node to topics on which the peer may not publish. It was not told of
-    /// them.
-    barred: SortedSet<u32>,
-}
-
 type AccessVerdict = Result<(), Box<AccessDenied>>;
 
+/// What a peer has bound here. The record of a binding that the policy refuses later stays until
+/// the session ends: requests through it are on their way.
+#[derive(Debug)]
+pub(super) struct PeerBound {
+    pub(super) object: ObjectName,
+    pub(super) contract: String,
+    pub(super) access: BindingAccess,
+    /// The stream of the replies.
+    pub(super) replies: Stream,
+}
+
+/// What a peer listens to here. What the policy refuses is remembered: the peer is to ask again
+/// once it may.
+#[derive(Debug)]
+pub(super) struct PeerSubscription {
+    pub(super) topic: TopicContract,
+    pub(super) is_refused: bool,
+}
+
 /// What a peer may send through a binding.
-#[derive(Debug, PartialEq, Eq)]
-struct BindingAccess {
+#[derive(Debug)]
+pub(super) struct BindingAccess {
     ask: AccessVerdict,
     tell: AccessVerdict,
 }
@@ -45,6 +54,7 @@ impl BindingAccess {
         match needs(contract) {
             BindingNeeds::Nothing => both(Ok(())),
             BindingNeeds::Membership => both(policy.check_membership(peer, &name(), contract)),
+            BindingNeeds::OwnNode => both(Err(policy.deny(peer, &name(), contract))),
             // A service and a name of the robot belong to no node.
             BindingNeeds::Right(verb) => both(policy.check(peer, verb, object.as_str(), contract)),
             BindingNeeds::AskOrTell => {
@@ -60,95 +70,87 @@ impl BindingAccess {
             }
         }
     }
-}
 
-impl PeerAccess {
-    /// Why no request, or no message without a reply, may come through this binding.
-    pub(super) fn refusal(&self, binding: u32, is_request: bool) -> Option<Box<AccessDenied>> {
-        let BindingAccess { ask, tell } = self.partial.get(&binding)?;
-        let verdict = if is_request { ask } else { tell };
+    /// Why no request, or no message without a reply, may come this way.
+    pub(super) fn refusal(&self, is_request: bool) -> Option<Box<AccessDenied>> {
+        let verdict = if is_request { &self.ask } else { &self.tell };
         verdict.as_ref().err().cloned()
     }
 
-    /// How much is kept of the peer's.
-    #[cfg(test)]
-    pub(super) fn kept(&self) -> usize {
-        self.bindings.len() + self.subscriptions.len()
-    }
-
-    /// This node has ended a subscription.
-    pub(super) fn interest_ended(&mut self, subscription: u32) {
-        self.barred.remove(&subscription);
-    }
-
-    /// The peer has a subscription. Answers whether it is one more.
-    pub(super) fn subscribe(&mut self, subscription: u32, topic: TopicContract) -> bool {
-        self.subscriptions.insert(subscription, topic).is_none()
-    }
-
-    /// The peer has ended a subscription. Answers whether it had it.
-    pub(super) fn unsubscribe(&mut self, subscription: u32) -> bool {
-        self.subscriptions.remove(&subscription).is_some()
-    }
-
-    /// What was to be bound is not.
-    pub(super) fn unbind(&mut self, binding: u32) {
-        self.bindings.remove(&binding);
-        self.partial.remove(&binding);
+    /// Why nothing may come this way.
+    fn full_refusal(&self) -> Option<&AccessDenied> {
+        self.tell.as_ref().err().and(self.ask.as_ref().err()).map(|denied| &**denied)
     }
 }
 
 impl PeerProtocol {
     /// From now on this policy counts.
     pub fn handle_access(&mut self, policy: AccessPolicy) {
-        for (peer, state) in &self.peers {
-            let Some(session) = &state.session else { continue };
-            let (access, old) = (&session.access, self.access.as_ref());
-            let judges_otherwise = old.is_none_or(|old| {
-                let (mut bindings, mut topics) =
-                    (access.bindings.values(), access.subscriptions.values());
-                bindings.any(|(object, contract)| {
-                    let before = BindingAccess::of(old, *peer, object, contract);
-                    let after = BindingAccess::of(&policy, *peer, object, contract);
-                    before.ask.is_ok() != after.ask.is_ok()
-                        || before.tell.is_ok() != after.tell.is_ok()
-                }) || topics.any(|topic| {
-                    may(old, *peer, Verb::Listen, topic) != may(&policy, *peer, Verb::Listen, topic)
-                }) || self.interests.keys().any(|topic| {
-                    may(old, *peer, Verb::Publish, topic)
-                        != may(&policy, *peer, Verb::Publish, topic)
-                })
-            });
-            if judges_otherwise {
-                self.outputs.push_back(PeerProtocolOutput::Reset { peer: *peer });
+        for (peer, state) in &mut self.peers {
+            let Some(session) = &mut state.session else { continue };
+            let PeerSession { bound, subscriptions, barred, .. } = session;
+            let mut tell = |message| self.outputs.push_back(control(*peer, &message));
+            for (binding, bound) in bound {
+                let access = BindingAccess::of(&policy, *peer, &bound.object, &bound.contract);
+                let before = std::mem::replace(&mut bound.access, access);
+                let newly = bound.access.full_refusal().filter(|_| before.full_refusal().is_none());
+                if let Some(why) = newly.map(DeliveryError::from) {
+                    let (binding, identity) = (*binding, Bytes::new());
+                    tell(PeerMessage::BindRefused { binding, why, identity });
+                }
             }
+            for (topic, interest) in &self.interests {
+                let subscription = interest.subscription;
+                if !may(&policy, *peer, Verb::Publish, topic) {
+                    if barred.insert(subscription) {
+                        tell(PeerMessage::Unsubscribe { subscription });
+                    }
+                } else if barred.remove(&subscription) {
+                    tell(subscribe(topic, interest));
+                }
+            }
+            let mut ended = Vec::new();
+            subscriptions.retain(|subscription, of_peer| {
+                let verdict = listen(&policy, *peer, &of_peer.topic);
+                let (subscription, is_refused) = (*subscription, verdict.is_err());
+                let was_refused = std::mem::replace(&mut of_peer.is_refused, is_refused);
+                match verdict {
+                    Err(denied) if !was_refused => {
+                        let why = DeliveryError::from(&*denied);
+                        tell(PeerMessage::SubscribeRefused { subscription, why });
+                        ended.push(subscription);
+                    }
+                    Ok(()) if was_refused => tell(PeerMessage::SubscribeAgain { subscription }),
+                    _ => {}
+                }
+                is_refused || !was_refused
+            });
+            let ended = ended
+                .into_iter()
+                .map(|subscription| PeerProtocolOutput::Unsubscribe { peer: *peer, subscription });
+            self.outputs.extend(ended);
         }
         self.access = Some(policy);
     }
 
-    /// Whether a peer may bind this.
+    /// What a peer may send through a binding.
+    ///
+    /// # Errors
+    /// It may send nothing.
     pub(super) fn admit_binding(
         &mut self,
         peer: NodeId,
-        binding: u32,
         object: &ObjectName,
         contract: &str,
-    ) -> Result<(), DeliveryError> {
-        let Some(policy) = &self.access else { return Ok(()) };
-        let access = BindingAccess::of(policy, peer, object, contract);
-        if let BindingAccess { ask: Err(denied), tell: Err(_) } = access {
-            return Err(self.refuse_access(denied));
-        }
-        let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) else {
-            return Ok(());
+    ) -> Result<BindingAccess, DeliveryError> {
+        let Some(policy) = &self.access else {
+            return Ok(BindingAccess { ask: Ok(()), tell: Ok(()) });
         };
-        let known = &mut session.access;
-        known.partial.remove(&binding);
-        if access.ask.is_err() || access.tell.is_err() {
-            known.partial.insert(binding, access);
+        let access = BindingAccess::of(policy, peer, object, contract);
+        match access.full_refusal().cloned() {
+            Some(denied) => Err(self.refuse_access(Box::new(denied))),
+            None => Ok(access),
         }
-        known.bindings.insert(binding, (object.clone(), contract.to_owned()));
-        Ok(())
     }
 
     /// Whether a peer may listen to this.
@@ -158,8 +160,7 @@ impl PeerProtocol {
         topic: &TopicContract,
     ) -> Result<(), DeliveryError> {
         let Some(policy) = &self.access else { return Ok(()) };
-        let verdict = policy.check(peer, Verb::Listen, &topic.topic, &topic.contract);
-        verdict.map_err(|denied| self.refuse_access(denied))
+        listen(policy, peer, topic).map_err(|denied| self.refuse_access(denied))
     }
 
     /// Whether a peer may hand its faults to this node.
@@ -184,10 +185,10 @@ impl PeerProtocol {
         };
         let policy = self.access.as_ref();
         if policy.is_some_and(|policy| !may(policy, peer, Verb::Publish, topic)) {
-            session.access.barred.insert(interest.subscription);
+            session.barred.insert(interest.subscription);
             return;
         }
-        self.outputs.push_back(super::control(peer, &subscribe(topic, interest)));
+        self.outputs.push_back(control(peer, &subscribe(topic, interest)));
     }
 
     /// Whether the peer was told that this node listens to the topic.
@@ -196,7 +197,7 @@ impl PeerProtocol {
         let (Some(policy), Some(session)) = (&self.access, session) else { return true };
         let interest =
             self.interests.get(topic).map(|RemoteTopic { subscription, .. }| subscription);
-        if interest.is_none_or(|subscription| !session.access.barred.contains(subscription)) {
+        if interest.is_none_or(|subscription| !session.barred.contains(subscription)) {
             return true;
         }
         if let Err(denied) = policy.check(peer, Verb::Publish, &topic.topic, &topic.contract) {
@@ -205,12 +206,57 @@ impl PeerProtocol {
         false
     }
 
+    /// A peer refuses a subscription of this node, by its policy. What is refused already, and a
+    /// subscription that this node does not have, is no news.
+    pub(super) fn handle_subscription_forbidden(
+        &mut self,
+        peer: NodeId,
+        subscription: u32,
+        why: DeliveryError,
+    ) {
+        let session = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut());
+        let is_own = self.interests.values().any(|own| own.subscription == subscription);
+        if session.is_some_and(|session| is_own && session.forbidden.insert(subscription)) {
+            self.outputs.push_back(PeerProtocolOutput::SubscriptionForbidden { peer, why });
+        } else {
+            self.refusals.unexpected += 1;
+        }
+    }
+
+    /// A peer does not refuse a subscription any more: it is offered again.
+    pub(super) fn handle_subscribe_again(&mut self, peer: NodeId, subscription: u32) {
+        if !self.end_forbidden(peer, subscription) {
+            self.refusals.unexpected += 1;
+            return;
+        }
+        let own = self.interests.iter().find(|(_, own)| own.subscription == subscription);
+        if let Some(topic) = own.map(|(topic, _)| topic.clone()) {
+            self.offer_interest(peer, &topic);
+        }
+    }
+
+    /// A subscription of this node is not refused any more, or has ended. Answers whether it was
+    /// refused.
+    pub(super) fn end_forbidden(&mut self, peer: NodeId, subscription: u32) -> bool {
+        let session = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut());
+        let Some(session) = session else { return false };
+        let was_forbidden = session.forbidden.remove(&subscription);
+        if was_forbidden && session.forbidden.is_empty() {
+            self.outputs.push_back(PeerProtocolOutput::SubscriptionsAllowed { peer });
+        }
+        was_forbidden
+    }
+
     /// Tells that a peer was refused something. Answers with what the peer is told.
     pub(super) fn refuse_access(&mut self, denied: Box<AccessDenied>) -> DeliveryError {
         let why = DeliveryError::from(&*denied);
         self.outputs.push_back(PeerProtocolOutput::AccessDenied { denied });
         why
     }
+}
+
+fn listen(policy: &AccessPolicy, peer: NodeId, topic: &TopicContract) -> AccessVerdict {
+    policy.check(peer, Verb::Listen, &topic.topic, &topic.contract)
 }
 
 fn may(policy: &AccessPolicy, peer: NodeId, verb: Verb, topic: &TopicContract) -> bool {

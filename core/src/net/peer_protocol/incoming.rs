@@ -1,10 +1,11 @@
 //! Handles the messages of a peer.
 
+use super::access::{PeerBound, PeerSubscription};
 use super::peer::{Binding, PendingCall, QueuedMessage};
 use super::reply_cache::RequestVerdict;
 use super::{
-    BINDINGS_MAX, CALLS_MAX, PeerProtocol, PeerProtocolOutput, RemoteTopic, SessionEpoch,
-    TopicContract, control, refuse, stream_of,
+    BINDINGS_MAX, CALLS_MAX, PeerProtocol, PeerProtocolOutput, RemoteTopic, TopicContract, control,
+    refuse, stream_of,
 };
 use crate::net::peer_protocol::naming::DirectoryUpdate;
 use crate::net::wire::message::{PeerMessage, TICK_US};
@@ -41,17 +42,19 @@ impl PeerProtocol {
             PeerMessage::Request { binding, call, timestamp, within, id, payload } => {
                 let age = session.age(timestamp.saturating_mul(TICK_US), now);
                 let within = Duration::from_micros(within.saturating_mul(TICK_US));
-                if let Some(stream) = session.streams.get(&binding)
+                let bound = session.bound.get(&binding);
+                if let Some(replies) = bound.map(|bound| bound.replies)
+                    && replies != Stream::Data
                     && session.reply_streams.len() < CALLS_MAX
                 {
-                    session.reply_streams.insert(call, *stream);
+                    session.reply_streams.insert(call, replies);
                 }
                 let left = within.checked_sub(age).filter(|left| !left.is_zero());
                 let until = left.map(|left| now + left);
                 if !within.is_zero() && left.is_none() {
                     return self.answer(peer, epoch, call, Err(DeliveryError::DeadlinePassed));
                 }
-                if let Some(denied) = session.access.refusal(binding, true) {
+                if let Some(denied) = bound.and_then(|bound| bound.access.refusal(true)) {
                     let why = self.refuse_access(denied);
                     return self.answer(peer, epoch, call, Err(why));
                 }
@@ -83,7 +86,8 @@ impl PeerProtocol {
             }
             PeerMessage::Tell { binding, timestamp_us, id, payload } => {
                 let (call, age, until) = (None, session.age(timestamp_us, now), None);
-                if let Some(denied) = session.access.refusal(binding, false) {
+                let bound = session.bound.get(&binding);
+                if let Some(denied) = bound.and_then(|bound| bound.access.refusal(false)) {
                     self.refuse_access(denied);
                     return;
                 }
@@ -109,20 +113,21 @@ impl PeerProtocol {
                 self.handle_subscribe(peer, subscription, topic, &identities);
             }
             PeerMessage::SubscribeRefused {
-                why: why @ DeliveryError::Forbidden { .. }, ..
-            } => {
-                self.outputs.push_back(PeerProtocolOutput::SubscriptionForbidden { peer, why });
+                subscription,
+                why: why @ DeliveryError::Forbidden { .. },
+            } => self.handle_subscription_forbidden(peer, subscription, why),
+            PeerMessage::SubscribeAgain { subscription } => {
+                self.handle_subscribe_again(peer, subscription);
             }
             PeerMessage::SubscribeRefused { why, .. } => {
                 let difference = why.to_string();
                 self.outputs.push_back(PeerProtocolOutput::Differs { peer, difference });
             }
             PeerMessage::Unsubscribe { subscription } => {
-                if !session.access.unsubscribe(subscription) {
+                if session.subscriptions.remove(&subscription).is_none() {
                     self.refusals.unexpected += 1;
                     return;
                 }
-                session.taken = session.taken.saturating_sub(1);
                 self.outputs.push_back(PeerProtocolOutput::Unsubscribe { peer, subscription });
             }
             PeerMessage::Event { subscription, timestamp_us, payload } => {
@@ -165,22 +170,29 @@ impl PeerProtocol {
     }
 
     fn handle_bind(&mut self, peer: NodeId, binding: u32, object: ObjectName, identity: &Bytes) {
-        let taken = self.take_in(peer, std::slice::from_ref(identity));
-        let taken = taken.and_then(|(epoch, mut all)| Some((epoch, Box::new(all.pop()?))));
-        let Some((epoch, identity)) = taken else {
+        let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) else {
+            return;
+        };
+        if session.bound.contains_key(&binding) {
+            self.refusals.unexpected += 1;
+            return;
+        }
+        let epoch = session.epoch;
+        let identity = self.take_in(peer, std::slice::from_ref(identity));
+        let Some(identity) = identity.and_then(|mut all| all.pop()).map(Box::new) else {
             let why = DeliveryError::Undecodable { reason: "the contract's identity".into() };
             let refused = PeerMessage::BindRefused { binding, why, identity: Bytes::new() };
             self.outputs.push_back(control(peer, &refused));
             return;
         };
-        if let Err(why) = self.admit_binding(peer, binding, &object, &identity.name) {
-            return self.handle_bound(peer, epoch, binding, Err((why, None)));
-        }
-        if let Some(stream) = stream_of(&identity.name, identity.delivery)
-            && stream != Stream::Data
-            && let Some(session) = self.session(peer, epoch)
-        {
-            session.streams.insert(binding, stream);
+        let access = match self.admit_binding(peer, &object, &identity.name) {
+            Ok(access) => access,
+            Err(why) => return self.handle_bound(peer, epoch, binding, Err((why, None))),
+        };
+        if let Some(session) = self.session(peer, epoch) {
+            let replies = stream_of(&identity.name, identity.delivery).unwrap_or(Stream::Data);
+            let (object, contract) = (object.clone(), identity.name.clone());
+            session.bound.insert(binding, PeerBound { object, contract, access, replies });
         }
         self.outputs.push_back(PeerProtocolOutput::Bind { peer, epoch, binding, object, identity });
     }
@@ -192,20 +204,27 @@ impl PeerProtocol {
         topic: String,
         identities: &[Bytes],
     ) {
-        let taken = self.take_in(peer, identities).filter(|(_, all)| !all.is_empty());
-        let Some((_, identities)) = taken else {
+        let session = self.peers.get(&peer).and_then(|peer| peer.session.as_ref());
+        if session.is_none_or(|session| session.subscriptions.contains_key(&subscription)) {
+            self.refusals.unexpected += 1;
+            return;
+        }
+        // A topic carries one contract, in several versions.
+        let of_one = |all: &Vec<PeerIdentity>| {
+            all.first().is_some_and(|first| all.iter().all(|other| other.name == first.name))
+        };
+        let Some(identities) = self.take_in(peer, identities).filter(of_one) else {
             let why = DeliveryError::Undecodable { reason: "the contract's identity".into() };
             self.handle_subscribe_refused(peer, subscription, why);
             return;
         };
         let topic = TopicContract { topic, contract: identities[0].name.clone() };
-        if let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut())
-            && !session.access.subscribe(subscription, topic.clone())
-        {
-            // The same number again is not one more.
-            session.taken = session.taken.saturating_sub(1);
+        let verdict = self.admit_subscription(peer, &topic);
+        if let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) {
+            let known = PeerSubscription { topic: topic.clone(), is_refused: verdict.is_err() };
+            session.subscriptions.insert(subscription, known);
         }
-        if let Err(why) = self.admit_subscription(peer, &topic) {
+        if let Err(why) = verdict {
             return self.handle_subscribe_refused(peer, subscription, why);
         }
         let output = PeerProtocolOutput::Subscribe { peer, subscription, topic, identities };
@@ -213,20 +232,14 @@ impl PeerProtocol {
     }
 
     /// A peer wants something new of us: within bounds, and with a contract that can be read.
-    fn take_in(
-        &mut self,
-        peer: NodeId,
-        identities: &[Bytes],
-    ) -> Option<(SessionEpoch, Vec<PeerIdentity>)> {
-        let session = self.peers.get_mut(&peer)?.session.as_mut()?;
-        let read = identities.iter().map(|identity| PeerIdentity::decode(identity));
-        let identities = read.collect::<Result<_, _>>().ok();
-        if session.taken >= BINDINGS_MAX {
+    fn take_in(&mut self, peer: NodeId, identities: &[Bytes]) -> Option<Vec<PeerIdentity>> {
+        let session = self.peers.get(&peer)?.session.as_ref()?;
+        if session.bound.len() + session.subscriptions.len() >= BINDINGS_MAX {
             self.refusals.too_large += 1;
             return None;
         }
-        session.taken += 1;
-        Some((session.epoch, identities?))
+        let read = identities.iter().map(|identity| PeerIdentity::decode(identity));
+        read.collect::<Result<_, _>>().ok()
     }
 
     fn handle_bind_refused(
@@ -239,14 +252,13 @@ impl PeerProtocol {
         let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) else {
             return;
         };
-        let binding = session.numbers.remove(&number).and_then(|key| {
-            let binding = session.bindings.remove(&key)?;
-            Some((key, binding))
-        });
-        let Some(((object, name, _), binding)) = binding else {
+        let Some(((object, name, _), binding)) = session.unbind(number) else {
             self.refusals.unexpected += 1;
             return;
         };
+        if let Some((object, true)) = session.handle_ready(number) {
+            self.outputs.push_back(PeerProtocolOutput::ObjectReady { peer, object });
+        }
         let stream = binding.stream();
         let Binding { contract, waiting, .. } = binding;
         // Seen from our side, where the peer has sent its own.

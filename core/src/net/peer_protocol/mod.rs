@@ -260,8 +260,7 @@ impl PeerProtocol {
     ) {
         let Some(session) = self.session(peer, epoch) else { return };
         if result.is_err() {
-            session.taken = session.taken.saturating_sub(1);
-            session.access.unbind(binding);
+            session.bound.remove(&binding);
         }
         let answer = match result {
             Ok(()) => PeerMessage::Bound { binding },
@@ -354,9 +353,10 @@ impl PeerProtocol {
         }
         let before = self.interests.remove(&topic);
         if let Some(RemoteTopic { subscription, .. }) = before {
-            self.tell_all(&PeerMessage::Unsubscribe { subscription });
-            let sessions = self.peers.values_mut().filter_map(|peer| peer.session.as_mut());
-            sessions.for_each(|session| session.access.interest_ended(subscription));
+            let peers: Vec<_> = self.peers.keys().copied().collect();
+            for peer in peers {
+                self.end_interest(peer, subscription);
+            }
         }
         if identities.is_empty() {
             return;
@@ -367,6 +367,15 @@ impl PeerProtocol {
         self.interests.insert(topic.clone(), interest);
         let peers: Vec<_> = self.peers.keys().copied().collect();
         peers.into_iter().for_each(|peer| self.offer_interest(peer, &topic));
+    }
+
+    /// This node does not listen any more. Tells a peer that was told that it does.
+    fn end_interest(&mut self, peer: NodeId, subscription: u32) {
+        let session = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut());
+        if session.is_some_and(|session| !session.barred.remove(&subscription)) {
+            self.end_forbidden(peer, subscription);
+            self.tell(peer, &PeerMessage::Unsubscribe { subscription });
+        }
     }
 
     /// An event was published here, at `sent`, for a peer's subscription.

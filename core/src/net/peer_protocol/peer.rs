@@ -1,6 +1,7 @@
 //! What is going on with one peer, as long as its session lasts.
 
-use super::access::PeerAccess;
+use super::BINDINGS_MAX;
+use super::access::{PeerBound, PeerSubscription};
 use super::budget::PendingBudget;
 use super::stream_choice::stream_of;
 use super::types::{Call, PeerProtocolOutput, SessionEpoch};
@@ -32,19 +33,21 @@ pub(super) struct PeerSession {
     /// Our requests that are not answered, by their number on the wire.
     pub(super) calls: SortedMap<u64, PendingCall>,
     pub(super) notices: SortedSet<u64>,
-    /// How many bindings and subscriptions the peer has here.
-    pub(super) taken: usize,
-    /// The peer's bindings whose replies take another stream than data; no more than it has
-    /// bindings.
-    pub(super) streams: SortedMap<u32, Stream>,
-    /// The requests through them that are not answered, and the streams of their replies.
+    /// What the peer has bound here.
+    pub(super) bound: SortedMap<u32, PeerBound>,
+    /// What it listens to here.
+    pub(super) subscriptions: SortedMap<u32, PeerSubscription>,
+    /// Subscriptions of this node to topics on which the peer may not publish. It was not told of
+    /// them, or was told that they have ended.
+    pub(super) barred: SortedSet<u32>,
+    /// Subscriptions of this node that the peer refuses by its policy.
+    pub(super) forbidden: SortedSet<u32>,
+    /// The peer's requests that are not answered and whose replies take another stream than data.
     pub(super) reply_streams: SortedMap<u64, Stream>,
     /// The peer's objects that have no room, and by which of our bindings it has said so.
     pub(super) full: SortedMap<ObjectName, SortedSet<u32>>,
     /// How much waits for bindings: of what is control, and of everything else.
     budgets: [PendingBudget; 2],
-    /// What the peer has asked for.
-    pub(super) access: PeerAccess,
 }
 
 /// Its number, its stream unless only the newest counts, and with what it stays in order.
@@ -99,12 +102,13 @@ impl PeerSession {
             numbers: SortedMap::new(),
             calls: SortedMap::new(),
             notices: SortedSet::new(),
-            taken: 0,
-            streams: SortedMap::new(),
+            bound: SortedMap::new(),
+            subscriptions: SortedMap::new(),
+            barred: SortedSet::new(),
+            forbidden: SortedSet::new(),
             reply_streams: SortedMap::new(),
             full: SortedMap::new(),
             budgets: [(); 2].map(|()| PendingBudget::default()),
-            access: PeerAccess::default(),
         }
     }
 
@@ -130,6 +134,20 @@ impl PeerSession {
             self.full.remove(object);
         }
         Some((object.clone(), news))
+    }
+
+    /// The peer refuses this binding: at once, or because its policy has changed.
+    pub(super) fn unbind(&mut self, number: u32) -> Option<(BindingKey, Binding)> {
+        let key = self.numbers.get(&number)?;
+        let binding = self.bindings.get(key).filter(|binding| binding.number == number)?;
+        // What was sent through a binding may come back, and is to be known then.
+        let was_used = binding.waiting.is_none() && self.numbers.len() < BINDINGS_MAX;
+        let key = key.clone();
+        if !was_used {
+            self.numbers.remove(&number);
+        }
+        let binding = self.bindings.remove(&key)?;
+        Some((key, binding))
     }
 
     pub(super) fn timestamp_us(&self, sent: Instant) -> u64 {

@@ -200,10 +200,9 @@ pub enum PeerProtocolOutput {
         /// What it says.
         why: DeliveryError,
     },
-    /// Another policy counts, by which the peer may do more than before, or less: reset the session
-    /// with it.
-    Reset {
-        /// Which peer.
+    /// The peer refuses no subscription of this node any more.
+    SubscriptionsAllowed {
+        /// Who refused one.
         peer: NodeId,
     },
     /// Send no more of this.

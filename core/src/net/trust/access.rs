@@ -45,6 +45,8 @@ pub(in crate::net) enum BindingNeeds {
     Nothing,
     /// A peer that is not a guest.
     Membership,
+    /// An object of the same node: no peer.
+    OwnNode,
     /// This right.
     Right(Verb),
     /// The right to ask for requests, to tell for messages without a reply.
@@ -62,7 +64,7 @@ pub(in crate::net) fn needs(contract: &str) -> BindingNeeds {
         Some("serve" | "who-serves") => BindingNeeds::Right(Verb::Ask),
         Some("replica" | "service-terms") => BindingNeeds::Right(Verb::Claim),
         // What a replica says to the component of its own node.
-        Some("save-state" | "load-state" | "role") => BindingNeeds::Right(Verb::Operate),
+        Some("save-state" | "load-state" | "role") => BindingNeeds::OwnNode,
         Some(_) => BindingNeeds::Membership,
     }
 }
@@ -129,8 +131,18 @@ impl AccessPolicy {
     ) -> Result<(), Box<AccessDenied>> {
         match self.nodes.get(&peer) {
             Some((_, role)) if *role != Role::Guest => Ok(()),
-            _ => Err(self.denied(peer, Verb::Tell, (object, contract), None)),
+            _ => Err(self.deny(peer, object, contract)),
         }
+    }
+
+    /// What a peer is refused whatever the lines say.
+    pub(in crate::net) fn deny(
+        &self,
+        peer: NodeId,
+        object: &str,
+        contract: &str,
+    ) -> Box<AccessDenied> {
+        self.denied(peer, Verb::Tell, (object, contract), None)
     }
 
     fn denied(
@@ -147,6 +159,15 @@ impl AccessPolicy {
     }
 }
 
+impl AccessDenied {
+    /// Whether a program has asked for it. What the middleware of another node says of itself, its
+    /// votes and faults, is refused as well, and is no reason to look at the programs.
+    pub fn is_of_a_program(&self) -> bool {
+        let is_internal = self.verb == Verb::Tell && self.contract.starts_with(INTERNAL);
+        self.verb != Verb::Recover && !is_internal
+    }
+}
+
 impl From<&AccessDenied> for DeliveryError {
     fn from(denied: &AccessDenied) -> Self {
         DeliveryError::Forbidden {
@@ -158,8 +179,8 @@ impl From<&AccessDenied> for DeliveryError {
     }
 }
 
-/// So many different refusals are remembered at most; the oldest is forgotten first.
-const ENTRIES_MAX: usize = 1024;
+/// So many different refusals of one peer are remembered at most; the oldest is forgotten first.
+const ROWS_MAX: usize = 128;
 /// So many refusals of one peer are told within [`REFUSAL_REMINDER`]; further ones are only
 /// counted.
 const TOLD_MAX: u32 = 32;
@@ -169,13 +190,19 @@ pub const REFUSAL_REMINDER: Duration = Duration::from_secs(60);
 /// What peers were refused: which, how often, and when last. Times are monotonic.
 #[derive(Clone, Debug, Default)]
 pub struct RefusalLog {
-    entries: SortedMap<RefusalKey, RefusalEntry>,
-    /// Since when, and how many were told of each peer. Peers are nodes of the roster.
-    told: SortedMap<NodeName, (Instant, u32)>,
+    /// Peers are nodes of the roster, or were.
+    peers: SortedMap<NodeName, PeerRefusals>,
 }
 
-/// What is counted together: the peer, the verb, the object and the contract.
-type RefusalKey = (NodeName, Verb, String, String);
+#[derive(Clone, Debug)]
+struct PeerRefusals {
+    entries: SortedMap<RefusalKey, RefusalEntry>,
+    /// Since when so many were told.
+    told: (Instant, u32),
+}
+
+/// What is counted together: the verb, the object and the contract.
+type RefusalKey = (Verb, String, String);
 
 #[derive(Clone, Debug)]
 struct RefusalEntry {
@@ -203,9 +230,10 @@ impl RefusalLog {
     /// A peer was refused something. Returns how often, if that is to be told: the first time, and
     /// once a minute while it goes on; but no more than 32 times a minute of one peer.
     pub fn handle_refused(&mut self, denied: AccessDenied, now: Instant) -> Option<u64> {
-        let peer = denied.peer.clone();
-        let times = self.count(denied, now)?;
-        let (since, told) = self.told.entry(peer).or_insert((now, 0));
+        let none = || PeerRefusals { entries: SortedMap::new(), told: (now, 0) };
+        let peer = self.peers.entry(denied.peer.clone()).or_insert_with(none);
+        let times = peer.count(denied, now)?;
+        let (since, told) = &mut peer.told;
         if now >= *since + REFUSAL_REMINDER {
             (*since, *told) = (now, 0);
         }
@@ -213,9 +241,22 @@ impl RefusalLog {
         (*told <= TOLD_MAX).then_some(times)
     }
 
+    /// What was refused, in the order of peers.
+    pub fn rows(&self) -> impl Iterator<Item = RefusalRow> {
+        let entries = self.peers.values().flat_map(|peer| peer.entries.values());
+        entries.map(|entry| RefusalRow {
+            denied: entry.newest.clone(),
+            times: entry.times,
+            first: entry.first,
+            last: entry.last,
+        })
+    }
+}
+
+impl PeerRefusals {
     fn count(&mut self, denied: AccessDenied, now: Instant) -> Option<u64> {
-        let AccessDenied { peer, verb, object, contract, .. } = denied.clone();
-        let key = (peer, verb, object, contract);
+        let AccessDenied { verb, object, contract, .. } = denied.clone();
+        let key = (verb, object, contract);
         if let Some(entry) = self.entries.get_mut(&key) {
             entry.times = entry.times.saturating_add(1);
             (entry.newest, entry.last) = (denied, now);
@@ -223,7 +264,7 @@ impl RefusalLog {
             entry.told = if is_due { now } else { entry.told };
             return is_due.then_some(entry.times);
         }
-        if self.entries.len() >= ENTRIES_MAX {
+        if self.entries.len() >= ROWS_MAX {
             let oldest = self.entries.iter().min_by_key(|(_, entry)| entry.last);
             let oldest = oldest.map(|(key, _)| key.clone());
             oldest.map(|key| self.entries.remove(&key));
@@ -231,16 +272,6 @@ impl RefusalLog {
         let entry = RefusalEntry { newest: denied, times: 1, first: now, last: now, told: now };
         self.entries.insert(key, entry);
         Some(1)
-    }
-
-    /// What was refused, in the order of peers.
-    pub fn rows(&self) -> impl Iterator<Item = RefusalRow> {
-        self.entries.values().map(|entry| RefusalRow {
-            denied: entry.newest.clone(),
-            times: entry.times,
-            first: entry.first,
-            last: entry.last,
-        })
     }
 }
 
@@ -301,7 +332,7 @@ mod tests {
         assert_eq!(needs("arm/move"), BindingNeeds::AskOrTell);
         assert_eq!(needs("blastema/command"), BindingNeeds::Nothing);
         assert_eq!(needs("blastema/replica"), BindingNeeds::Right(Verb::Claim));
-        assert_eq!(needs("blastema/load-state"), BindingNeeds::Right(Verb::Operate));
+        assert_eq!(needs("blastema/load-state"), BindingNeeds::OwnNode);
         assert_eq!(needs("blastema/votes"), BindingNeeds::Membership);
         assert_eq!(needs("blastema/actor-message"), BindingNeeds::Nothing);
     }
@@ -320,15 +351,18 @@ mod tests {
         let row = log.rows().next().expect("one");
         assert_eq!((row.times, row.last - row.first), (131, Duration::from_secs(130)));
 
-        for number in 0..2 * ENTRIES_MAX {
+        log.handle_refused(denied("leg", "base/wheels"), start);
+        for number in 0..2 * ROWS_MAX {
             let now = start + Duration::from_secs(200 + number as u64);
             log.handle_refused(denied("arm", &format!("o{number}")), now);
         }
         let flood = start + Duration::from_secs(10_000);
-        let told = (0..ENTRIES_MAX)
+        let told = (0..ROWS_MAX)
             .filter_map(|n| log.handle_refused(denied("arm", &format!("new{n}")), flood));
         assert_eq!(told.count(), TOLD_MAX as usize);
-        assert_eq!(log.rows().count(), ENTRIES_MAX);
-        assert!(log.rows().all(|row| row.first >= start + Duration::from_secs(200)));
+        let (of_arm, others): (Vec<_>, Vec<_>) =
+            log.rows().partition(|row| row.denied.peer.as_str() == "arm");
+        assert_eq!((of_arm.len(), others.len()), (ROWS_MAX, 1));
+        assert!(of_arm.iter().all(|row| row.first >= start + Duration::from_secs(200)));
     }
 }

@@ -114,6 +114,11 @@ pub enum PeerMessage {
         /// Why.
         why: DeliveryError,
     },
+    /// What was refused by the policy is not any more: subscribe again.
+    SubscribeAgain {
+        /// Which.
+        subscription: u32,
+    },
     /// No object of this node listens any more.
     Unsubscribe {
         /// Which.
@@ -184,6 +189,7 @@ const NAMES: u8 = 13;
 const BYE: u8 = 14;
 const FULL: u8 = 15;
 const ROOM: u8 = 16;
+const SUBSCRIBE_AGAIN: u8 = 17;
 
 impl PeerMessage {
     /// The message's bytes. A large payload is not copied.
@@ -250,6 +256,9 @@ impl PeerMessage {
             PeerMessage::SubscribeRefused { subscription, why } => {
                 numbered(bytes, SUBSCRIBE_REFUSED, *subscription);
                 bytes.sized(&encode_why(why));
+            }
+            PeerMessage::SubscribeAgain { subscription } => {
+                numbered(bytes, SUBSCRIBE_AGAIN, *subscription);
             }
             PeerMessage::Unsubscribe { subscription } => {
                 numbered(bytes, UNSUBSCRIBE, *subscription);
@@ -337,6 +346,11 @@ impl PeerMessage {
                 let why = read_why(&mut reader)?;
                 reader.end(what)?;
                 PeerMessage::SubscribeRefused { subscription, why }
+            }
+            SUBSCRIBE_AGAIN => {
+                let subscription = number(&mut reader)?;
+                reader.end(what)?;
+                PeerMessage::SubscribeAgain { subscription }
             }
             UNSUBSCRIBE => {
                 let subscription = number(&mut reader)?;
@@ -518,6 +532,7 @@ mod tests {
                 b"\x07\x03\x01t\x02xy\x02xy",
             ),
             (PeerMessage::SubscribeRefused { subscription: 3, why: unknown }, b"\x08\x03\x01\x02"),
+            (PeerMessage::SubscribeAgain { subscription: 3 }, b"\x11\x03"),
             (PeerMessage::Unsubscribe { subscription: 3 }, b"\x09\x03"),
             (
                 PeerMessage::Event {

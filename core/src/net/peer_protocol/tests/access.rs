@@ -124,37 +124,171 @@ fn a_fault_of_a_peer_that_may_not_hand_any_over_is_confirmed_and_dropped() {
 }
 
 #[test]
-fn another_policy_resets_the_sessions_that_it_judges_otherwise_and_no_other() {
+fn another_policy_counts_at_once_for_bindings_and_the_session_goes_on() {
     let mut pair = guarded(Role::Node, &[]);
     pair.call(count(), Some(7));
-    pair.agree();
+    let epoch = pair.agree();
     pair.take(1);
+    let left = pair.ids[0];
+    let on_its_way = PeerMessage::Request {
+        binding: 1,
+        call: 2,
+        timestamp: 0,
+        within: 0,
+        id: None,
+        payload: payload().into(),
+    };
+    pair.ends[1].handle_full(left, 1);
+    pair.run();
+    let object = arm();
+    assert_eq!(pair.take(0), [PeerProtocolOutput::ObjectFull { peer: pair.ids[1], object }]);
+
     let elsewhere = "only other may ask on right/leg";
     pair.ends[1].handle_access(policy(Role::Node, &[elsewhere]));
     pair.run();
-    assert_eq!(pair.take(1), []);
+    assert_eq!((pair.take(0), pair.take(1)), (vec![], vec![]));
 
-    let here = "only other may ask on right/arm";
+    let here = "only other may ask tell on right/arm";
     pair.ends[1].handle_access(policy(Role::Node, &[elsewhere, here]));
     pair.run();
-    let reset = PeerProtocolOutput::Reset { peer: pair.ids[0] };
-    assert_eq!(pair.take(1), std::slice::from_ref(&reset));
+    let object = arm();
+    let ready = PeerProtocolOutput::ObjectReady { peer: pair.ids[1], object };
+    assert_eq!(pair.take(0), [ready], "nothing waits for what it may not do");
+    assert_eq!(pair.take(1), [], "the peer has tried nothing yet");
+    // What comes through the old binding is refused, and so is a new one.
+    pair.ends[1].handle_message(left, on_its_way.encode().into_bytes(), at(0));
+    pair.run();
+    assert_eq!(refused(&mut pair), ["ask"]);
+    pair.call(count(), Some(8));
+    assert_eq!(refused(&mut pair), ["ask"]);
+    assert!(matches!(&pair.take(0)[..], [output] if is_forbidden(output)));
+    // What was served before is answered.
+    pair.ends[1].handle_answer(left, epoch, 1, Ok(payload().into()), at(0));
+    pair.run();
+    let answered = PeerProtocolOutput::Resolve { reply_as: 7, result: Ok(payload()) };
+    assert_eq!(pair.take(0), [answered]);
 
-    // What was refused is judged again as well.
-    let mut pair = guarded(Role::Node, &["only other may listen on news"]);
+    pair.ends[1].handle_access(policy(Role::Node, &[]));
+    pair.call(count(), Some(9));
+    pair.agree();
+    assert!(matches!(&pair.take(1)[..], [PeerProtocolOutput::Serve { call: Some(_), .. }]));
+}
+
+#[test]
+fn another_policy_counts_at_once_for_who_listens() {
+    let mut pair = guarded(Role::Node, &[]);
     pair.ends[0].handle_interest(topic(), vec![count()]);
     pair.run();
-    refused(&mut pair);
-    pair.ends[1].handle_access(policy(Role::Node, &[]));
-    pair.run();
-    assert_eq!(pair.take(1), std::slice::from_ref(&reset));
+    let listens = |output: &PeerProtocolOutput| {
+        matches!(output, PeerProtocolOutput::Subscribe { subscription: 1, .. })
+    };
+    assert!(matches!(&pair.take(1)[..], [output] if listens(output)));
 
-    let mut pair = guarded(Role::Node, &["only other may publish on news"]);
+    for _ in 0..2 {
+        pair.ends[1].handle_access(policy(Role::Node, &["only other may listen on news"]));
+        pair.run();
+    }
+    let ended = PeerProtocolOutput::Unsubscribe { peer: pair.ids[0], subscription: 1 };
+    assert_eq!(pair.take(1), [ended]);
+    assert!(matches!(&pair.take(0)[..], [output] if is_forbidden(output)));
+
+    for _ in 0..2 {
+        pair.ends[1].handle_access(policy(Role::Node, &[]));
+        pair.run();
+    }
+    assert!(matches!(&pair.take(1)[..], [output] if listens(output)));
+    let allowed = PeerProtocolOutput::SubscriptionsAllowed { peer: pair.ids[1] };
+    assert_eq!(pair.take(0), [allowed]);
+}
+
+#[test]
+fn another_policy_counts_at_once_for_who_publishes() {
+    let mut pair = guarded(Role::Node, &[]);
     pair.ends[1].handle_interest(topic(), vec![count()]);
     pair.run();
+    assert!(matches!(&pair.take(0)[..], [PeerProtocolOutput::Subscribe { .. }]));
+    pair.ends[1].handle_access(policy(Role::Node, &["only other may publish on news"]));
+    pair.run();
+    assert!(matches!(&pair.take(0)[..], [PeerProtocolOutput::Unsubscribe { .. }]));
+    // It is not told twice that nobody listens.
+    pair.ends[1].handle_interest(topic(), vec![]);
+    pair.ends[1].handle_interest(topic(), vec![count()]);
+    pair.run();
+    assert_eq!(pair.take(0), []);
     pair.ends[1].handle_access(policy(Role::Node, &[]));
     pair.run();
-    assert_eq!(pair.take(1), [reset]);
+    assert!(matches!(&pair.take(0)[..], [PeerProtocolOutput::Subscribe { .. }]));
+}
+
+#[test]
+fn a_number_in_use_stands_for_what_it_stood_for_first() {
+    let mut pair = guarded(Role::Node, &["only other may ask tell on right/arm"]);
+    let left = pair.ids[0];
+    let identity: Bytes = count().full().encode().into();
+    for object in ["leg", "arm", "leg"] {
+        let object = ObjectName::new(object).expect("a name");
+        let bind = PeerMessage::Bind { binding: 5, object, identity: identity.clone() };
+        pair.ends[1].handle_message(left, bind.encode().into_bytes(), at(0));
+    }
+    pair.run();
+    let bound = pair.take(1);
+    assert!(matches!(&bound[..], [PeerProtocolOutput::Bind { .. }]), "{bound:?}");
+
+    for topic in ["news", "weather"] {
+        let (topic, identities) = (topic.to_owned(), vec![identity.clone()]);
+        let subscribe = PeerMessage::Subscribe { subscription: 5, topic, identities };
+        pair.ends[1].handle_message(left, subscribe.encode().into_bytes(), at(0));
+    }
+    let subscribed = pair.ends[1].poll_output();
+    let Some(PeerProtocolOutput::Subscribe { topic, .. }) = subscribed else {
+        panic!("{subscribed:?}");
+    };
+    assert_eq!((topic.topic.as_str(), pair.ends[1].poll_output()), ("news", None));
+    assert_eq!(pair.ends[1].refusals().unexpected, 3);
+}
+
+#[test]
+fn a_subscription_has_one_contract_in_several_versions() {
+    let mut pair = guarded(Role::Node, &["only other may listen on news by count"]);
+    let (first, second) = (ContractIdentity { name: "other", ..count() }, count());
+    let identities = [first, second].map(|identity| identity.full().encode().into());
+    let topic = "news".to_owned();
+    let subscribe =
+        PeerMessage::Subscribe { subscription: 1, topic, identities: identities.into() };
+    pair.ends[1].handle_message(pair.ids[0], subscribe.encode().into_bytes(), at(0));
+    pair.run();
+    assert_eq!(pair.take(1), []);
+}
+
+#[test]
+fn a_peer_is_believed_once_that_it_refuses_a_subscription_and_only_one_that_there_is() {
+    let mut pair = guarded(Role::Node, &[]);
+    pair.ends[1].handle_interest(topic(), vec![count()]);
+    pair.run();
+    let why = DeliveryError::Forbidden {
+        node: "right".into(),
+        verb: "listen".into(),
+        object: "news".into(),
+        serial: 1,
+    };
+    for subscription in [7, 1, 1] {
+        let refused = PeerMessage::SubscribeRefused { subscription, why: why.clone() };
+        pair.ends[1].handle_message(pair.ids[0], refused.encode().into_bytes(), at(0));
+    }
+    pair.run();
+    assert!(matches!(&pair.take(1)[..], [output] if is_forbidden(output)));
+    // Who ends a subscription is not refused it any more.
+    pair.ends[1].handle_interest(topic(), vec![]);
+    pair.run();
+    let allowed = PeerProtocolOutput::SubscriptionsAllowed { peer: pair.ids[0] };
+    assert_eq!(pair.take(1), [allowed]);
+}
+
+#[test]
+fn what_a_node_says_to_its_own_components_no_peer_says() {
+    let mut pair = guarded(Role::Operator, &[]);
+    pair.call(ContractIdentity { name: "blastema/load-state", ..count() }, Some(7));
+    assert_eq!(refused(&mut pair), ["tell"]);
 }
 
 #[test]
@@ -200,6 +334,5 @@ fn what_a_peer_has_asked_for_stays_bounded_however_it_asks() {
         }
     }
     let session = pair.ends[1].peers[&left].session.as_ref().expect("it is open");
-    assert_eq!(session.taken, BINDINGS_MAX);
-    assert_eq!(session.access.kept(), BINDINGS_MAX);
+    assert_eq!(session.bound.len() + session.subscriptions.len(), BINDINGS_MAX);
 }
