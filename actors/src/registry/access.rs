@@ -6,10 +6,8 @@
 pub use self::rights::AccessRefusal;
 use super::MessageMetadata;
 #[cfg(feature = "network")]
-use blastema_core::NodeName;
-#[cfg(feature = "network")]
 use blastema_core::net::NodeId;
-use blastema_core::{DeliveryError, ObjectName};
+use blastema_core::{DeliveryError, NodeName, ObjectName};
 
 /// What a message wants of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,6 +80,19 @@ impl AccessControl {
         #[cfg(not(feature = "network"))]
         let _ = (from, wish, object, contract);
         Ok(())
+    }
+}
+
+impl AccessControl {
+    /// Whether a node, this one or another, may serve under a name of the robot.
+    pub(crate) fn may_claim(&self, node: &NodeName, name: &ObjectName) -> bool {
+        #[cfg(feature = "network")]
+        if let Some(policy) = self.policy() {
+            return policy.may_claim(node, name);
+        }
+        #[cfg(not(feature = "network"))]
+        let _ = (node, name);
+        true
     }
 }
 

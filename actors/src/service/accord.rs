@@ -24,8 +24,10 @@ impl ReplicaBody {
         let (roster, name) = (self.roster.clone(), self.carried.name.clone());
         let found = async move { roster.carriers(&name).await };
         context.spawn(wrap_future::<_, Self>(found).map(|found, body, context| {
+            let (access, name) = (body.registry.access(), body.carried.name.clone());
             let nodes = |all: bool| {
                 let found = found.iter().filter(|found| all || found.reachable);
+                let found = found.filter(|found| access.may_claim(&found.address.node, &name));
                 found.map(|found| found.address.node.clone()).collect::<Vec<_>>()
             };
             let now = platform::now();

@@ -1,6 +1,6 @@
 //! Whoever asks a service, and follows it from node to node.
 
-use super::finder::{Finder, Found, PROBE};
+use super::finder::{Finder, Found, Missing, PROBE};
 use super::roster::Roster;
 use super::words::{Answered, AskService, Task};
 use crate::messaging::error::{RequestError, decode_kind};
@@ -93,6 +93,16 @@ enum Begun {
     No,
     /// One was asked, and does not say.
     Perhaps,
+}
+
+impl Begun {
+    /// What a caller is told that may not ask.
+    fn refused(self, why: DeliveryError) -> DeliveryError {
+        match self {
+            Begun::No => why,
+            Begun::Perhaps => DeliveryError::OutcomeUnknown { reason: why.to_string() },
+        }
+    }
 }
 
 /// What came of asking one node.
@@ -226,7 +236,11 @@ impl<M: Request> ServiceRef<M> {
                     }
                     Err(missing) => {
                         let pause = missing.pause();
-                        pursuit.difference = missing.difference();
+                        pursuit.difference = match missing {
+                            Missing::Nobody | Missing::Outdated => None,
+                            Missing::Disputed(difference) => Some(difference),
+                            Missing::Forbidden(why) => return Err(pursuit.begun.refused(why)),
+                        };
                         tokio::time::sleep(pause).await;
                         continue;
                     }
@@ -258,7 +272,7 @@ impl<M: Request> ServiceRef<M> {
                 },
                 Turn::Answered(Answered::Elsewhere { primary: told }) => {
                     pursuit.begun = Begun::Perhaps;
-                    primary = told.and_then(|told| NodeName::new(&told).ok());
+                    primary = told.and_then(|told| self.finder.member(&told));
                     if primary.is_none() || primary.as_ref() == Some(&node) {
                         tokio::time::sleep(PROBE).await;
                     }
@@ -270,6 +284,9 @@ impl<M: Request> ServiceRef<M> {
                 }
                 Turn::Moved(found) => {
                     (primary, pursuit.begun) = (Some(found.primary), Begun::Perhaps);
+                }
+                Turn::Failed(why @ DeliveryError::Forbidden { .. }) => {
+                    return Err(pursuit.begun.refused(why));
                 }
                 Turn::Failed(why) => {
                     pursuit.begun = Begun::Perhaps;

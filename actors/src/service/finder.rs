@@ -4,7 +4,7 @@ use super::roster::Roster;
 use super::words::WhoServes;
 use crate::platform;
 use crate::registry::Registry;
-use blastema_core::{Instant, NodeName, ObjectName};
+use blastema_core::{DeliveryError, Instant, NodeName, ObjectName};
 use futures_util::StreamExt;
 use futures_util::stream::FuturesUnordered;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -31,6 +31,8 @@ pub(super) enum Missing {
     Outdated,
     /// Nobody does before this is mended.
     Disputed(String),
+    /// This node may not ask.
+    Forbidden(DeliveryError),
 }
 
 impl Missing {
@@ -39,16 +41,19 @@ impl Missing {
         match self {
             Missing::Nobody => PROBE,
             // That is answered at once, and not held back until somebody serves.
-            Missing::Outdated | Missing::Disputed(_) => HELD,
+            Missing::Outdated | Missing::Disputed(_) | Missing::Forbidden(_) => HELD,
         }
     }
 
-    /// In what the nodes of the service were told different things.
-    pub(super) fn difference(self) -> Option<String> {
-        match self {
-            Missing::Nobody | Missing::Outdated => None,
-            Missing::Disputed(difference) => Some(difference),
-        }
+    /// Whether this tells a caller more than the other.
+    fn tells_more_than(&self, other: &Missing) -> bool {
+        let rank = |missing: &Missing| match missing {
+            Missing::Nobody => 0,
+            Missing::Outdated => 1,
+            Missing::Disputed(_) => 2,
+            Missing::Forbidden(_) => 3,
+        };
+        rank(self) >= rank(other)
     }
 }
 
@@ -149,9 +154,8 @@ impl Finder {
         while let Some(found) = told.next().await {
             match found {
                 Ok(found) => return Ok(found),
-                Err(Missing::Nobody) => {}
-                Err(Missing::Outdated) if matches!(missing, Missing::Disputed(_)) => {}
-                Err(known) => missing = known,
+                Err(told) if told.tells_more_than(&missing) => missing = told,
+                Err(_) => {}
             }
         }
         Err(missing)
@@ -176,8 +180,12 @@ impl Finder {
         let address = format!("{node}:{}", self.name);
         let sender = self.registry.sender::<WhoServes>(&address).map_err(|_| Missing::Nobody)?;
         let question = WhoServes { besides: besides.map(NodeName::to_string) };
-        let serving = sender.ask_within(question, HELD).await.map_err(|_| Missing::Nobody)?;
-        let primary = serving.primary.and_then(|primary| NodeName::new(&primary).ok());
+        let serving =
+            sender.ask_within(question, HELD).await.map_err(|error| match error.kind {
+                why @ DeliveryError::Forbidden { .. } => Missing::Forbidden(why),
+                _ => Missing::Nobody,
+            })?;
+        let primary = serving.primary.and_then(|primary| self.member(&primary));
         if let Some(primary) = &primary
             && !self.lock().follows(primary, serving.epoch, platform::now())
         {
@@ -243,9 +251,16 @@ impl Finder {
         let mut members = self.roster.members(&self.name).await;
         let known = self.lock();
         members.extend(known.members.iter().cloned());
+        members.retain(|member| self.registry.access().may_claim(member, &self.name));
         members.sort();
         members.dedup();
         members
+    }
+
+    /// The node of this name, if it may serve.
+    pub(super) fn member(&self, name: &str) -> Option<NodeName> {
+        let node = NodeName::new(name).ok()?;
+        self.registry.access().may_claim(&node, &self.name).then_some(node)
     }
 }
 

@@ -9,7 +9,7 @@ use blastema::core::net::trust::policy::Role;
 use blastema::prelude::*;
 use blastema::{
     ActuatorSpec, ClaimError, ClaimPolicy, ClaimState, FaultKind, FaultLocation, Network,
-    StartError, VariableSpec,
+    NodeBuilder, ServiceSpec, StartError, Stateful, VariableSpec,
 };
 use blastema_tests::{RobotKeys, free_addresses};
 use std::fs;
@@ -41,6 +41,8 @@ struct Limit(f32);
 #[derive(Clone, Debug, Event)]
 #[contract(name = "wheels/report")]
 struct Report(String);
+
+mod services;
 
 type Log = Arc<Mutex<Vec<String>>>;
 
@@ -143,7 +145,7 @@ impl Robot {
         fs::rename(&new, self.folder.path().join("ranger.roster")).expect("a folder");
     }
 
-    async fn start(&self, own: usize) -> Node {
+    async fn start_with(&self, own: usize, carry: impl Fn(NodeBuilder) -> NodeBuilder) -> Node {
         let keys = RobotKeys::there(self.folder.path());
         let network = Network::new("lan", &format!("udp://{}", self.at[own]));
         let peers: &[usize] = if own == 0 { &[1, 2] } else { &[0] };
@@ -157,11 +159,19 @@ impl Robot {
             0 => node.child(ChildSpec::new("wheels", move || Wheels(wheels.clone()))),
             _ => node.child(ChildSpec::new("ear", move || Ear(ear.clone()))),
         };
-        node.start().await.expect("it starts")
+        carry(node).start().await.expect("it starts")
     }
 
     async fn start_all(&self) -> [Node; 3] {
-        let nodes = [self.start(0).await, self.start(1).await, self.start(2).await];
+        self.start_all_with(|_, builder| builder).await
+    }
+
+    async fn start_all_with(&self, carry: impl Fn(usize, NodeBuilder) -> NodeBuilder) -> [Node; 3] {
+        let nodes = [
+            self.start_with(0, |builder| carry(0, builder)).await,
+            self.start_with(1, |builder| carry(1, builder)).await,
+            self.start_with(2, |builder| carry(2, builder)).await,
+        ];
         for (own, node) in nodes.iter().enumerate() {
             for (_, other) in NODES.iter().enumerate().filter(|(other, _)| *other != own) {
                 assert!(node.connected(other, PATIENCE).await, "{} to {other}", NODES[own]);
@@ -271,6 +281,12 @@ fn only_who_is_named_may_use_the_wheels_and_another_roster_changes_it_while_all_
         odometry.publish(Report("second".into())).expect("it is sent");
         until(async || heard(2) == ["second"], "the head hears the base").await;
         assert_eq!(heard(1), ["first"]);
+        let is_mended = async || {
+            let faults = head.faults().await;
+            let mut standing = faults.entries.iter().filter(|fault| fault.stands());
+            standing.all(|fault| fault.fault.kind != FaultKind::Forbidden)
+        };
+        until(is_mended, "the head is refused nothing any more").await;
         for node in [base, arm, head] {
             node.shutdown().await;
         }
@@ -345,6 +361,12 @@ fn the_word_of_a_warden_of_the_roster_isolates_and_that_of_another_node_does_not
             })
         };
         arm.isolate("head").expect("it may vote");
+        // Votes go ahead of requests: this one has been judged when the requests are answered.
+        let wheels = arm.sender::<Hello>("base:wheels").expect("a name");
+        for _ in 0..20 {
+            wheels.ask(Hello("arm".into())).await.expect("nobody keeps the arm out");
+        }
+        assert!(!keeps_out(&base, "head").await);
         head.isolate("arm").expect("it may vote");
         until(async || keeps_out(&base, "arm").await, "the base keeps the arm out").await;
         assert!(!keeps_out(&base, "head").await);

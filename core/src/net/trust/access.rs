@@ -119,6 +119,11 @@ impl AccessPolicy {
         Err(self.denied(peer, verb, (object, contract), line))
     }
 
+    /// Whether a node may claim a name of the robot, and serve under it.
+    pub fn may_claim(&self, node: &NodeName, name: &ObjectName) -> bool {
+        self.check(NodeId::of(node), Verb::Claim, name.as_str(), "").is_ok()
+    }
+
     /// Whether a peer is a node of the robot and no guest.
     ///
     /// # Errors
