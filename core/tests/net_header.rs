@@ -4,7 +4,7 @@
 use blastema_core::net::wire::frame::Frame;
 use blastema_core::net::wire::message::PeerMessage;
 use blastema_core::net::wire::packet::{Packet, Payload};
-use blastema_core::net::wire::segment::{Ack, Data, Datagram, Segment, Stream};
+use blastema_core::net::wire::segment::{Ack, Data, Datagram, DelayTicks, Segment, Stream};
 use blastema_core::net::{NodeId, PacketPriority};
 use bytes::{BufMut, Bytes, BytesMut};
 
@@ -55,7 +55,8 @@ fn reliable(message: &PeerMessage, stream: Stream, sequence: u64) -> [usize; 2] 
         ack: None,
         payload: payload.freeze().into(),
     };
-    let ack = Some(Ack { next: sequence, window: 256, ranges: vec![] });
+    let ack =
+        Some(Ack { next: sequence, window: 256, arrived: DelayTicks::default(), ranges: vec![] });
     let acking = Data { ack, ..data.clone() };
     [Segment::Data(data), Segment::Data(acking)].map(|segment| frame(&segment))
 }
@@ -97,8 +98,8 @@ fn a_small_message_has_the_overhead_that_the_documentation_states() {
         ]
     });
 
-    assert_eq!(fresh, [[23, 27], [22, 26], [22, 26], [25, 29], [20, 24]]);
-    assert_eq!(late, [[28, 34], [27, 33], [27, 33], [32, 38], [24, 30]]);
+    assert_eq!(fresh, [[23, 29], [22, 28], [22, 28], [25, 31], [20, 26]]);
+    assert_eq!(late, [[28, 36], [27, 35], [27, 35], [32, 40], [24, 32]]);
 }
 
 #[test]

@@ -14,7 +14,7 @@ use blastema_core::net::wire::hello_state::HelloState;
 use blastema_core::net::wire::message::PeerMessage;
 use blastema_core::net::wire::packet::{Packet, Payload};
 use blastema_core::net::wire::segment::{
-    Ack, Data, Datagram, Fragment, OpenSegment, Segment, Stream,
+    Ack, Data, Datagram, DelayTicks, Fragment, OpenSegment, Segment, Stream,
 };
 use blastema_core::net::{
     Link, LinkId, Neighbour, NodeId, PacketPriority, PeerProtocol, Router, RouterConfig, Session,
@@ -55,7 +55,7 @@ fn genuine() -> Vec<Bytes> {
     }]);
     let range = Some((NodeId(0), NodeId(u32::MAX)));
     let have = RoutingMessage::Have { range, ids: vec![advertisement_id] };
-    let ack = Ack { next: 0, window: 100, ranges: vec![(2, 3)] };
+    let ack = Ack { next: 0, window: 100, arrived: DelayTicks::default(), ranges: vec![(2, 3)] };
     let payload = Bytes::from_static(b"\x05hello");
     let data = Data {
         tag: 1,
@@ -301,12 +301,12 @@ fn a_peer_that_never_finishes_a_message_costs_no_more_than_its_bound() {
 #[test]
 fn an_acknowledgement_of_what_was_never_sent_is_refused_and_an_absurd_window_bounded() {
     let (mut session, tag) = session();
-    let ack = Ack { next: 5, window: u32::MAX, ranges: vec![] };
+    let ack = Ack { next: 5, window: u32::MAX, arrived: DelayTicks::default(), ranges: vec![] };
     let lie = Segment::Acknowledge { tag, control: None, data: Some(ack), redundant: None };
     session.handle_segment(lie.encode(), Instant::ORIGIN);
     assert_eq!(session.refusals().malformed, 1);
 
-    let ack = Ack { next: 0, window: u32::MAX, ranges: vec![] };
+    let ack = Ack { next: 0, window: u32::MAX, arrived: DelayTicks::default(), ranges: vec![] };
     let greedy = Segment::Acknowledge { tag, control: None, data: Some(ack), redundant: None };
     session.handle_segment(greedy.encode(), Instant::ORIGIN);
     for _ in 0..8000 {

@@ -270,6 +270,22 @@ impl PeerSendState {
         }
     }
 
+    /// Takes room for so many bytes as soon as there is some; `None` where nothing can be sent to
+    /// the peer at all.
+    pub(super) async fn credit(&self, bytes: usize, class: CreditClass) -> Option<Credit> {
+        loop {
+            let changed = self.changed.notified();
+            if !self.has_session() || self.is_isolated() || self.ended.load(Relaxed) {
+                return None;
+            }
+            let taken = (!self.is_held(class)).then(|| self.credits.take_credit(bytes, class));
+            if let Some(credit) = taken.flatten() {
+                return Some(credit);
+            }
+            changed.await;
+        }
+    }
+
     async fn space(&self, object: &ObjectName, class: CreditClass) {
         loop {
             let changed = self.changed.notified();

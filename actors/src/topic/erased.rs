@@ -65,7 +65,7 @@ impl<E: Event> AnyTopic for Topic<E> {
         if let Some(Latched { event, at, is_foreign: false }) = &*latch
             && let Ok(parcel) = codec::encode_parcel(event)
         {
-            forward(&parcel, at.captured_at());
+            forward.forward(&parcel, at.captured_at());
         }
     }
 

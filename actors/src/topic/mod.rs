@@ -52,6 +52,7 @@ use blastema_core::{
 use hub_queue::HubQueue;
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
@@ -61,9 +62,20 @@ use traffic::Traffic;
 
 /// Says whether a listener wants an event.
 pub(crate) type EventFilter<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
-/// Ships an encoded event out of the process, with the time by which its age is judged. Must not
-/// wait.
-pub(crate) type RemoteForward = Arc<dyn Fn(&GatherBuffer, Instant) + Send + Sync>;
+/// Takes a topic's events out of the process, to the listeners of another node.
+pub(crate) trait EventForward: Send + Sync {
+    /// Sends an encoded event, with the time by which its age is judged. Does not wait: an event for
+    /// which there is no capacity is lost, and counted.
+    fn forward(&self, event: &GatherBuffer, sent: Instant);
+
+    /// Waits until there is capacity for an event of so many bytes. `None` where there is nothing
+    /// to wait for.
+    fn reserve(&self, bytes: usize) -> Pin<Box<dyn Future<Output = Option<EventCapacity>> + Send>>;
+}
+
+/// Sends one event by the capacity that was reserved for it.
+pub(crate) type EventCapacity = Box<dyn FnOnce(&GatherBuffer, Instant) + Send>;
+pub(crate) type RemoteForward = Arc<dyn EventForward>;
 /// Is called when a topic got its first listener of this node, or lost its last, and when an object
 /// of this node names a topic that other nodes listen to. Calls of several threads come in any
 /// order, so that they do not say which: that is what [`settle_interest`](Topics::settle_interest)
@@ -128,6 +140,17 @@ pub(crate) struct Topic<E: Event> {
     ended: NodeEnd,
 }
 
+/// The capacity that waits for one event on the way to other nodes.
+#[derive(Default)]
+struct ReservedForwards(Vec<(RemoteForward, EventCapacity)>);
+
+impl ReservedForwards {
+    fn take(&mut self, forward: &RemoteForward) -> Option<EventCapacity> {
+        let place = self.0.iter().position(|(of, _)| Arc::ptr_eq(of, forward))?;
+        Some(self.0.swap_remove(place).1)
+    }
+}
+
 /// Where a topic's events go.
 struct Hubs<E> {
     /// One for each arbiter that has listeners. Copied when it changes.
@@ -148,7 +171,28 @@ impl<E: Event> Topic<E> {
         self.ended.get().map(|node| DeliveryError::ShutDown { node: node.to_string() })
     }
 
-    fn publish(&self, event: E, captured_at: Option<Instant>, by: &str) {
+    /// Waits until there is capacity for this event to each other node that listens.
+    async fn reserve(&self, event: &E) -> ReservedForwards {
+        let mut reserved = ReservedForwards::default();
+        let forwards = lock(&self.forwards).clone();
+        // What cannot be encoded is counted when it is published.
+        let Ok(parcel) = codec::encode_parcel(event) else { return reserved };
+        // In the order of the list: of two that publish, one has all that it needs.
+        for forward in forwards.iter() {
+            if let Some(capacity) = forward.reserve(parcel.len()).await {
+                reserved.0.push((forward.clone(), capacity));
+            }
+        }
+        reserved
+    }
+
+    fn publish(
+        &self,
+        event: E,
+        captured_at: Option<Instant>,
+        by: &str,
+        reserved: ReservedForwards,
+    ) {
         let posted_at = enqueue_time::<E>();
         // What is still to come was captured now at the latest.
         let captured_at = captured_at.map(|at| at.min(platform::now()));
@@ -159,7 +203,7 @@ impl<E: Event> Topic<E> {
             self.measure(&event);
         }
         if self.is_forwarded.load(Relaxed) {
-            self.forward(&event, captured_at.unwrap_or_else(platform::now));
+            self.forward(&event, captured_at.unwrap_or_else(platform::now), reserved);
         } else if self.listeners.load(Relaxed) == 0 && !self.traffic.was_judged() {
             self.suggest();
         }
@@ -283,11 +327,16 @@ impl<E: Event> Topic<E> {
         }
     }
 
-    fn forward(&self, event: &E, sent: Instant) {
+    fn forward(&self, event: &E, sent: Instant, mut reserved: ReservedForwards) {
         let forwards = lock(&self.forwards).clone();
-        match codec::encode_parcel(event) {
-            Ok(parcel) => forwards.iter().for_each(|forward| forward(&parcel, sent)),
-            Err(_) => self.record_dead_letter(&DeliveryError::TooLarge { limit: E::MAX_SIZE }),
+        let Ok(parcel) = codec::encode_parcel(event) else {
+            return self.record_dead_letter(&DeliveryError::TooLarge { limit: E::MAX_SIZE });
+        };
+        for forward in forwards.iter() {
+            match reserved.take(forward) {
+                Some(capacity) => capacity(&parcel, sent),
+                None => forward.forward(&parcel, sent),
+            }
         }
     }
 

@@ -1,10 +1,11 @@
 //! What publishes on a topic.
 
-use super::Topic;
+use super::{ReservedForwards, Topic};
 use crate::arbiter::heartbeat;
 use crate::messaging::error::SendError;
 use crate::messaging::incarnation::IncarnationToken;
-use blastema_core::{Event, Instant};
+use crate::platform;
+use blastema_core::{DeliveryError, Event, Instant};
 use std::fmt;
 use std::sync::Arc;
 
@@ -76,6 +77,21 @@ impl<E: Event> Publisher<E> {
         self.publish_stamped(event, None)
     }
 
+    /// Publishes the event, and waits first while there is no capacity for it on the way to another
+    /// node that listens: such nodes lose none of it while their sessions last. For data of which
+    /// only the newest counts, it does not wait. The queues of listeners keep their policies.
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish), also where it came to be so while this waited.
+    pub async fn deliver(&self, event: E) -> Result<(), SendError<E>> {
+        if let Some(why) = self.refusal() {
+            return Err(SendError::new(why, event));
+        }
+        let captured_at = platform::now();
+        let reserved = self.topic.reserve(&event).await;
+        self.publish_reserved(event, Some(captured_at), reserved)
+    }
+
     /// Publishes an event whose data was captured at `captured_at`, by the clock of
     /// [`platform::now`](crate::platform::now): `max_age` counts from there, and listeners read it
     /// by [`Context::captured_at`](crate::Context::captured_at). A time that is still to come
@@ -93,18 +109,33 @@ impl<E: Event> Publisher<E> {
         event: E,
         captured_at: Option<Instant>,
     ) -> Result<(), SendError<E>> {
+        self.publish_reserved(event, captured_at, ReservedForwards::default())
+    }
+
+    #[inline]
+    fn publish_reserved(
+        &self,
+        event: E,
+        captured_at: Option<Instant>,
+        reserved: ReservedForwards,
+    ) -> Result<(), SendError<E>> {
+        match self.refusal() {
+            Some(why) => Err(SendError::new(why, event)),
+            None => {
+                self.topic.publish(event, captured_at, &self.announced.by, reserved);
+                Ok(())
+            }
+        }
+    }
+
+    #[inline]
+    fn refusal(&self) -> Option<DeliveryError> {
         // A component ends before its node.
         let ended = || match &self.incarnation {
             Some(incarnation) => incarnation.forbidden(),
             None => self.topic.shut_down(),
         };
-        match heartbeat::send_refusal().or_else(ended) {
-            Some(why) => Err(SendError::new(why, event)),
-            None => {
-                self.topic.publish(event, captured_at, &self.announced.by);
-                Ok(())
-            }
-        }
+        heartbeat::send_refusal().or_else(ended)
     }
 
     /// The same, where the refusal cannot be returned: it is counted among the dead letters under

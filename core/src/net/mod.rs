@@ -20,11 +20,11 @@
 //!
 //! | | at first | after an hour and a million messages | with an acknowledgement on board |
 //! | --- | --- | --- | --- |
-//! | message without an answer | 23 | 28 | 4, then 6 more |
-//! | event | 22 | 27 | 4, then 6 more |
+//! | message without an answer | 23 | 28 | 6, then 8 more |
+//! | event | 22 | 27 | 6, then 8 more |
 //! | event of which the newest counts | 22 | 27 | never |
-//! | request | 25 | 32 | 4, then 6 more |
-//! | its answer | 20 | 24 | 4, then 6 more |
+//! | request | 25 | 32 | 6, then 8 more |
+//! | its answer | 20 | 24 | 6, then 8 more |
 //!
 //! What a node in between has passed on is five bytes longer, and four for each further one.
 //! `core/tests/net_header.rs` holds these numbers. Small messages that wait together share a part,

@@ -86,6 +86,7 @@ const TABLES: [(&str, &str, &[Column]); 11] = [
             ("unacknowledged", "unacknowledged"),
             ("in flight", "in_flight"),
             ("window", "window"),
+            ("queueing", "queueing_ms"),
             ("sent", "sent"),
             ("retransmitted", "retransmitted"),
             ("duplicates", "duplicates"),

@@ -1,16 +1,17 @@
 //! Publish and subscribe.
 
 use super::{Boom, Log, Stage, boom, logged, order};
-use crate::topic::TopicKey;
+use crate::topic::{EventCapacity, EventForward, TopicKey};
 use crate::{
     ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports, WhenFull,
 };
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::ExitReason;
 use blastema_core::delivery::dead_letters::DeadReason;
-use blastema_core::{Contract, ContractIdentity, Incarnation, Lifecycle};
+use blastema_core::{Contract, ContractIdentity, GatherBuffer, Incarnation, Instant, Lifecycle};
 use blastema_doubles::{advance, paused, settle};
 use bytes::Bytes;
+use std::pin::Pin;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -221,6 +222,19 @@ fn an_event_that_waited_too_long_is_counted_instead() {
     });
 }
 
+/// What was sent to another node, which has capacity for everything.
+struct Shipped(Arc<Mutex<Vec<GatherBuffer>>>);
+
+impl EventForward for Shipped {
+    fn forward(&self, event: &GatherBuffer, _: Instant) {
+        self.0.lock().unwrap().push(event.clone());
+    }
+
+    fn reserve(&self, _: usize) -> Pin<Box<dyn Future<Output = Option<EventCapacity>> + Send>> {
+        Box::pin(std::future::ready(None))
+    }
+}
+
 #[test]
 fn events_are_shipped_out_once_and_come_in_from_outside() {
     paused(async {
@@ -230,11 +244,7 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         let shipped = Arc::new(Mutex::new(vec![]));
         let kept = shipped.clone();
         let wanted = vec![ContractIdentity::of::<Sample>().brief()];
-        let forward = topics.forward(
-            &key,
-            wanted,
-            Arc::new(move |bytes, _| kept.lock().unwrap().push(bytes.clone())),
-        );
+        let forward = topics.forward(&key, wanted, Arc::new(Shipped(kept)));
         assert!(matches!(
             topics.inject(&key.topic, 0, &Bytes::from_static(&[1]), Duration::ZERO),
             Err(DeliveryError::Unknown { .. })

@@ -4,12 +4,18 @@ use super::GatewayActor;
 use super::undelivered::UndeliveredEvents;
 use crate::net::credit::CreditClass;
 use crate::net::gateway_messages::LocalEvent;
-use crate::topic::{ForwardId, RemoteForward, TopicKey, described};
+use crate::net::stub::PeerSendState;
+use crate::topic::{EventCapacity, EventForward, ForwardId, RemoteForward, TopicKey, described};
 use actix::prelude::*;
+use blastema_contract::session::Credit;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::TopicContract;
 use blastema_core::net::peer_protocol::stream_of;
-use blastema_core::{ContractIdentity, Delivery, DeliveryError, GatherBuffer, PeerIdentity};
+use blastema_core::{
+    ContractIdentity, Delivery, DeliveryError, GatherBuffer, Instant, PeerIdentity,
+};
+use std::future;
+use std::pin::Pin;
 use std::sync::Arc;
 
 /// The events of one topic that go to one peer.
@@ -21,6 +27,62 @@ pub(super) struct Forwarded {
     /// Under which number they go, and how.
     pub(super) by: (u32, Delivery),
     pub(super) losses: Arc<UndeliveredEvents>,
+}
+
+/// Takes events of one topic to one peer.
+struct PeerForward {
+    target: ForwardTarget,
+    send_state: Arc<PeerSendState>,
+    delivery: Delivery,
+    /// Of which only the newest counts.
+    newest: bool,
+    unsent: Arc<UndeliveredEvents>,
+}
+
+#[derive(Clone)]
+struct ForwardTarget {
+    gateway: Addr<GatewayActor>,
+    peer: NodeId,
+    subscription: u32,
+}
+
+impl ForwardTarget {
+    fn send(&self, event: &GatherBuffer, sent: Instant, credit: Credit) {
+        let ForwardTarget { gateway, peer, subscription } = self.clone();
+        let event = event.clone();
+        gateway.do_send(LocalEvent { peer, subscription, event, sent, credit });
+    }
+}
+
+impl PeerForward {
+    fn class(&self, bytes: usize) -> CreditClass {
+        CreditClass::of(stream_of("", self.delivery), bytes)
+    }
+}
+
+impl EventForward for PeerForward {
+    fn forward(&self, event: &GatherBuffer, sent: Instant) {
+        let (class, state) = (self.class(event.len()), &self.send_state);
+        // Nothing waits behind what does, of which only the newest counts.
+        let open = if self.newest { state.has_session() } else { state.is_open(class) };
+        match open.then(|| state.take_for_event(event.len(), class)).flatten() {
+            Some(credit) => self.target.send(event, sent, credit),
+            None => self.unsent.take(state.why_not()),
+        }
+    }
+
+    fn reserve(&self, bytes: usize) -> Pin<Box<dyn Future<Output = Option<EventCapacity>> + Send>> {
+        if self.newest {
+            return Box::pin(future::ready(None));
+        }
+        let (class, state) = (self.class(bytes), self.send_state.clone());
+        let target = self.target.clone();
+        Box::pin(async move {
+            let credit = state.credit(bytes, class).await?;
+            let send = move |event: &GatherBuffer, sent| target.send(event, sent, credit);
+            Some(Box::new(send) as EventCapacity)
+        })
+    }
 }
 
 impl GatewayActor {
@@ -55,20 +117,9 @@ impl GatewayActor {
         let Some(known) = self.peers.get(&peer) else { return };
         let (send_state, gateway) = (known.send_state.clone(), context.address());
         let (delivery, losses) = (by.1, self.losses(known, &key));
-        let unsent = losses.clone();
-        let forward: RemoteForward = Arc::new(move |event: &GatherBuffer, sent| {
-            let class = CreditClass::of(stream_of("", delivery), event.len());
-            // Publishing never waits: what a peer cannot take now is not sent.
-            // Of which only the newest counts, nothing waits behind what does.
-            let open = if newest { send_state.has_session() } else { send_state.is_open(class) };
-            match open.then(|| send_state.take_for_event(event.len(), class)).flatten() {
-                Some(credit) => {
-                    let event = event.clone();
-                    gateway.do_send(LocalEvent { peer, subscription, event, sent, credit });
-                }
-                None => unsent.take(send_state.why_not()),
-            }
-        });
+        let (target, unsent) = (ForwardTarget { gateway, peer, subscription }, losses.clone());
+        let forward = PeerForward { target, send_state, delivery, newest, unsent };
+        let forward: RemoteForward = Arc::new(forward);
         self.end_forward((peer, subscription));
         let id = self.wiring.topics.forward(&key, wanted, forward);
         let forwarded = Forwarded { id, key: key.clone(), unverified, by, losses };

@@ -4,7 +4,7 @@ use super::*;
 use blastema_contract::router::SegmentArrived;
 use blastema_core::net::NodeId;
 use blastema_core::net::session::VERSION;
-use blastema_core::net::wire::segment::{Ack, OpenSegment, Segment};
+use blastema_core::net::wire::segment::{Ack, DelayTicks, OpenSegment, Segment};
 use bytes::Bytes;
 
 /// Three nodes, each with a cable to both others.
@@ -40,8 +40,14 @@ async fn under_fire(
 }
 
 fn stale(tag: u32) -> Vec<Segment> {
-    let ack =
-        || Some(Ack { next: u64::MAX >> 1, window: u32::MAX, ranges: vec![(1 << 63, 1 << 63)] });
+    let ack = || {
+        Some(Ack {
+            next: u64::MAX >> 1,
+            window: u32::MAX,
+            arrived: DelayTicks::default(),
+            ranges: vec![(1 << 63, 1 << 63)],
+        })
+    };
     let open = |incarnation, number| {
         let incarnation = Incarnation(incarnation);
         Segment::Open(OpenSegment { version: VERSION, tag, echo: 0, incarnation, number })

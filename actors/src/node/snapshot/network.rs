@@ -93,6 +93,7 @@ fn session(row: &SessionRow) -> Value {
         "unacknowledged": status.unacknowledged,
         "in_flight": status.in_flight,
         "window": status.window,
+        "queueing_ms": millis(status.queueing),
         "sent": counters.sent,
         "retransmitted": counters.retransmitted,
         "duplicates": counters.duplicates,

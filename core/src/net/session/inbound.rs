@@ -1,7 +1,7 @@
 //! The receiving half of an ordered stream.
 
 use crate::Instant;
-use crate::net::wire::segment::{Ack, RANGES_MAX};
+use crate::net::wire::segment::{Ack, DelayTicks, RANGES_MAX};
 use crate::net::wire::{Reader, WireError};
 use crate::sorted::SortedMap;
 use bytes::{Bytes, BytesMut};
@@ -31,6 +31,8 @@ pub(crate) struct Inbound {
     message_max: usize,
     /// When an acknowledgement is owed at the latest.
     owed: Option<Instant>,
+    /// When the last part arrived.
+    arrived: DelayTicks,
     /// Parts since the last acknowledgement.
     unacknowledged: u32,
 }
@@ -69,6 +71,7 @@ impl Inbound {
             window,
             message_max,
             owed: None,
+            arrived: DelayTicks::default(),
             unacknowledged: 0,
         }
     }
@@ -96,6 +99,7 @@ impl Inbound {
             let beyond = sequence >= self.limit();
             return Ok(if beyond { ChunkStatus::Beyond } else { ChunkStatus::Again });
         }
+        self.arrived = DelayTicks::of(now);
         let in_order = sequence == self.next && self.ahead.is_empty();
         // Every second part at once (RFC 9000, 13.2.2). Of large ones, where an acknowledgement
         // costs a quarter of what a part does, every fourth: half of what may be on its way at the
@@ -186,7 +190,7 @@ impl Inbound {
                 break;
             }
         }
-        Ack { next: self.next, window: self.window, ranges }
+        Ack { next: self.next, window: self.window, arrived: self.arrived, ranges }
     }
 }
 

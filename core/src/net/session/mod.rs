@@ -26,6 +26,7 @@
 
 mod best_effort;
 mod config;
+mod congestion;
 mod duplicates;
 mod handshake;
 mod inbound;
@@ -48,6 +49,7 @@ pub use self::output::{Refused, SessionCounters, SessionOutput};
 pub use self::status::{SessionState, SessionStatus};
 
 use self::best_effort::BestEffort;
+use self::congestion::CongestionControl;
 use self::duplicates::DuplicateDiscard;
 use self::inbound::Inbound;
 use self::outbound::{Outbound, load_of};
@@ -65,8 +67,8 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 /// The version of what sessions say to each other. From 2 on whole messages come between the parts
-/// of a large one.
-pub const VERSION: u8 = 2;
+/// of a large one; from 3 on acknowledgements tell when the last part arrived.
+pub const VERSION: u8 = 3;
 
 /// The machine of one peer node's sessions, one after the other.
 #[derive(Debug)]
@@ -87,10 +89,8 @@ pub struct Session {
     /// all.
     rtt: [RttEstimator; 2],
     retransmit_at: [Option<Instant>; 2],
-    /// How many chunks may be in flight at once.
-    congestion: usize,
-    /// The window was already reduced for losses of transmissions before this.
-    reduced_until: u64,
+    /// Of what travels by one path.
+    congestion: CongestionControl,
     /// Parts of control since the last one of data.
     control_run: usize,
     /// How many transmissions there were.
@@ -147,18 +147,6 @@ fn lane(stream: Stream) -> usize {
 }
 
 impl Session {
-    /// Chunks in flight at first.
-    const CONGESTION_INITIAL: usize = 32;
-    /// The same on a narrow path.
-    const CONGESTION_NARROW: usize = 4;
-    /// The most there: as many as may wait for a serial line.
-    const CONGESTION_NARROW_MAX: usize = 8;
-    /// Chunks in flight however long the queues are.
-    const CONGESTION_LEAST: usize = 2;
-    /// Queueing delay above which less is sent. Control and hellos wait in the same queues.
-    const QUEUEING_MAX: Duration = Duration::from_millis(200);
-    /// Chunks that may always be in flight elsewhere.
-    const CONGESTION_MIN: usize = 8;
     /// Parts of control that go before one of data that waits: control goes first, and takes no more
     /// than eight parts of nine.
     const CONTROL_RUN: usize = 8;
@@ -184,8 +172,7 @@ impl Session {
             streams,
             rtt,
             retransmit_at: [None; 2],
-            congestion: Self::CONGESTION_INITIAL,
-            reduced_until: 0,
+            congestion: CongestionControl::new(config.window_bytes),
             control_run: 0,
             orders: [0; 2],
             waiting_since: None,
@@ -294,9 +281,7 @@ impl Session {
         let narrow = self.is_narrow();
         let enter = if narrow { RttEstimator::enter_narrow_path } else { RttEstimator::enter_path };
         self.rtt.iter_mut().for_each(enter);
-        if narrow {
-            self.congestion = self.congestion.min(Self::CONGESTION_NARROW);
-        }
+        self.congestion.enter_path(mtu, narrow);
         match self.state {
             State::Idle => self.open(None),
             State::Opening { peer, pause, .. } => {
@@ -471,9 +456,7 @@ impl Session {
         let pieces = Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT);
         self.best_effort = BestEffort::new(self.config.channels_max, pieces);
         self.replicas = DuplicateDiscard::default();
-        self.congestion =
-            if self.is_narrow() { Self::CONGESTION_NARROW } else { Self::CONGESTION_INITIAL };
-        self.reduced_until = self.orders[0];
+        self.congestion.restart(self.orders[0]);
         self.retransmit_at = [None; 2];
         self.waiting_since = None;
         self.rtt.iter_mut().for_each(RttEstimator::progress);

@@ -10,7 +10,6 @@ use crate::sorted::SortedMap;
 use crate::{GatherBuffer, Instant};
 use bytes::{Bytes, BytesMut};
 use std::collections::VecDeque;
-use std::time::Duration;
 
 /// Messages that wait or are on their way, until the peer has acknowledged them.
 #[derive(Debug)]
@@ -81,8 +80,10 @@ impl Chunk {
 pub(crate) struct AckResult {
     /// How many parts it acknowledged for the first time.
     pub(crate) parts: usize,
-    /// A round trip, from a part that was sent only once (Karn's rule).
-    pub(crate) round_trip: Option<Duration>,
+    /// Their bytes.
+    pub(crate) bytes: usize,
+    /// When the latest was sent, if that was only once (Karn's rule).
+    pub(crate) sent: Option<Instant>,
     /// The latest transmission among them.
     pub(crate) order: Option<u64>,
 }
@@ -144,6 +145,11 @@ impl Outbound {
     /// Everything was acknowledged.
     pub(crate) fn is_empty(&self) -> bool {
         self.cut.is_empty() && !self.is_waiting()
+    }
+
+    /// There is something to send that the peer takes.
+    pub(crate) fn has_more(&self) -> bool {
+        self.lost > 0 || self.next < self.limit && self.is_waiting()
     }
 
     /// There is something to cut.
@@ -286,7 +292,7 @@ impl Outbound {
     }
 
     /// The peer has told what arrived.
-    pub(crate) fn handle_ack(&mut self, ack: &Ack, now: Instant) -> Result<AckResult, WireError> {
+    pub(crate) fn handle_ack(&mut self, ack: &Ack) -> Result<AckResult, WireError> {
         let beyond = ack.ranges.last().map_or(ack.next, |(_, last)| last.saturating_add(1));
         if beyond.max(ack.next) > self.next {
             return Err(WireError::Malformed { what: "an acknowledgement of what was never sent" });
@@ -298,7 +304,7 @@ impl Outbound {
         let mut progress = AckResult::default();
         let below = ack.next.checked_sub(1).map(|last| (0, last));
         for (first, last) in below.into_iter().chain(ack.ranges.iter().copied()) {
-            self.arrived(first, last, now, &mut progress);
+            self.arrived(first, last, &mut progress);
         }
         while self.cut.front().is_some_and(|held| held.last < ack.next) {
             let held = self.cut.pop_front().expect("there is a front");
@@ -307,7 +313,7 @@ impl Outbound {
         Ok(progress)
     }
 
-    fn arrived(&mut self, first: u64, last: u64, now: Instant, progress: &mut AckResult) {
+    fn arrived(&mut self, first: u64, last: u64, progress: &mut AckResult) {
         while let Some((&sequence, _)) = self.flight.range(first..=last).next() {
             let part = self.flight.remove(&sequence).expect("it was found");
             match part.lost {
@@ -315,9 +321,10 @@ impl Outbound {
                 false => self.flying_bytes -= part.payload.len(),
             }
             progress.parts += 1;
+            progress.bytes += part.payload.len();
             if progress.order.is_none_or(|order| part.order > order) {
                 progress.order = Some(part.order);
-                progress.round_trip = (!part.again).then(|| now - part.sent);
+                progress.sent = (!part.again).then_some(part.sent);
             }
         }
     }

@@ -7,8 +7,6 @@ use std::time::Duration;
 pub(crate) struct RttEstimator {
     smoothed: Option<Duration>,
     deviation: Duration,
-    /// The shortest on this path: what is above it was spent in queues.
-    least: Option<Duration>,
     /// Doublings since the last measurement: what a repetition brought may be the answer to the
     /// first sending (Karn's algorithm).
     backoff: u32,
@@ -33,7 +31,6 @@ impl RttEstimator {
         RttEstimator {
             smoothed: None,
             deviation: Duration::ZERO,
-            least: None,
             backoff: 0,
             narrow: false,
             shortest,
@@ -45,11 +42,9 @@ impl RttEstimator {
         self.smoothed
     }
 
-    /// Answers how much of it was spent in queues.
-    pub(crate) fn measure(&mut self, sample: Duration) -> Duration {
+    /// An answer took so long.
+    pub(crate) fn measure(&mut self, sample: Duration) {
         self.progress();
-        let least = self.least.map_or(sample, |least| least.min(sample));
-        self.least = Some(least);
         match self.smoothed {
             None => {
                 self.smoothed = Some(sample);
@@ -60,12 +55,9 @@ impl RttEstimator {
                 self.smoothed = Some((smoothed * 7 + sample) / 8);
             }
         }
-        sample - least
     }
 
-    /// Another path has another shortest.
     pub(crate) fn enter_path(&mut self) {
-        self.least = None;
         self.narrow = false;
         self.progress();
     }

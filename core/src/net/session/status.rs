@@ -50,8 +50,11 @@ pub struct SessionStatus {
     pub unacknowledged: usize,
     /// Parts of messages that are on their way and not believed lost.
     pub in_flight: usize,
-    /// How many parts may be on their way at present: fewer after a loss, more while all goes well.
+    /// How many bytes may be on their way at present: fewer while they stand in queues and after a
+    /// loss, more while all goes well.
     pub window: usize,
+    /// How long what is sent waits in queues on its way, as far as is known.
+    pub queueing: Option<Duration>,
     /// What it did so far.
     pub counters: SessionCounters,
     /// What was refused so far.
@@ -112,7 +115,8 @@ impl Session {
             round_trip: self.round_trip(),
             unacknowledged: held.iter().sum(),
             in_flight: self.flying(lane(Stream::Data)) + self.flying(lane(Stream::Redundant)),
-            window: self.congestion.min(self.config.window as usize),
+            window: self.congestion.window(),
+            queueing: self.congestion.queueing(),
             counters: self.counters(),
             refusals: self.refusals(),
         }

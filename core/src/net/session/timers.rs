@@ -24,6 +24,8 @@ pub(crate) enum SessionTimer {
     /// Lets `poll_output` acknowledge received data that nothing has taken along: `ack_delay`, up
     /// to 50 ms on a narrow path (QUIC: `max_ack_delay`).
     AckDelay,
+    /// Lets `poll_output` send what would have stood in queues before (RFC 9002, 7.7).
+    Pacing,
 }
 
 impl Timers for Session {
@@ -31,7 +33,7 @@ impl Timers for Session {
 
     const TIMERS: &'static [SessionTimer] = {
         use SessionTimer::*;
-        &[Idle, LossOrdered, LossRedundant, OpenRetransmit, CloseRetransmit, AckDelay]
+        &[Idle, LossOrdered, LossRedundant, OpenRetransmit, CloseRetransmit, AckDelay, Pacing]
     };
 
     fn due(&self, timer: SessionTimer) -> Option<Instant> {
@@ -49,6 +51,7 @@ impl Timers for Session {
             (SessionTimer::CloseRetransmit, State::Closing { again_at, .. }) => again_at,
             (SessionTimer::OpenRetransmit | SessionTimer::CloseRetransmit, _) => None,
             (SessionTimer::AckDelay, _) => self.ack_owed(),
+            (SessionTimer::Pacing, _) => self.paced_until(),
         }
     }
 
@@ -59,7 +62,7 @@ impl Timers for Session {
             SessionTimer::LossRedundant => self.detect_loss(1),
             SessionTimer::OpenRetransmit => self.say_open(),
             SessionTimer::CloseRetransmit => self.repeat_close(),
-            SessionTimer::AckDelay => {}
+            SessionTimer::AckDelay | SessionTimer::Pacing => {}
         }
     }
 }

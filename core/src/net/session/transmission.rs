@@ -1,12 +1,15 @@
 //! What a session sends when, and what acknowledgements tell it.
 
+use super::congestion::{CongestionControl, CongestionSignal, DelaySample};
 use super::outbound::Chunk;
 use super::reassembly::pieces_of;
 use super::{STREAMS, Session, SessionOutput, State, lane};
 use crate::net::is_narrow;
 use crate::net::session::size_class::SizeClass;
 use crate::net::wire::packet::{PacketPriority, UndeliveredReason, WAY_MAX};
-use crate::net::wire::segment::{Ack, Data, PIECE_HEADER, Segment, Stream, data_header};
+use crate::net::wire::segment::{
+    Ack, Data, DelayTicks, PIECE_HEADER, Segment, Stream, data_header,
+};
 use crate::{DeliveryError, Instant};
 
 /// Which stream goes first when several wait.
@@ -44,22 +47,26 @@ impl Session {
         self.path.is_some_and(is_narrow)
     }
 
-    /// Parts that may always be on their way: fewer would wait for a timer at every loss. Of a
-    /// narrow path they would be seconds.
-    fn congestion_min(&self) -> usize {
-        if self.is_narrow() { Self::CONGESTION_NARROW } else { Self::CONGESTION_MIN }
-    }
-
     /// Parts on their way of the streams that share this lane.
     pub(super) fn flying(&self, of: usize) -> usize {
         let streams = STREAMS.into_iter().filter(|stream| lane(*stream) == of);
         streams.map(|stream| self.streams[stream as usize].outbound.flying()).sum()
     }
 
-    /// Their bytes.
-    fn flying_bytes(&self, of: usize) -> usize {
-        let streams = STREAMS.into_iter().filter(|stream| lane(*stream) == of);
-        streams.map(|stream| self.streams[stream as usize].outbound.flying_bytes()).sum()
+    /// What is on its way along one path.
+    fn load(&self) -> usize {
+        let streams = STREAMS.into_iter().filter(|stream| lane(*stream) == 0);
+        let bytes = streams.map(|stream| self.streams[stream as usize].outbound.flying_bytes());
+        CongestionControl::load(self.flying(0), bytes.sum())
+    }
+
+    /// When data may go on, if something of it waits for nothing but that.
+    pub(super) fn paced_until(&self) -> Option<Instant> {
+        let waits = self.streams[Stream::Data as usize].outbound.has_more();
+        let is_open = matches!(self.state, State::Open { .. } | State::Closing { .. });
+        let is_held = !is_open || self.path.is_none() || self.congestion.is_full(self.load());
+        let at = self.congestion.send_at();
+        (waits && !is_held && at > self.now).then_some(at)
     }
 
     /// Sends the next part that may be sent: control first, but for every ninth part if data waits,
@@ -67,12 +74,13 @@ impl Session {
     pub(super) fn transmit_part(&mut self) -> bool {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return false };
         let Some(mtu) = self.path else { return false };
-        let congested =
-            self.flying(0) >= self.congestion || self.flying_bytes(0) >= self.config.window_bytes;
+        let congested = self.congestion.is_full(self.load());
+        let is_paced = self.congestion.send_at() > self.now;
         // Room for an acknowledgement of a few ranges, or of none in a small frame; a longer one
         // travels alone.
         let ack_capacity = 32.min(mtu / 8);
-        let always = self.congestion_min();
+        let always = self.congestion.least_parts();
+        let part_max = self.config.chunk_max.min(self.congestion.part_max());
         let due = self.control_run >= Self::CONTROL_RUN;
         for stream in if due { DATA_FIRST } else { BY_URGENCY } {
             let state = &mut self.streams[stream as usize];
@@ -82,12 +90,12 @@ impl Session {
             // Copies that do not fit onto their ways go one way.
             let least = if stream == Stream::Redundant { 48 } else { 16 };
             let capacity =
-                mtu.saturating_sub(header + ack_capacity).clamp(least, self.config.chunk_max);
+                mtu.saturating_sub(header + ack_capacity).clamp(least, part_max.max(least));
             let held = match stream {
                 // Some of it may always be on its way, whatever data is before it.
                 Stream::Control => congested && state.outbound.flying() >= always,
                 // Nor does control keep it from having one there.
-                Stream::Data => congested && !(due && state.outbound.flying() == 0),
+                Stream::Data => (congested || is_paced) && !(due && state.outbound.flying() == 0),
                 // It keeps its time whatever one of the ways is like; the peer's window bounds it.
                 Stream::Redundant => false,
             };
@@ -148,6 +156,10 @@ impl Session {
         self.orders[lane] += 1;
         self.retransmit_at[lane].get_or_insert(self.now + self.rtt[lane].timeout());
         let Chunk { first, last, payload, .. } = part;
+        if stream == Stream::Data {
+            let load = CongestionControl::load(1, payload.len());
+            self.congestion.handle_sent(load, self.rtt[0].smoothed(), self.now);
+        }
         for (piece, payload) in pieces_of(&payload, capacity) {
             let ack = ack.take();
             let data = Data { tag, stream, sequence, first, last, again, piece, ack, payload };
@@ -192,40 +204,37 @@ impl Session {
     }
 
     pub(super) fn handle_ack(&mut self, stream: Stream, ack: &Ack) {
+        // As full as it gets, unless parts are as large as the window.
+        let was_full = self.congestion.is_full(self.load() + self.congestion.part_max());
         let outbound = &mut self.streams[stream as usize].outbound;
-        let progress = match outbound.handle_ack(ack, self.now) {
+        let progress = match outbound.handle_ack(ack) {
             Ok(progress) => progress,
             Err(error) => return self.refusals.count(&error),
         };
         let of = lane(stream);
-        let queueing = progress.round_trip.map(|sample| self.rtt[of].measure(sample));
-        let crowded = queueing.is_some_and(|queueing| queueing > Self::QUEUEING_MAX);
-        if let Some(order) = progress.order {
-            let mut lost = false;
-            // What took another lane may have taken longer without being lost.
-            for stream in STREAMS.into_iter().filter(|stream| lane(*stream) == of) {
-                lost |= self.streams[stream as usize].outbound.find_lost(order);
+        if let Some(sent) = progress.sent {
+            self.rtt[of].measure(self.now - sent);
+            if of == 0 {
+                let sample = DelaySample {
+                    delay: ack.arrived - DelayTicks::of(sent),
+                    round_trip: self.now - sent,
+                    is_data: stream == Stream::Data,
+                };
+                self.congestion.handle_delay(sample, self.now);
             }
-            if stream != Stream::Redundant {
-                // A window that is not used tells nothing of a larger one (RFC 7661).
-                let used = self.flying(0) + progress.parts >= self.congestion;
-                // Nor, on a narrow path, does an acknowledgement that may be of either of two
-                // transmissions.
-                let known = queueing.is_some() || !self.is_narrow();
-                if used && known && !crowded {
-                    let most = match self.is_narrow() {
-                        true => Self::CONGESTION_NARROW_MAX,
-                        false => self.config.window as usize,
-                    };
-                    self.congestion = (self.congestion + progress.parts).min(most);
-                }
-                // Once per round trip, as in RFC 9002: one burst of losses is one sign.
-                if (lost || crowded) && order >= self.reduced_until {
-                    self.reduced_until = self.orders[0];
-                    let least =
-                        if crowded { Self::CONGESTION_LEAST } else { self.congestion_min() };
-                    self.congestion = (self.congestion / 2).max(least.min(self.congestion));
-                }
+        }
+        if let Some(order) = progress.order {
+            // Control overtakes data on its way: what arrives of one stream says nothing of the
+            // others.
+            let lost = self.streams[stream as usize].outbound.find_lost(order);
+            if of == 0 {
+                self.congestion.handle_arrived(CongestionSignal {
+                    arrived: (progress.parts, progress.bytes),
+                    was_full,
+                    has_lost: lost,
+                    is_measured: progress.sent.is_some(),
+                    orders: (order, self.orders[0]),
+                });
             }
             let flying = self.flying(of) > 0;
             self.retransmit_at[of] = flying.then(|| self.now + self.rtt[of].timeout());
@@ -273,9 +282,7 @@ impl Session {
         }
         self.rtt[of].back_off();
         if of == 0 {
-            let most = if self.is_narrow() { Self::CONGESTION_LEAST } else { Self::CONGESTION_MIN };
-            self.congestion = self.congestion.min(most);
-            self.reduced_until = self.orders[0];
+            self.congestion.handle_timeout(self.orders[0]);
         }
         for stream in STREAMS.into_iter().filter(|stream| lane(*stream) == of) {
             self.streams[stream as usize].outbound.lose_all();

@@ -21,12 +21,17 @@
 //! f, l  the first, the last part of a message; with both the payload is one or more whole messages,
 //!       each after its length v; the first of several parts begins with the whole length v
 //! p     one of `count` pieces of what was cut for a larger MTU
-//! ack   next expected v │ window v │ n 1 │ n × (gap v, length v): beyond, these arrived as well
+//! ack   next expected v │ window v │ arrived 2 │ n 1 │ n × (gap v, length v): beyond, these arrived as
+//!       well
+//! arrived  when the last part arrived, by the receiver's clock: tenths of a millisecond, the lower 16
+//!       bits. Its offset is not known; what changes is the delay of the path (RFC 6817)
 //! ```
 
 use super::{Reader, WireError, Write, varint_length};
-use crate::{GatherBuffer, Incarnation};
+use crate::{GatherBuffer, Incarnation, Instant};
 use bytes::{BufMut, Bytes, BytesMut};
+use std::ops::Sub;
+use std::time::Duration;
 
 /// The most ranges that one acknowledgement lists; the rest is listed in later ones.
 pub const RANGES_MAX: usize = 16;
@@ -152,6 +157,33 @@ pub struct Fragment {
     pub count: u16,
 }
 
+/// A time of one node's clock: tenths of a millisecond, the lower 16 bits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DelayTicks(pub u16);
+
+impl DelayTicks {
+    const NANOS: u64 = 100_000;
+
+    /// The time of an instant.
+    pub fn of(at: Instant) -> Self {
+        DelayTicks((at.as_nanos() / Self::NANOS) as u16)
+    }
+
+    /// How much later than the other this is; earlier times are zero. Right for three seconds.
+    pub fn since(self, other: DelayTicks) -> Duration {
+        let ticks = self.0.wrapping_sub(other.0).cast_signed();
+        Duration::from_nanos(u64::try_from(ticks).unwrap_or(0) * Self::NANOS)
+    }
+}
+
+impl Sub for DelayTicks {
+    type Output = DelayTicks;
+
+    fn sub(self, other: DelayTicks) -> DelayTicks {
+        DelayTicks(self.0.wrapping_sub(other.0))
+    }
+}
+
 /// What has arrived of a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Ack {
@@ -159,6 +191,8 @@ pub struct Ack {
     pub next: u64,
     /// How many from there on the receiver takes.
     pub window: u32,
+    /// When the last of them arrived, by the receiver's clock.
+    pub arrived: DelayTicks,
     /// What has arrived beyond, rising: first and last of each run. At most [`RANGES_MAX`].
     pub ranges: Vec<(u64, u64)>,
 }
@@ -359,7 +393,7 @@ impl Fragment {
 impl Ack {
     /// How many bytes it takes.
     pub(in crate::net) fn length(&self) -> usize {
-        let mut length = varint_length(self.next) + varint_length(self.window.into()) + 1;
+        let mut length = varint_length(self.next) + varint_length(self.window.into()) + 2 + 1;
         let mut before = self.next;
         for (first, last) in self.ranges.iter().take(RANGES_MAX) {
             length += varint_length(first - before) + varint_length(last - first);
@@ -371,6 +405,7 @@ impl Ack {
     fn put(&self, bytes: &mut BytesMut) {
         bytes.varint(self.next);
         bytes.varint(self.window.into());
+        bytes.put_u16(self.arrived.0);
         bytes.put_u8(self.ranges.len().min(RANGES_MAX) as u8);
         let mut before = self.next;
         for (first, last) in self.ranges.iter().take(RANGES_MAX) {
@@ -384,6 +419,7 @@ impl Ack {
         let malformed = || WireError::Malformed { what: "an acknowledgement" };
         let next = reader.varint()?;
         let window = u32::try_from(reader.varint()?).unwrap_or(u32::MAX);
+        let arrived = DelayTicks(reader.u16()?);
         let count = usize::from(reader.u8()?);
         if count > RANGES_MAX {
             return Err(malformed());
@@ -396,7 +432,7 @@ impl Ack {
             ranges.push((first, last));
             before = last;
         }
-        Ok(Ack { next, window, ranges })
+        Ok(Ack { next, window, arrived, ranges })
     }
 }
 
@@ -407,7 +443,8 @@ mod tests {
     fn examples() -> Vec<(Segment, &'static [u8])> {
         let version = crate::net::session::VERSION;
         let open = OpenSegment { version, tag: 7, echo: 0, incarnation: Incarnation(2), number: 3 };
-        let ack = Ack { next: 5, window: 200, ranges: vec![(7, 8), (300, 300)] };
+        let arrived = DelayTicks(0x1234);
+        let ack = Ack { next: 5, window: 200, arrived, ranges: vec![(7, 8), (300, 300)] };
         let data = Data {
             tag: 0x01020304,
             stream: Stream::Data,
@@ -432,13 +469,13 @@ mod tests {
         vec![
             (
                 Segment::Open(open),
-                &[0, 2, 0, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3],
+                &[0, 3, 0, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3],
             ),
             (Segment::Data(copied), b"\xe7\x01\x02\x03\x04\xac\x02\x02hi"),
             (Segment::Data(data), b"\x27\x01\x02\x03\x04\xac\x02\x02hi"),
             (
                 Segment::Data(acking),
-                b"\x3f\x01\x02\x03\x04\xac\x02\x01\x02\x05\xc8\x01\x02\x02\x01\xa4\x02\x00\x02hi",
+                b"\x3f\x01\x02\x03\x04\xac\x02\x01\x02\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00\x02hi",
             ),
             (Segment::Datagram(datagram), b"\x40\0\0\0\x01\x04\x09x"),
             (
@@ -448,11 +485,11 @@ mod tests {
                     data: None,
                     redundant: Some(ack.clone()),
                 },
-                b"\x64\0\0\0\x01\x05\xc8\x01\x02\x02\x01\xa4\x02\x00",
+                b"\x64\0\0\0\x01\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
             ),
             (
                 Segment::Acknowledge { tag: 1, control: None, data: Some(ack), redundant: None },
-                b"\x62\0\0\0\x01\x05\xc8\x01\x02\x02\x01\xa4\x02\x00",
+                b"\x62\0\0\0\x01\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
             ),
             (Segment::Close { tag: 1 }, b"\x80\0\0\0\x01"),
             (Segment::Closed { tag: 1 }, b"\xa0\0\0\0\x01"),
@@ -477,8 +514,8 @@ mod tests {
         check(b"\x68\0\0\0\x01");
         check(b"\x81\0\0\0\x01");
         check(b"\x30\0\0\0\x01\x01\x02\x02");
-        check(b"\x62\0\0\0\x01\x05\x05\x11");
-        check(b"\x62\0\0\0\x01\x05\x05\x01\xff\xff\xff\xff\xff\xff\xff\xff\xff\x01\x01");
+        check(b"\x62\0\0\0\x01\x05\x05\0\0\x11");
+        check(b"\x62\0\0\0\x01\x05\x05\0\0\x01\xff\xff\xff\xff\xff\xff\xff\xff\xff\x01\x01");
         for (segment, golden) in examples() {
             if !matches!(segment, Segment::Data(_) | Segment::Datagram(_)) {
                 for cut in 0..golden.len() {

@@ -62,7 +62,7 @@ fn a_piece_with_an_acknowledgement_on_board_is_no_larger_than_the_narrow_path() 
     pair.drain();
 
     let lengths: Vec<_> = pair.sent.iter().map(|(_, segment)| segment.encode().len()).collect();
-    assert!(pair.parts(0) > 20, "{lengths:?}");
+    assert!(pair.parts(0) > 15, "{lengths:?}");
     assert!(lengths.iter().all(|length| *length <= 85), "{lengths:?}");
 }
 

@@ -1,0 +1,341 @@
+//! A path of 8 Mbit/s with a FIFO of a second before it, over real sockets: what is large fills it,
+//! and nothing else may suffer. Judged by counts and order.
+//!
+//! ```text
+//!   robot ── network ── FIFO of 1 MB, 8 Mbit/s each way ── network ── desk
+//!   wheels ◄──────────────────── commands ────────────────────────── stick
+//!   camera ───────────────────── images ───────────────────────────► screen
+//!   screen ◄──────────────────── maps ─────────────────────────────── desk
+//! ```
+
+use blastema::prelude::*;
+use blastema::{ActuatorSpec, Blob, Network};
+use blastema_tests::{RobotKeys, free_addresses};
+use std::collections::VecDeque;
+use std::io::{self, Read, Write};
+use std::net::{IpAddr, Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+use tokio::net::TcpSocket;
+
+const PATIENCE: Duration = Duration::from_secs(60);
+/// Bytes a second.
+const RATE: u64 = 1_000_000;
+/// What the FIFO holds: a second.
+const DEPTH: usize = 1_000_000;
+/// An image, and a map.
+const IMAGE: usize = 300_000;
+/// So long all is sent.
+const LASTS: Duration = Duration::from_secs(12);
+const MS: Duration = Duration::from_millis(1);
+
+/// What waits for the wire in one direction, and what has gone over it.
+#[derive(Default)]
+struct Fifo {
+    waiting: Mutex<(VecDeque<Vec<u8>>, usize)>,
+    changed: Condvar,
+    carried: AtomicU64,
+    dropped: AtomicU64,
+}
+
+impl Fifo {
+    /// Takes a datagram, or drops it.
+    fn offer(&self, bytes: &[u8]) {
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        if waiting.1 + bytes.len() > DEPTH {
+            self.dropped.fetch_add(1, Relaxed);
+            return;
+        }
+        waiting.1 += bytes.len();
+        waiting.0.push_back(bytes.to_vec());
+        self.changed.notify_all();
+    }
+
+    /// Takes a piece of a stream once there is room.
+    fn push(&self, bytes: &[u8]) {
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        while waiting.1 + bytes.len() > DEPTH {
+            waiting = self.changed.wait(waiting).unwrap_or_else(PoisonError::into_inner);
+        }
+        waiting.1 += bytes.len();
+        waiting.0.push_back(bytes.to_vec());
+        self.changed.notify_all();
+    }
+
+    /// Hands over what waits, as fast as the wire is, until `send` refuses.
+    fn carry(&self, mut send: impl FnMut(&[u8]) -> bool) {
+        let mut free_at = Instant::now();
+        loop {
+            let next = {
+                let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+                while waiting.0.is_empty() {
+                    waiting = self.changed.wait(waiting).unwrap_or_else(PoisonError::into_inner);
+                }
+                waiting.0.front().cloned().expect("something waits")
+            };
+            let length = next.len() as u64;
+            free_at =
+                free_at.max(Instant::now()) + Duration::from_nanos(length * 1_000_000_000 / RATE);
+            thread::sleep(free_at.saturating_duration_since(Instant::now()));
+            let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+            waiting.0.pop_front();
+            waiting.1 -= next.len();
+            self.changed.notify_all();
+            drop(waiting);
+            self.carried.fetch_add(length, Relaxed);
+            if !send(&next) {
+                return;
+            }
+        }
+    }
+}
+
+/// The slow wire: where each end finds the other.
+struct SlowWire {
+    ends: [SocketAddr; 2],
+    fifos: [Arc<Fifo>; 2],
+}
+
+impl SlowWire {
+    fn udp(nodes: [SocketAddr; 2]) -> Self {
+        let sockets = [(); 2].map(|()| UdpSocket::bind("127.0.0.1:0").expect("a free port"));
+        let ends = [0, 1].map(|end: usize| sockets[end].local_addr().expect("it is bound"));
+        let fifos = [(); 2].map(|()| Arc::new(Fifo::default()));
+        for end in 0..2 {
+            let (from, fifo) = (sockets[end].try_clone().expect("a socket"), fifos[end].clone());
+            let out = sockets[1 - end].try_clone().expect("a socket");
+            let carried = fifo.clone();
+            thread::spawn(move || {
+                let mut bytes = [0; 65_536];
+                while let Ok((length, _)) = from.recv_from(&mut bytes) {
+                    fifo.offer(&bytes[..length]);
+                }
+            });
+            thread::spawn(move || {
+                carried.carry(|bytes| {
+                    let _ = out.send_to(bytes, nodes[1 - end]);
+                    true
+                });
+            });
+        }
+        SlowWire { ends, fifos }
+    }
+
+    /// A node is known by its host and its own port: the wire has a host for each end.
+    fn tcp(nodes: [SocketAddr; 2]) -> Self {
+        let hosts: [IpAddr; 2] = [[127, 0, 0, 2].into(), [127, 0, 0, 3].into()];
+        let ends = [0, 1].map(|end| SocketAddr::new(hosts[end], nodes[1 - end].port()));
+        let fifos = [(); 2].map(|()| Arc::new(Fifo::default()));
+        for (end, at) in ends.into_iter().enumerate() {
+            let listener = TcpListener::bind(at).expect("a free port");
+            let fifos = fifos.clone();
+            thread::spawn(move || {
+                while let Ok((near, _)) = listener.accept() {
+                    let far = connect(SocketAddr::new(hosts[1 - end], 0), nodes[1 - end]);
+                    let Ok(far) = far else { continue };
+                    pump(&near, &far, fifos[end].clone());
+                    pump(&far, &near, fifos[1 - end].clone());
+                }
+            });
+        }
+        SlowWire { ends, fifos }
+    }
+}
+
+/// A connection that comes from this address.
+fn connect(from: SocketAddr, to: SocketAddr) -> io::Result<TcpStream> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
+    let stream = runtime.block_on(async {
+        let socket = TcpSocket::new_v4()?;
+        socket.bind(from)?;
+        socket.connect(to).await?.into_std()
+    })?;
+    stream.set_nonblocking(false)?;
+    Ok(stream)
+}
+
+/// Carries what comes from one end of a connection to the other. Connections have a FIFO each, and
+/// its counters in common.
+fn pump(from: &TcpStream, to: &TcpStream, counters: Arc<Fifo>) {
+    let (mut from, mut to) =
+        (from.try_clone().expect("a socket"), to.try_clone().expect("a socket"));
+    let fifo = Arc::new(Fifo::default());
+    let carried = fifo.clone();
+    thread::spawn(move || {
+        let mut bytes = [0; 4_096];
+        while let Ok(length @ 1..) = from.read(&mut bytes) {
+            fifo.push(&bytes[..length]);
+        }
+    });
+    thread::spawn(move || {
+        carried.carry(|bytes| {
+            counters.carried.fetch_add(bytes.len() as u64, Relaxed);
+            let is_sent = to.write_all(bytes).is_ok();
+            if !is_sent {
+                let _ = to.shutdown(Shutdown::Both);
+            }
+            is_sent
+        });
+    });
+}
+
+#[derive(Clone, Debug, Event)]
+#[contract(name = "slow/image", max_size = 1 << 20)]
+struct Image {
+    number: u32,
+    pixels: Blob,
+}
+
+#[derive(Clone, Debug, Request)]
+#[contract(name = "slow/map", reply = u32, max_size = 1 << 20)]
+struct Map(Blob);
+
+#[derive(Clone, Debug, Request)]
+#[contract(name = "slow/drive", reply = f32)]
+struct Drive(f32);
+
+struct Wheels;
+
+impl Component for Wheels {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.actuator(ActuatorSpec::new(Drive(0.0)));
+    }
+}
+
+impl Handle<Drive> for Wheels {
+    async fn handle(&mut self, Drive(speed): Drive, _: &mut Context<Self>) -> f32 {
+        speed
+    }
+}
+
+#[derive(Default)]
+struct Screen(Arc<Mutex<Vec<u32>>>);
+
+impl Component for Screen {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Map>();
+        ports.listen::<Image>().on("camera");
+    }
+}
+
+impl Handle<Map> for Screen {
+    async fn handle(&mut self, Map(map): Map, _: &mut Context<Self>) -> u32 {
+        map.len() as u32
+    }
+}
+
+impl Handle<Image> for Screen {
+    async fn handle(&mut self, image: Image, _: &mut Context<Self>) {
+        assert_eq!(image.pixels.len(), IMAGE);
+        self.0.lock().expect("nothing panics").push(image.number);
+    }
+}
+
+fn pixels() -> Blob {
+    vec![7; IMAGE].into()
+}
+
+/// Sends images one way and maps the other, each as fast as they are taken, and commands beside
+/// them.
+fn beside_images(
+    medium: fn(&'static str, SocketAddr) -> Network,
+    wire: fn([SocketAddr; 2]) -> SlowWire,
+) {
+    blastema::run(async {
+        let [robot_at, desk_at]: [SocketAddr; 2] = free_addresses(2).try_into().expect("two");
+        let wire = wire([robot_at, desk_at]);
+        let folder = tempfile::tempdir().expect("a folder");
+        let keys = RobotKeys::new(folder.path(), &["robot", "desk"], 1);
+        let seen = Arc::new(Mutex::new(Vec::new()));
+        let shown = seen.clone();
+        let robot = Node::builder("robot")
+            .keys(keys.of("robot"))
+            .network(medium("net0", robot_at).peer("desk", &wire.ends[0].to_string()))
+            .child(ChildSpec::new("wheels", || Wheels))
+            .child(ChildSpec::new("screen", || Screen(Arc::default())))
+            .start()
+            .await
+            .expect("it starts");
+        let desk = Node::builder("desk")
+            .keys(keys.of("desk"))
+            .network(medium("net0", desk_at).peer("robot", &wire.ends[1].to_string()))
+            .child(ChildSpec::new("screen", move || Screen(shown.clone())))
+            .start()
+            .await
+            .expect("it starts");
+        assert!(desk.connected("robot", PATIENCE).await && robot.connected("desk", PATIENCE).await);
+
+        let ends = Instant::now() + LASTS;
+        let film = async {
+            let camera = robot.publisher::<Image>("camera").expect("a name");
+            let mut taken = 0;
+            while Instant::now() < ends {
+                let image = Image { number: taken, pixels: pixels() };
+                camera.deliver(image).await.expect("the way has capacity again");
+                taken += 1;
+            }
+            taken
+        };
+        let maps = async {
+            let screen = desk.sender::<Map>("robot:screen").expect("a name");
+            let mut shown = 0;
+            while Instant::now() < ends {
+                let asked = screen.ask_within(Map(pixels()), PATIENCE).await;
+                assert_eq!(asked.ok(), Some(IMAGE as u32));
+                shown += 1;
+            }
+            shown
+        };
+        let drive = async {
+            let stick = desk.commander::<Drive>("robot:wheels", "stick").expect("a name");
+            stick.claim().await.expect("nobody else has the wheels");
+            let mut driven = 0;
+            while Instant::now() < ends {
+                // Within the lease, or it is lost.
+                let speed = stick.command(Drive(1.0)).await.expect("commands pass what is large");
+                assert_eq!(speed, 1.0);
+                driven += 1;
+                tokio::time::sleep(20 * MS).await;
+            }
+            driven
+        };
+        let (taken, shown, driven) = tokio::join!(film, maps, drive);
+
+        let count = || seen.lock().expect("nothing panics").len();
+        let all_seen = async {
+            while count() < taken as usize {
+                tokio::time::sleep(MS).await;
+            }
+        };
+        tokio::time::timeout(PATIENCE, all_seen).await.expect("what was taken arrives");
+        let in_order: Vec<_> = (0..taken).collect();
+        assert_eq!(*seen.lock().expect("nothing panics"), in_order);
+        for node in [&robot, &desk] {
+            let faults = node.faults().await.entries;
+            assert!(faults.is_empty(), "nothing is wrong on {}: {faults:?}", node.name());
+            assert_eq!(node.dead_letters().counts(), []);
+        }
+        // What was repeated in vain would be here as well.
+        let carried = wire.fifos.each_ref().map(|fifo| fifo.carried.load(Relaxed));
+        let payload = [taken, shown].map(|count: u32| u64::from(count) * IMAGE as u64);
+        let totals = format!("{carried:?} for {payload:?}, {driven} commands");
+        assert!(taken > 10 && shown > 5 && driven > 20, "all went on: {totals}");
+        assert!(carried.iter().zip(payload).all(|(all, of)| all * 10 < of * 11), "{totals}");
+        assert!(wire.fifos.iter().all(|fifo| fifo.dropped.load(Relaxed) == 0));
+        robot.shutdown().await;
+        desk.shutdown().await;
+    });
+}
+
+#[test]
+fn a_slow_wire_over_udp_is_filled_and_nothing_waits_for_what_is_large() {
+    beside_images(Network::udp, SlowWire::udp);
+}
+
+#[test]
+fn a_slow_wire_over_tcp_is_filled_and_nothing_waits_for_what_is_large() {
+    beside_images(Network::tcp, SlowWire::tcp);
+}
