@@ -102,8 +102,11 @@ struct Vote {
     /// the newer. With another incarnation it was restarted, whichever number is greater: only its
     /// present incarnation has a session.
     incarnation: Incarnation,
-    /// Higher than every vote on that node that the voter knew of.
+    /// Higher than every vote on that node that the voter knew of and that counts beside its own:
+    /// nobody else can use up the numbers.
     revision: u64,
+    /// Its place among all votes that this node has heard.
+    heard: u64,
     cause: String,
 }
 
@@ -124,6 +127,7 @@ pub struct Isolation {
     votes: SortedMap<NodeName, SortedMap<NodeName, Vote>>,
     isolated: SortedSet<NodeName>,
     peers: SortedSet<NodeName>,
+    heard: u64,
     refused: u64,
     outputs: VecDeque<IsolationOutput>,
 }
@@ -138,6 +142,7 @@ impl Isolation {
             votes: SortedMap::new(),
             isolated: SortedSet::new(),
             peers: SortedSet::new(),
+            heard: 0,
             refused: 0,
             outputs: VecDeque::new(),
         }
@@ -193,14 +198,17 @@ impl Isolation {
             self.refused += 1;
             return Err(VoteRefused::TooMany { limit: VOTES_MAX });
         }
-        let about = self.votes.get(node);
+        let judges = &self.judges;
+        let counts = |(voter, vote): (&NodeName, &Vote)| {
+            let is_warden = matches!(judges, IsolationAuthority::Named(all) if all.contains(voter));
+            (is_warden || *voter == self.own).then_some(vote.revision)
+        };
         // That it is admitted is said even where no node is known to have objected: an earlier
         // incarnation of this node may have.
-        let newest = about.into_iter().flat_map(SortedMap::values).map(|vote| vote.revision).max();
+        let newest = self.votes.get(node).into_iter().flatten().filter_map(counts).max();
         let revision = newest.unwrap_or(0).saturating_add(1);
-        let cause = cause.chars().take(CAUSE_MAX).collect();
-        let vote = Vote { isolated, incarnation: self.incarnation, revision, cause };
-        self.votes.entry(node.clone()).or_default().insert(self.own.clone(), vote);
+        let (own, incarnation) = (self.own.clone(), self.incarnation);
+        self.keep(node, own, (isolated, incarnation, revision, cause));
         let message = self.ballot(|about| about == node);
         for to in self.peers.iter().filter(|peer| *peer != node) {
             let (to, message) = (to.clone(), message.clone());
@@ -251,13 +259,23 @@ impl Isolation {
             } else if known
                 .is_none_or(|known| incarnation != known.incarnation || revision > known.revision)
             {
-                let cause = cause.chars().take(CAUSE_MAX).collect();
-                let vote = Vote { isolated, incarnation, revision, cause };
-                self.votes.entry(node.clone()).or_default().insert(from.clone(), vote);
+                self.keep(&node, from.clone(), (isolated, incarnation, revision, &cause));
                 self.settle();
                 self.tell_accused(&node);
             }
         }
+    }
+
+    fn keep(
+        &mut self,
+        node: &NodeName,
+        voter: NodeName,
+        (isolated, incarnation, revision, cause): (bool, Incarnation, u64, &str),
+    ) {
+        self.heard += 1;
+        let cause = cause.chars().take(CAUSE_MAX).collect();
+        let vote = Vote { isolated, incarnation, revision, heard: self.heard, cause };
+        self.votes.entry(node.clone()).or_default().insert(voter, vote);
     }
 
     /// This node's own votes, on these nodes.
@@ -318,12 +336,13 @@ impl Isolation {
         let Some(votes) = self.votes.get(node) else { return false };
         match &self.judges {
             IsolationAuthority::Named(wardens) => {
-                let counts = |(voter, _): &(&NodeName, &Vote)| {
-                    **voter == self.own || wardens.contains(*voter)
-                };
-                let words = votes.iter().filter(counts);
+                let words = votes.iter().filter(|(voter, _)| wardens.contains(*voter));
                 let newest = words.max_by_key(|(voter, vote)| (vote.revision, *voter));
-                newest.is_some_and(|(_, vote)| vote.isolated)
+                let newest = newest.map(|(_, vote)| vote);
+                // The word of a node that is no warden holds for itself, until it hears a warden's.
+                let own = votes.get(&self.own).filter(|_| !wardens.contains(&self.own));
+                let last = own.into_iter().chain(newest).max_by_key(|vote| vote.heard);
+                last.is_some_and(|vote| vote.isolated)
             }
             IsolationAuthority::Majority => {
                 let here = self.peers.iter().chain([&self.own]).chain(votes.keys());
@@ -335,7 +354,7 @@ impl Isolation {
                 match votes.get(&self.own) {
                     // What was said of it before does not outdo it.
                     Some(own) if own.isolated => {
-                        !many(&|vote| !vote.isolated && vote.revision > own.revision)
+                        !many(&|vote| !vote.isolated && vote.heard > own.heard)
                     }
                     _ => many(&|vote| vote.isolated),
                 }

@@ -100,6 +100,29 @@ fn who_is_no_warden_decides_for_itself_alone_until_a_warden_speaks() {
 }
 
 #[test]
+fn who_is_no_warden_uses_up_no_numbers_of_the_votes_of_wardens() {
+    let mut robot = Robot::new(&["a", "b", "c", "d", "e"], &wardens(&["a", "b"]));
+    // Every node hears the greatest number from one that has no say.
+    let ballot = Ballot {
+        incarnation: Incarnation(1),
+        votes: vec![(node("d"), true, u64::MAX, "a lie".into())],
+    };
+    let message = codec::encode_unbounded(&ballot);
+    for (name, isolation) in &mut robot.nodes {
+        if *name != node("c") {
+            isolation.handle_ballot(&node("c"), &message);
+        }
+    }
+    robot.carry();
+    for (by, isolated, refuse) in
+        [("a", true, "abce"), ("b", false, ""), ("a", true, "abce"), ("b", false, "")]
+    {
+        robot.decides(by, "d", isolated);
+        assert_eq!(robot.refuse("d"), refuse, "{by} {isolated}");
+    }
+}
+
+#[test]
 fn a_majority_isolates_and_a_single_node_shuts_out_nobody_but_itself() {
     let names = ["a", "b", "c", "d", "e"];
     let mut robot = Robot::new(&names, &IsolationAuthority::Majority);
