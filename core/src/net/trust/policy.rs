@@ -51,7 +51,7 @@ macro_rules! words {
 words! {
     /// What a node is to the robot.
     Role {
-        /// Everything but the verbs of the two others.
+        /// Everything but what operators and wardens alone may.
         Node = "node",
         /// It operates other nodes as well.
         Operator = "operator",
@@ -83,8 +83,6 @@ words! {
         Claim = "claim",
         /// Hand a fault to the node's recoverer.
         Recover = "recover",
-        /// Isolate a node by its vote alone.
-        Warden = "warden",
         /// Start, stop and restart components, isolate and admit nodes, inject faults.
         Operate = "operate",
     }
@@ -95,7 +93,6 @@ impl Role {
     pub(super) fn may(self, verb: Verb) -> bool {
         match verb {
             Verb::Operate => self == Role::Operator,
-            Verb::Warden => self == Role::Warden,
             _ => self != Role::Guest,
         }
     }

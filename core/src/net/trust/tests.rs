@@ -205,14 +205,11 @@ fn what_a_peer_may_do_follows_from_its_role_and_from_the_lines_that_match() {
     check("base", Verb::Read, "arm/elbow", "motion/move", Allowed);
     check("base", Verb::Ask, "arm/elbow", "state/now", Allowed);
     check("visitor", Verb::Ask, "arm/elbow", "state/now", RefusedByRole(Role::Guest));
-    // Two verbs are a role's own.
-    for (peer, operate, warden) in
-        [("base", false, false), ("laptop", true, false), ("tower", false, true)]
-    {
+    // One verb is a role's own.
+    for (peer, operate) in [("base", false), ("laptop", true), ("tower", false)] {
         let role = roster.node(&name(peer)).expect("it is listed").role;
         let may = |may: bool| if may { Allowed } else { RefusedByRole(role) };
         check(peer, Verb::Operate, "base/wheels", "stop", may(operate));
-        check(peer, Verb::Warden, "isolation", "vote", may(warden));
     }
     check("stranger", Verb::Listen, "pose", "pose", RefusedByRole(Role::Guest));
     // Another line that names a peer opens to it what the first one gives to others.
