@@ -210,7 +210,7 @@ pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
 #[cfg(feature = "network")]
 pub use node::{
     Cable, Direction, Impairment, IsolateError, Link, MemoryMedium, Network, NetworkRow,
-    NetworkSnapshot,
+    NetworkSnapshot, NotReady,
 };
 pub use node::{
     FaultEvents, Node, NodeBuilder, NodeSnapshot, NodeState, RestartError, RestartedChild,

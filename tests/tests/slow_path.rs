@@ -79,7 +79,11 @@ impl Fifo {
             let length = next.len() as u64;
             free_at =
                 free_at.max(Instant::now()) + Duration::from_nanos(length * 1_000_000_000 / RATE);
-            thread::sleep(free_at.saturating_duration_since(Instant::now()));
+            while let left = free_at.saturating_duration_since(Instant::now())
+                && !left.is_zero()
+            {
+                thread::park_timeout(left);
+            }
             let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
             waiting.0.pop_front();
             waiting.1 -= next.len();
@@ -291,7 +295,7 @@ fn beside_images(
         };
         let drive = async {
             let stick = desk.commander::<Drive>("robot:wheels", "stick").expect("a name");
-            stick.claim().await.expect("nobody else has the wheels");
+            stick.claim().await.expect("the wheels are free");
             let mut driven = 0;
             while Instant::now() < ends {
                 // Within the lease, or it is lost.

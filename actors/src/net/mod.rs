@@ -418,6 +418,11 @@ impl NetHandle {
         self.guardian.start(name, self.arbiter.as_ref(), make).recipient()
     }
 
+    /// Whether messages can be sent to this node, and it has told what it listens to.
+    pub(crate) fn is_connected(&self, node: &NodeName) -> bool {
+        self.stubs.is_opened(node)
+    }
+
     /// Completes when messages can be sent to this node.
     pub(crate) async fn connected(&self, node: &NodeName) {
         self.stubs.opened(node).await;

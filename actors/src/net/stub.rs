@@ -258,12 +258,16 @@ impl PeerSendState {
         DeliveryError::WayFull { node: self.node.to_string(), bulk: load == SizeClass::Bulk }
     }
 
-    /// Completes when a session is open, a path leads there, and the peer has told what it listens
-    /// to.
+    /// A session is open, a path leads there, and the peer has told what it listens to.
+    fn is_opened(&self) -> bool {
+        self.has_session() && self.told.load(Relaxed) && self.path.load(Relaxed)
+    }
+
+    /// Completes when that is so.
     async fn opened(&self) {
         loop {
             let changed = self.changed.notified();
-            if self.has_session() && self.told.load(Relaxed) && self.path.load(Relaxed) {
+            if self.is_opened() {
                 return;
             }
             changed.await;
@@ -328,6 +332,12 @@ impl PeerStubs {
     /// Completes when a session with this node is open, and a path leads there.
     pub(super) async fn opened(&self, node: &NodeName) {
         self.send_state(node).opened().await;
+    }
+
+    /// Whether a session with this node is open, a path leads there, and it has told what it
+    /// listens to.
+    pub(super) fn is_opened(&self, node: &NodeName) -> bool {
+        self.lock().get(node).is_some_and(|send_state| send_state.is_opened())
     }
 
     /// Whether a path has led there, now or before.

@@ -36,7 +36,9 @@ pub use controller::NodeState;
 pub use error::StartError;
 pub use faults::FaultEvents;
 #[cfg(feature = "network")]
-pub use network::{Cable, Direction, Impairment, IsolateError, Link, MemoryMedium, Network};
+pub use network::{
+    Cable, Direction, Impairment, IsolateError, Link, MemoryMedium, Network, NotReady,
+};
 #[cfg(feature = "network")]
 pub use network_row::NetworkRow;
 pub use restart::{RestartError, RestartedChild};

@@ -8,9 +8,12 @@ pub(in crate::node) mod description;
 mod exposure;
 pub(in crate::node) mod file;
 mod isolation;
+mod ready;
 pub(in crate::node) mod services;
 pub(in crate::node) mod signs;
 pub(crate) mod start;
+
+pub use self::ready::NotReady;
 
 use crate::net::Interface;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};

@@ -266,6 +266,15 @@ impl Topics {
         inner.topics.get(topic).map_or(Vec::new(), |known| known.erased.identities())
     }
 
+    /// Whether an object listens to a topic, here or on another node.
+    #[cfg(feature = "network")]
+    pub(crate) fn is_heard(&self, topic: &str) -> bool {
+        let Ok(topic) = ObjectName::new(topic) else { return false };
+        let inner = lock(&self.inner);
+        let here = inner.topics.get(&topic).is_some_and(|known| known.erased.has_listeners());
+        here || inner.forwards.get(&topic).is_some_and(|forwards| !forwards.is_empty())
+    }
+
     /// All topics that have listeners here, and what they carry.
     pub(crate) fn listened(&self) -> Vec<(TopicKey, Vec<ContractIdentity>)> {
         let inner = lock(&self.inner);

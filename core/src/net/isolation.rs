@@ -103,7 +103,7 @@ struct Vote {
     /// present incarnation has a session.
     incarnation: Incarnation,
     /// Higher than every vote on that node that the voter knew of and that counts beside its own:
-    /// nobody else can use up the numbers.
+    /// no other node can use up the numbers.
     revision: u64,
     /// Its place among all votes that this node has heard.
     heard: u64,

@@ -364,7 +364,7 @@ fn the_word_of_a_warden_of_the_roster_isolates_and_that_of_another_node_does_not
         // Votes go ahead of requests: this one has been judged when the requests are answered.
         let wheels = arm.sender::<Hello>("base:wheels").expect("a name");
         for _ in 0..20 {
-            wheels.ask(Hello("arm".into())).await.expect("nobody keeps the arm out");
+            wheels.ask(Hello("arm".into())).await.expect("no warden keeps the arm out");
         }
         assert!(!keeps_out(&base, "head").await);
         head.isolate("arm").expect("it may vote");

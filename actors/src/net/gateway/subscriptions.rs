@@ -41,7 +41,7 @@ struct PeerForward {
 
 #[derive(Clone)]
 struct ForwardTarget {
-    gateway: Addr<GatewayActor>,
+    gateway: Recipient<LocalEvent>,
     peer: NodeId,
     subscription: u32,
 }
@@ -115,7 +115,7 @@ impl GatewayActor {
             },
         };
         let Some(known) = self.peers.get(&peer) else { return };
-        let (send_state, gateway) = (known.send_state.clone(), context.address());
+        let (send_state, gateway) = (known.send_state.clone(), context.address().recipient());
         let (delivery, losses) = (by.1, self.losses(known, &key));
         let (target, unsent) = (ForwardTarget { gateway, peer, subscription }, losses.clone());
         let forward = PeerForward { target, send_state, delivery, newest, unsent };

@@ -100,7 +100,7 @@ fn who_is_no_warden_decides_for_itself_alone_until_a_warden_speaks() {
 }
 
 #[test]
-fn who_is_no_warden_uses_up_no_numbers_of_the_votes_of_wardens() {
+fn a_node_that_is_no_warden_uses_up_no_numbers_of_the_votes_of_wardens() {
     let mut robot = Robot::new(&["a", "b", "c", "d", "e"], &wardens(&["a", "b"]));
     // Every node hears the greatest number from one that has no say.
     let ballot = Ballot {

@@ -65,7 +65,7 @@ fn a_node_that_may_not_ask_a_service_is_told_so_and_asks_once_it_may() {
 }
 
 #[test]
-fn a_node_that_may_not_claim_a_service_answers_nobody_and_does_not_stop_it() {
+fn a_node_that_may_not_claim_a_service_answers_no_caller_and_does_not_stop_it() {
     blastema::run(async {
         let open: Vec<_> = NODES.map(|node| (node, Role::Node)).into();
         let robot = Robot::new(&open, &["only base may claim on map".to_owned()]);

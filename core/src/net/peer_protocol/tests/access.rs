@@ -210,7 +210,7 @@ fn another_policy_counts_at_once_for_who_publishes() {
     pair.ends[1].handle_access(policy(Role::Node, &["only other may publish on news"]));
     pair.run();
     assert!(matches!(&pair.take(0)[..], [PeerProtocolOutput::Unsubscribe { .. }]));
-    // It is not told twice that nobody listens.
+    // It is not told twice that no object listens.
     pair.ends[1].handle_interest(topic(), vec![]);
     pair.ends[1].handle_interest(topic(), vec![count()]);
     pair.run();

@@ -52,7 +52,7 @@ fn whatever_is_lost_each_object_gets_everything_once_and_in_order() {
     let mut random = 1_u32;
     pair.lose = Box::new(move |_, segment| {
         random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        matches!(segment, Segment::Data(_)) && (random >> 16) % 5 == 0
+        matches!(segment, Segment::Data(_)) && (random >> 16).is_multiple_of(5)
     });
     for n in 0..90_u8 {
         let object = ["camera", "motor", "map"][usize::from(n) % 3];
