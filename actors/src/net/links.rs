@@ -517,6 +517,7 @@ impl Handler<ReadLinks> for LinksActor {
         let row = |(number, link): (LinkId, &Link)| {
             let spec = self.specs.get(&number)?;
             Some(LinkRow {
+                number,
                 network: self.wiring.network.clone(),
                 link: spec.name.clone(),
                 state: link.state(),
@@ -526,6 +527,7 @@ impl Handler<ReadLinks> for LinksActor {
                 hello_interval: link.hello_interval(),
                 phi: link.phi(now),
                 cost: self.cost(number, link),
+                traffic: self.bundle.traffic(number),
                 refusals: self.bundle.refused_of(number),
                 seal: self.seal(number, now),
             })

@@ -40,6 +40,7 @@ mod tests;
 
 pub(crate) use carrier::Interface;
 pub(crate) use discovery::DiscoverySpec;
+pub use roster_exchange::RosterRow;
 pub(crate) use roster_watch::RosterChanged;
 
 use self::fault_reporter::FaultReporter;
@@ -70,7 +71,7 @@ use blastema_core::net::{LinkId, NodeId};
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use discovery::{AddNetworks, DiscoveryActor, DiscoveryNetwork, NetworkLinks};
-use roster_exchange::{AttachRosterWatch, RosterActor};
+use roster_exchange::{AttachRosterWatch, ReadRoster, RosterActor};
 use roster_watch::RosterWatch;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -436,6 +437,11 @@ impl NetHandle {
     pub(crate) async fn read_routes(&self) -> Routes {
         let nothing = Routes { routes: Vec::new() };
         self.router.send(ReadRoutes).await.unwrap_or(nothing)
+    }
+
+    /// The roster that is used; none without keys.
+    pub(crate) async fn read_roster(&self) -> Option<RosterRow> {
+        self.roster.as_ref()?.send(ReadRoster).await.ok()
     }
 
     /// All sessions.

@@ -25,6 +25,8 @@ mod network;
 #[cfg(feature = "network")]
 mod network_row;
 mod restart;
+#[cfg(feature = "network")]
+mod route_row;
 mod safety;
 pub(crate) mod snapshot;
 mod to_the_end;
@@ -40,6 +42,8 @@ pub use network::{Cable, Direction, Impairment, IsolateError, Link, MemoryMedium
 #[cfg(feature = "network")]
 pub use network_row::NetworkRow;
 pub use restart::{RestartError, RestartedChild};
+#[cfg(feature = "network")]
+pub use route_row::{LinkName, RouteRow};
 #[cfg(feature = "network")]
 pub use snapshot::NetworkSnapshot;
 pub use snapshot::NodeSnapshot;
@@ -344,8 +348,8 @@ impl Node {
         self.0.environment.arbiters.abandoned()
     }
 
-    /// Everything that the node knows of itself now: table, threads, links, sessions, claims,
-    /// actuators, faults. It can be read at any time; a part that does not come within a second is
+    /// Everything that the node knows of itself now: table, threads, links, routes, sessions, claims,
+    /// actuators, topics, dead letters, faults. It can be read at any time; a part that does not come within a second is
     /// `None`.
     pub async fn snapshot(&self) -> NodeSnapshot {
         NodeSnapshot::of(self).await

@@ -8,7 +8,7 @@ use std::fmt::Write;
 pub(crate) type Column = (&'static str, &'static str);
 
 /// The tables in their order: the title, the key in the snapshot, the columns.
-const TABLES: [(&str, &str, &[Column]); 11] = [
+const TABLES: [(&str, &str, &[Column]); 14] = [
     (
         "objects",
         "table",
@@ -57,6 +57,7 @@ const TABLES: [(&str, &str, &[Column]); 11] = [
             ("insecure", "insecure"),
         ],
     ),
+    ("roster", "roster", &[("robot", "robot"), ("serial", "serial"), ("nodes", "nodes")]),
     (
         "links",
         "links",
@@ -70,9 +71,29 @@ const TABLES: [(&str, &str, &[Column]); 11] = [
             ("jitter", "jitter_ms"),
             ("loss in 1000", "loss_permille"),
             ("cost", "cost"),
+            ("sent", "frames_sent"),
+            ("bytes sent", "bytes_sent"),
+            ("received", "frames_received"),
+            ("bytes received", "bytes_received"),
+            ("dropped", "frames_dropped"),
             ("refused", "refused"),
             ("seal", "seal"),
             ("key age", "key_age_ms"),
+        ],
+    ),
+    (
+        "routes",
+        "routes",
+        &[
+            ("node", "node"),
+            ("incarnation", "incarnation"),
+            ("network", "network"),
+            ("link", "link"),
+            ("else network", "alternate_network"),
+            ("else link", "alternate_link"),
+            ("cost", "cost"),
+            ("largest frame", "mtu_bytes"),
+            ("nodes between", "relays"),
         ],
     ),
     (
@@ -157,12 +178,24 @@ const TABLES: [(&str, &str, &[Column]); 11] = [
             ("contract", "contract"),
             ("publishers", "publishers"),
             ("listeners", "listeners"),
-            ("other nodes", "nodes"),
+            ("publishing nodes", "publishing_nodes"),
+            ("listening nodes", "listening_nodes"),
             ("events", "events"),
             ("in a second", "rate_hz"),
             ("bytes", "bytes"),
             ("latched", "latched"),
             ("similar name", "similar"),
+        ],
+    ),
+    (
+        "dead letters",
+        "dead_letters",
+        &[
+            ("node", "node"),
+            ("object", "object"),
+            ("contract", "contract"),
+            ("reason", "reason"),
+            ("times", "count"),
         ],
     ),
     (
@@ -318,9 +351,19 @@ mod tests {
             ],
             "links": [{
                 "network": "wire", "link": "wire", "state": "up", "neighbour": "arm", "last_sign_ms": 12.0,
-                "round_trip_ms": 0.2, "jitter_ms": 0.01, "loss_permille": 0, "cost": 10, "refused": 0,
+                "round_trip_ms": 0.2, "jitter_ms": 0.01, "loss_permille": 0, "cost": 10,
+                "frames_sent": 12, "bytes_sent": 3456, "frames_received": 7, "bytes_received": 890,
+                "frames_dropped": 1, "refused": 0,
                 "seal": "AES-256-GCM", "key_age_ms": 61000.0,
             }],
+            "routes": [{
+                "node": "head", "incarnation": 3, "network": "wire", "link": "wire",
+                "alternate_network": null, "alternate_link": null, "cost": 20, "mtu_bytes": 1200, "relays": 1,
+            }],
+            "roster": [{ "robot": "ranger", "serial": 7, "nodes": 3 }],
+            "dead_letters": [
+                { "node": "arm", "object": "grip", "contract": "close", "reason": "no way", "count": 2 },
+            ],
             "faults": null,
         });
 

@@ -54,7 +54,7 @@ impl GatewayActor {
         };
         let Some(known) = self.peers.get(&peer) else { return };
         let (send_state, gateway) = (known.send_state.clone(), context.address());
-        let (delivery, losses) = (by.1, self.losses(known, &key));
+        let (delivery, losses, node) = (by.1, self.losses(known, &key), known.node.clone());
         let unsent = losses.clone();
         let forward: RemoteForward = Arc::new(move |event: &GatherBuffer, sent| {
             let class = CreditClass::of(stream_of("", delivery), event.len());
@@ -70,7 +70,7 @@ impl GatewayActor {
             }
         });
         self.end_forward((peer, subscription));
-        let id = self.wiring.topics.forward(&key, wanted, forward);
+        let id = self.wiring.topics.forward(&key, (node, wanted), forward);
         let forwarded = Forwarded { id, key: key.clone(), unverified, by, losses };
         self.forwards.insert((peer, subscription), forwarded);
         // An object may have named the topic just now.

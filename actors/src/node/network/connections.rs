@@ -1,6 +1,7 @@
 //! The methods of a node that show its networks.
 
 use super::Cable;
+use crate::net::RosterRow;
 use crate::node::Node;
 use blastema_contract::link::LinkRow;
 use blastema_contract::naming::NodeRow;
@@ -37,6 +38,11 @@ impl Node {
             Some(networks) => networks.handle.read_routes().await.routes,
             None => Vec::new(),
         }
+    }
+
+    /// The roster that this node uses, with its serial number; none without keys.
+    pub async fn roster(&self) -> Option<RosterRow> {
+        self.0.networks.as_ref()?.handle.read_roster().await
     }
 
     /// The sessions with other nodes: whether they stand, how much is under way, and what was lost,
