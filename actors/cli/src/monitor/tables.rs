@@ -377,14 +377,26 @@ networks
  wire     udp://10.0.1.1:7400  network       yes     -
  here     memory://a           this process  -       -
 
+roster
+ robot   serial  nodes
+ ranger       7      3
+
 links
- network  link  state  neighbour  last sign  round trip   jitter  loss in 1000  cost  refused  seal         key age
- wire     wire  up     arm            12 ms     0.20 ms  0.01 ms             0    10        0  AES-256-GCM   61.0 s
+ network  link  state  neighbour  last sign  round trip   jitter  loss in 1000  cost  sent  bytes sent  received  bytes received  dropped  refused  seal         key age
+ wire     wire  up     arm            12 ms     0.20 ms  0.01 ms             0    10    12        3456         7             890        1        0  AES-256-GCM   61.0 s
+
+routes
+ node  incarnation  network  link  else network  else link  cost  largest frame  nodes between
+ head            3  wire     wire             -          -    20           1200              1
 
 global names
  name  node     object  epoch  known for
  map   module1  slam        7    0.25 ms
  base  -        b          12     61.0 s
+
+dead letters
+ node  object  contract  reason  times
+ arm   grip    close     no way      2
 
 faults: not answered
 ";

@@ -21,7 +21,7 @@ use serde_json::{Value, json};
 pub struct NetworkSnapshot {
     /// The networks, and which of them are sealed or insecure.
     pub networks: Vec<NetworkRow>,
-    /// The roster that the node uses; none without keys.
+    /// The roster that the node uses; an empty list without keys.
     pub roster: Option<Vec<RosterRow>>,
     /// The links, in the order in which they were described.
     pub links: Option<Vec<LinkRow>>,
