@@ -203,6 +203,8 @@ pub use blastema_contract::naming::NodeRow;
 pub use blastema_contract::session::SessionRow;
 pub use blastema_contract::supervisor::SupervisionTree;
 #[cfg(feature = "network")]
+pub use blastema_contract::transport::{TransmitBacklog, TransportCounters};
+#[cfg(feature = "network")]
 pub use blastema_core::net::session::{SessionCounters, SessionState, SessionStatus};
 #[cfg(feature = "network")]
 pub use blastema_core::net::{LinkState, LinkTraffic, Refusals, Route};
@@ -211,8 +213,8 @@ pub use blastema_macros::main;
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
 #[cfg(feature = "network")]
 pub use node::{
-    Cable, Direction, Impairment, IsolateError, Link, LinkName, MemoryMedium, Network, NetworkRow,
-    NetworkSnapshot, RouteRow,
+    Cable, Direction, Impairment, IsolateError, Link, LinkName, MediumRow, MemoryMedium, Network,
+    NetworkRow, NetworkSnapshot, RouteRow,
 };
 pub use node::{
     FaultEvents, Node, NodeBuilder, NodeSnapshot, NodeState, RestartError, RestartedChild,

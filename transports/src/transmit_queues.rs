@@ -1,8 +1,9 @@
 //! What waits for a medium, hellos first and the usual last.
 
 use crate::frame_medium::QueueLimits;
-use blastema_contract::transport::TrafficClass;
+use blastema_contract::transport::{TrafficClass, TransmitBacklog};
 use std::collections::VecDeque;
+use tokio::time::Instant;
 
 /// So many urgent frames go first in a row while a usual one waits: a flood of them does not keep
 /// it for ever.
@@ -16,11 +17,14 @@ pub(crate) struct TransmitQueues<T> {
     urgent: Queue<T>,
     usual: Queue<T>,
     in_a_row: usize,
+    /// Since when the one that was taken out last had waited.
+    taken: Option<Instant>,
 }
 
 #[derive(Debug)]
 struct Queue<T> {
-    waiting: VecDeque<(T, usize)>,
+    /// Each with its bytes, and since when it waits.
+    waiting: VecDeque<(T, usize, Instant)>,
     bytes: usize,
 }
 
@@ -33,7 +37,7 @@ impl<T> Default for Queue<T> {
 impl<T> Default for TransmitQueues<T> {
     fn default() -> Self {
         let (hellos, urgent, usual) = (Queue::default(), Queue::default(), Queue::default());
-        TransmitQueues { hellos, urgent, usual, in_a_row: 0 }
+        TransmitQueues { hellos, urgent, usual, in_a_row: 0, taken: None }
     }
 }
 
@@ -56,12 +60,18 @@ impl<T> TransmitQueues<T> {
             return false;
         }
         queue.bytes += bytes;
-        queue.waiting.push_back((one, bytes));
+        queue.waiting.push_back((one, bytes, Instant::now()));
         true
     }
 
     /// Takes out the one that is to go next.
     pub(crate) fn pop(&mut self) -> Option<(TrafficClass, T)> {
+        let (lane, (one, since)) = self.pop_next()?;
+        self.taken = Some(since);
+        Some((lane, one))
+    }
+
+    fn pop_next(&mut self) -> Option<(TrafficClass, (T, Instant))> {
         if let Some(one) = self.hellos.pop() {
             return Some((TrafficClass::Hello, one));
         }
@@ -72,6 +82,19 @@ impl<T> TransmitQueues<T> {
         }
         self.in_a_row = 0;
         Some((TrafficClass::Usual, self.usual.pop()?))
+    }
+
+    /// What waits, with the one that was taken out last if the medium has not taken it yet.
+    pub(crate) fn backlog(&self, is_going: bool) -> TransmitBacklog {
+        let going = self.taken.filter(|_| is_going);
+        let queues = [&self.hellos, &self.urgent, &self.usual];
+        let frames: usize = queues.iter().map(|queue| queue.waiting.len()).sum();
+        let fronts = queues.iter().filter_map(|queue| queue.waiting.front());
+        let oldest = fronts.map(|(_, _, since)| *since).chain(going).min();
+        TransmitBacklog {
+            frames: frames + usize::from(going.is_some()),
+            oldest: oldest.map(|since| since.elapsed()).unwrap_or_default(),
+        }
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -88,16 +111,17 @@ impl<T> TransmitQueues<T> {
 }
 
 impl<T> Queue<T> {
-    fn pop(&mut self) -> Option<T> {
-        let (one, bytes) = self.waiting.pop_front()?;
+    fn pop(&mut self) -> Option<(T, Instant)> {
+        let (one, bytes, since) = self.waiting.pop_front()?;
         self.bytes -= bytes;
-        Some(one)
+        Some((one, since))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::Duration;
 
     const LIMITS: QueueLimits = QueueLimits { frames: 20, bytes: 1_000 };
 
@@ -130,6 +154,30 @@ mod tests {
         assert!(lanes.push(TrafficClass::Hello, 0, 1_000, LIMITS));
         assert_eq!(lanes.clear(), 23);
         assert!(lanes.is_empty() && lanes.push(TrafficClass::Urgent, 1, 1_000, LIMITS));
+    }
+
+    #[test]
+    fn what_waits_is_as_old_as_the_frame_that_the_medium_has_not_taken_yet() {
+        blastema_doubles::paused(async {
+            let mut lanes = TransmitQueues::default();
+            assert_eq!(lanes.backlog(false), TransmitBacklog::default());
+            assert!(lanes.push(TrafficClass::Usual, 1, 10, LIMITS));
+            tokio::time::advance(Duration::from_millis(30)).await;
+            assert!(lanes.push(TrafficClass::Hello, 2, 10, LIMITS));
+            tokio::time::advance(Duration::from_millis(10)).await;
+
+            let backlog = |frames, millis| {
+                let oldest = Duration::from_millis(millis);
+                TransmitBacklog { frames, oldest }
+            };
+            assert_eq!(lanes.backlog(false), backlog(2, 40));
+            assert_eq!(lanes.pop().map(|(_, one)| one), Some(2));
+            assert_eq!(lanes.pop().map(|(_, one)| one), Some(1));
+            assert_eq!(
+                (lanes.backlog(true), lanes.backlog(false)),
+                (backlog(1, 40), backlog(0, 0))
+            );
+        });
     }
 
     #[test]

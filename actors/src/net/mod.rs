@@ -64,7 +64,7 @@ use blastema_contract::session::{
     AddGateway, CloseSessions, PeerStatusChanged, ReadSessions, SessionRow,
 };
 use blastema_contract::strategy::{IsolateNode, Reroute};
-use blastema_contract::transport::{MediumAddress, Transport};
+use blastema_contract::transport::{MediumAddress, ReadCounters, Transport, TransportCounters};
 use blastema_core::net::discovery::LEARNED_MAX;
 use blastema_core::net::isolation::{IsolationAuthority, IsolationDecision, VoteRefused};
 use blastema_core::net::{LinkId, NodeId};
@@ -199,6 +199,8 @@ pub(crate) struct NetHandle {
     sessions: Addr<sessions::SessionsActor>,
     router: Addr<router::RouterActor>,
     networks: Vec<(ObjectName, Addr<links::LinksActor>)>,
+    /// The counters of each network's transport.
+    media: Vec<(Arc<str>, Recipient<ReadCounters>)>,
     discovery: Option<Addr<DiscoveryActor>>,
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
@@ -294,6 +296,8 @@ pub(crate) fn start(
     remote_watch::serve(&environment.registry);
 
     let (mut watched, mut domains) = (Vec::new(), Vec::new());
+    let media = networks.iter().map(|spec| (spec.name.clone(), spec.transport.counters.clone()));
+    let media = media.collect();
     let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
         let name = named(&format!("links/{}", spec.name));
         let links = spec.links.into_iter().zip(&numbers).map(|(link, n)| (*n, link)).collect();
@@ -349,6 +353,7 @@ pub(crate) fn start(
         sessions,
         router,
         networks,
+        media,
         discovery,
         guardian,
         arbiter,
@@ -429,6 +434,15 @@ impl NetHandle {
         let mut rows = Vec::new();
         for (_, network) in &self.networks {
             rows.extend(network.send(ReadLinks).await.unwrap_or_default());
+        }
+        rows
+    }
+
+    /// What each network's medium has carried and lost.
+    pub(crate) async fn read_media(&self) -> Vec<(Arc<str>, TransportCounters)> {
+        let mut rows = Vec::new();
+        for (network, medium) in &self.media {
+            rows.extend(medium.send(ReadCounters).await.ok().map(|read| (network.clone(), read)));
         }
         rows
     }

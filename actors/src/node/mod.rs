@@ -21,6 +21,8 @@ mod faults;
 #[cfg(feature = "unix")]
 pub(crate) mod inspection;
 #[cfg(feature = "network")]
+mod medium_row;
+#[cfg(feature = "network")]
 mod network;
 #[cfg(feature = "network")]
 mod network_row;
@@ -37,6 +39,8 @@ pub use builder::NodeBuilder;
 pub use controller::NodeState;
 pub use error::StartError;
 pub use faults::FaultEvents;
+#[cfg(feature = "network")]
+pub use medium_row::MediumRow;
 #[cfg(feature = "network")]
 pub use network::{Cable, Direction, Impairment, IsolateError, Link, MemoryMedium, Network};
 #[cfg(feature = "network")]

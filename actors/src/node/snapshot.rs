@@ -275,6 +275,7 @@ mod tests {
                 #[cfg(feature = "network")]
                 network: NetworkSnapshot {
                     networks: Vec::new(),
+                    media: in_time(future::ready(Vec::new())).await,
                     roster: in_time(future::ready(Vec::new())).await,
                     links: in_time(future::ready(Vec::new())).await,
                     routes: in_time(future::pending()).await,

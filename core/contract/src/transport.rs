@@ -14,6 +14,7 @@ use std::fmt;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// An address as one medium writes it.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -286,6 +287,25 @@ pub struct TransportCounters {
     /// Failures that the medium told of and that the transport survived, such as an ICMP "port
     /// unreachable" or a connection that broke.
     pub errors: u64,
+    /// What waits for the medium now.
+    pub backlog: TransmitBacklog,
+}
+
+/// The frames that wait for a medium at one moment.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TransmitBacklog {
+    /// How many.
+    pub frames: usize,
+    /// How long the oldest of them has waited; zero if there is none.
+    pub oldest: Duration,
+}
+
+impl TransmitBacklog {
+    /// Both together.
+    pub fn and(self, other: TransmitBacklog) -> TransmitBacklog {
+        let (frames, oldest) = (self.frames + other.frames, self.oldest.max(other.oldest));
+        TransmitBacklog { frames, oldest }
+    }
 }
 
 /// All that is known of a transport, whatever it is made of.

@@ -128,6 +128,11 @@ fn a_link_shows_the_frames_and_bytes_that_it_has_carried_each_way() {
         assert!(figure(&receiver, "bytes_received") > 16 * 20, "{receiver}");
         assert_eq!(figure(&sender, "frames_dropped"), 0, "{sender}");
         assert!(sender["round_trip_ms"].is_number(), "{sender}");
+        let medium = row(arm, "media", "network", "neck").await;
+        // All links of a network share its medium, which also carries what belongs to none.
+        assert!(figure(&medium, "frames_sent") >= figure(&sender, "frames_sent"), "{medium}");
+        assert_eq!(figure(&medium, "queued"), 0, "{medium}");
+        assert!(medium["frames_dropped"].is_u64() && medium["oldest_ms"] == 0.0, "{medium}");
         end(nodes).await;
     });
 }

@@ -37,7 +37,8 @@ use crate::medium::PollBudget;
 use crate::reopen_backoff::ReopenBackoff;
 use crate::upstream::Upstream;
 use blastema_contract::transport::{
-    Adopt, Attach, ConnectionTrust, MediumAddress, TrafficClass, Transmit, TransportReport,
+    Adopt, Attach, ConnectionTrust, MediumAddress, TrafficClass, Transmit, TransmitBacklog,
+    TransportReport,
 };
 use blastema_core::GatherBuffer;
 use bytes::BytesMut;
@@ -531,6 +532,12 @@ impl<F: StreamFamily> Streams<F> {
         self.meet(task);
         self.carry_on(task);
         self.read(task);
+    }
+
+    /// What waits for all peers.
+    pub(crate) fn backlog(&self) -> TransmitBacklog {
+        let peers = self.peers.iter().map(|peer| peer.outgoing.backlog());
+        peers.fold(TransmitBacklog::default(), TransmitBacklog::and)
     }
 
     pub(crate) fn shut(&mut self) {

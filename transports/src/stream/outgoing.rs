@@ -2,11 +2,12 @@
 
 use super::ByteStream;
 use super::framing::{HEADER, encode_header};
-use blastema_contract::transport::TrafficClass;
+use blastema_contract::transport::{TrafficClass, TransmitBacklog};
 use blastema_core::GatherBuffer;
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
 use std::task::{self, Poll};
+use tokio::time::Instant;
 
 /// So many frames go into one system call.
 const AT_ONCE: usize = 32;
@@ -18,7 +19,8 @@ const OVERHEAD: usize = 64;
 /// A bounded queue of frames before one peer, the urgent before the usual.
 #[derive(Default)]
 pub(super) struct StreamSendQueue {
-    frames: VecDeque<(TrafficClass, GatherBuffer)>,
+    /// Each with its lane, and since when it waits.
+    frames: VecDeque<(TrafficClass, GatherBuffer, Instant)>,
     /// What the frames of each lane cost together, in the order in which they go.
     costs: [usize; 3],
     /// How much of the first frame, with its header, is written already.
@@ -28,6 +30,11 @@ pub(super) struct StreamSendQueue {
 impl StreamSendQueue {
     /// Takes a frame, unless those of its lane would cost more than `limit` bytes together.
     pub(super) fn push(&mut self, lane: TrafficClass, frame: GatherBuffer, limit: usize) -> bool {
+        self.insert((lane, frame, Instant::now()), limit)
+    }
+
+    fn insert(&mut self, waiting: (TrafficClass, GatherBuffer, Instant), limit: usize) -> bool {
+        let (lane, frame, since) = waiting;
         let cost = &mut self.costs[lane as usize];
         let more = *cost + frame.len() + OVERHEAD;
         if more > limit {
@@ -35,17 +42,24 @@ impl StreamSendQueue {
         }
         *cost = more;
         match lane {
-            TrafficClass::Usual => self.frames.push_back((lane, frame)),
+            TrafficClass::Usual => self.frames.push_back((lane, frame, since)),
             TrafficClass::Hello | TrafficClass::Urgent => {
                 // Behind the one that has begun, and behind those that wait and are as urgent.
                 let begun = usize::from(self.written > 0);
                 let waiting = self.frames.iter().skip(begun);
-                let ahead = waiting.take_while(|(other, _)| *other <= lane).count();
+                let ahead = waiting.take_while(|(other, _, _)| *other <= lane).count();
                 let place = (begun + ahead).min(self.frames.len());
-                self.frames.insert(place, (lane, frame));
+                self.frames.insert(place, (lane, frame, since));
             }
         }
         true
+    }
+
+    /// What waits, the frame that has begun included.
+    pub(super) fn backlog(&self) -> TransmitBacklog {
+        let oldest = self.frames.iter().map(|(_, _, since)| *since).min();
+        let oldest = oldest.map(|since| since.elapsed()).unwrap_or_default();
+        TransmitBacklog { frames: self.frames.len(), oldest }
     }
 
     /// Throws everything away; the answer is how many frames that were.
@@ -63,8 +77,8 @@ impl StreamSendQueue {
     /// Puts what waits here behind what waits in `first`, which has begun on the connection that is
     /// used from now on.
     pub(super) fn follow(&mut self, first: StreamSendQueue) {
-        for (lane, frame) in std::mem::replace(self, first).frames {
-            self.push(lane, frame, usize::MAX);
+        for waiting in std::mem::replace(self, first).frames {
+            self.insert(waiting, usize::MAX);
         }
     }
 
@@ -93,11 +107,11 @@ impl StreamSendQueue {
 
     fn write_once(&mut self, stream: &impl ByteStream) -> io::Result<u64> {
         let mut headers = [[0; HEADER]; AT_ONCE];
-        for (header, (_, frame)) in headers.iter_mut().zip(&self.frames) {
+        for (header, (_, frame, _)) in headers.iter_mut().zip(&self.frames) {
             *header = encode_header(frame.len());
         }
         let mut slices = [IoSlice::new(&[]); SLICES * AT_ONCE];
-        for (own, (header, (_, frame))) in
+        for (own, (header, (_, frame, _))) in
             slices.chunks_exact_mut(SLICES).zip(headers.iter().zip(&self.frames))
         {
             let [head, body] = frame.pieces();
@@ -115,7 +129,7 @@ impl StreamSendQueue {
     fn advance(&mut self, bytes: usize) -> u64 {
         self.written += bytes;
         let mut completed = 0;
-        while let Some((lane, first)) = self.frames.front()
+        while let Some((lane, first, _)) = self.frames.front()
             && self.written >= HEADER + first.len()
         {
             self.written -= HEADER + first.len();
@@ -174,7 +188,7 @@ mod tests {
 
         waiting.follow(queue([(TrafficClass::Usual, "begun"), (TrafficClass::Usual, "a")], 7));
 
-        let order: Vec<_> = waiting.frames.iter().map(|(_, frame)| frame.pieces()[0]).collect();
+        let order: Vec<_> = waiting.frames.iter().map(|(_, frame, _)| frame.pieces()[0]).collect();
         assert_eq!(order, [&b"begun"[..], b"h", b"a", b"b"]);
         assert_eq!((waiting.written, waiting.advance(2)), (7, 1));
     }
@@ -194,7 +208,7 @@ mod tests {
         }
         push(&mut outgoing, TrafficClass::Hello, "h");
 
-        let order: Vec<_> = outgoing.frames.iter().map(|(_, frame)| frame.pieces()[0]).collect();
+        let order: Vec<_> = outgoing.frames.iter().map(|(_, frame, _)| frame.pieces()[0]).collect();
         assert_eq!(order, [b"a", b"h", b"x", b"y", b"b"]);
     }
 }

@@ -11,7 +11,7 @@ use crate::reopen_backoff::ReopenBackoff;
 use crate::transmit_queues::TransmitQueues;
 use crate::upstream::Upstream;
 use actix::Context;
-use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
+use blastema_contract::transport::{MediumAddress, Transmit, TransmitBacklog, TransportReport};
 use blastema_core::GatherBuffer;
 use bytes::{BufMut, BytesMut};
 use socket2::{Domain, Protocol, SockRef, Socket, Type};
@@ -297,6 +297,10 @@ impl MediumActor for Udp {
         if !self.queue.push(lane, (to, frame), bytes, limits) {
             self.outlet.counters.dropped += 1;
         }
+    }
+
+    fn backlog(&self) -> TransmitBacklog {
+        self.queue.backlog(self.going.is_some())
     }
 
     fn pump(&mut self, task: &mut task::Context<'_>) {

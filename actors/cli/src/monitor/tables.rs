@@ -8,7 +8,7 @@ use std::fmt::Write;
 pub(crate) type Column = (&'static str, &'static str);
 
 /// The tables in their order: the title, the key in the snapshot, the columns.
-const TABLES: [(&str, &str, &[Column]); 14] = [
+const TABLES: [(&str, &str, &[Column]); 15] = [
     (
         "objects",
         "table",
@@ -55,6 +55,20 @@ const TABLES: [(&str, &str, &[Column]); 14] = [
             ("reach", "reach"),
             ("sealed", "sealed"),
             ("insecure", "insecure"),
+        ],
+    ),
+    (
+        "media",
+        "media",
+        &[
+            ("network", "network"),
+            ("sent", "frames_sent"),
+            ("received", "frames_received"),
+            ("dropped", "frames_dropped"),
+            ("refused", "refused"),
+            ("errors", "errors"),
+            ("queued", "queued"),
+            ("oldest", "oldest_ms"),
         ],
     ),
     ("roster", "roster", &[("robot", "robot"), ("serial", "serial"), ("nodes", "nodes")]),
@@ -356,6 +370,10 @@ mod tests {
                 "frames_dropped": 1, "refused": 0,
                 "seal": "AES-256-GCM", "key_age_ms": 61000.0,
             }],
+            "media": [{
+                "network": "wire", "frames_sent": 20, "frames_received": 9, "frames_dropped": 2,
+                "refused": 0, "errors": 1, "queued": 3, "oldest_ms": 40.0,
+            }],
             "routes": [{
                 "node": "head", "incarnation": 3, "network": "wire", "link": "wire",
                 "alternate_network": null, "alternate_link": null, "cost": 20, "mtu_bytes": 1200, "relays": 1,
@@ -376,6 +394,10 @@ networks
  lan      udp://10.0.0.1:7400  network       -       yes
  wire     udp://10.0.1.1:7400  network       yes     -
  here     memory://a           this process  -       -
+
+media
+ network  sent  received  dropped  refused  errors  queued  oldest
+ wire       20         9        2        0       1       3   40 ms
 
 roster
  robot   serial  nodes

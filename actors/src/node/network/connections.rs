@@ -2,7 +2,7 @@
 
 use super::Cable;
 use crate::net::RosterRow;
-use crate::node::Node;
+use crate::node::{MediumRow, Node};
 use blastema_contract::link::LinkRow;
 use blastema_contract::naming::NodeRow;
 use blastema_contract::router::InjectPanic;
@@ -30,6 +30,13 @@ impl Node {
             Some(networks) => networks.handle.read_links().await,
             None => Vec::new(),
         }
+    }
+
+    /// What the medium of each network has carried and lost, and what waits for it now.
+    pub async fn media(&self) -> Vec<MediumRow> {
+        let Some(networks) = &self.0.networks else { return Vec::new() };
+        let rows = networks.handle.read_media().await;
+        rows.into_iter().map(|(network, counters)| MediumRow { network, counters }).collect()
     }
 
     /// Every node that can be reached from here, and over which link.

@@ -4,6 +4,7 @@ use crate::AccessRefusal;
 use crate::global_name::ClaimRow;
 use crate::net::RosterRow;
 use crate::node::Node;
+use crate::node::medium_row::MediumRow;
 use crate::node::network_row::NetworkRow;
 use crate::node::route_row::{LinkName, RouteRow};
 use crate::node::snapshot::{in_time, millis, rows_of};
@@ -11,7 +12,7 @@ use crate::service::ServiceRow;
 use blastema_contract::link::LinkRow;
 use blastema_contract::session::SessionRow;
 use blastema_core::NodeName;
-use futures_util::future::join4;
+use futures_util::future::join5;
 use serde_json::{Value, json};
 
 /// Everything that a node knows of other nodes at one moment, as part of its
@@ -21,6 +22,8 @@ use serde_json::{Value, json};
 pub struct NetworkSnapshot {
     /// The networks, and which of them are sealed or insecure.
     pub networks: Vec<NetworkRow>,
+    /// What the medium of each network has carried and lost.
+    pub media: Option<Vec<MediumRow>>,
     /// The roster that the node uses; an empty list without keys.
     pub roster: Option<Vec<RosterRow>>,
     /// The links, in the order in which they were described.
@@ -39,11 +42,12 @@ pub struct NetworkSnapshot {
 
 impl NetworkSnapshot {
     pub(in crate::node) async fn of(node: &Node) -> Self {
-        let (links, routes, roster, sessions) = join4(
+        let (links, routes, roster, sessions, media) = join5(
             in_time(node.links()),
             in_time(node.routes()),
             in_time(node.roster()),
             in_time(node.sessions()),
+            in_time(node.media()),
         )
         .await;
         // Without the links, those of a route have no names.
@@ -53,6 +57,7 @@ impl NetworkSnapshot {
             .map(|(links, routes)| routes.iter().map(|route| RouteRow::of(route, links)).collect());
         NetworkSnapshot {
             networks: node.networks().to_vec(),
+            media,
             roster: roster.map(Vec::from_iter),
             links,
             routes,
@@ -67,6 +72,7 @@ impl NetworkSnapshot {
     pub(in crate::node) fn shown_in(&self, mut document: Value) -> Value {
         document["networks"] = rows_of(&self.networks, network).into();
         document["links"] = self.links.as_deref().map(|rows| rows_of(rows, link)).into();
+        document["media"] = self.media.as_deref().map(|rows| rows_of(rows, medium)).into();
         document["roster"] = self.roster.as_deref().map(|rows| rows_of(rows, roster)).into();
         document["routes"] = self.routes.as_deref().map(|rows| rows_of(rows, route)).into();
         document["sessions"] = self.sessions.as_deref().map(|rows| rows_of(rows, session)).into();
@@ -84,6 +90,20 @@ fn network(row: &NetworkRow) -> Value {
         "reach": row.reach.to_string(),
         "sealed": row.sealed,
         "insecure": row.insecure,
+    })
+}
+
+fn medium(row: &MediumRow) -> Value {
+    let counters = &row.counters;
+    json!({
+        "network": &*row.network,
+        "frames_sent": counters.sent,
+        "frames_received": counters.received,
+        "frames_dropped": counters.dropped,
+        "refused": counters.refused,
+        "errors": counters.errors,
+        "queued": counters.backlog.frames,
+        "oldest_ms": millis(counters.backlog.oldest),
     })
 }
 
