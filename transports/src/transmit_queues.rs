@@ -2,8 +2,8 @@
 
 use crate::frame_medium::QueueLimits;
 use blastema_contract::transport::{TrafficClass, TransmitBacklog};
+use blastema_core::Instant;
 use std::collections::VecDeque;
-use tokio::time::Instant;
 
 /// So many urgent frames go first in a row while a usual one waits: a flood of them does not keep
 /// it for ever.
@@ -24,7 +24,7 @@ pub(crate) struct TransmitQueues<T> {
 #[derive(Debug)]
 struct Queue<T> {
     /// Each with its bytes, and since when it waits.
-    waiting: VecDeque<(T, usize, Instant)>,
+    waiting: VecDeque<(T, usize, Option<Instant>)>,
     bytes: usize,
 }
 
@@ -42,12 +42,12 @@ impl<T> Default for TransmitQueues<T> {
 }
 
 impl<T> TransmitQueues<T> {
-    /// Takes one of so many bytes; says whether there was room in its lane.
+    /// Takes one of so many bytes, at this time; says whether there was room in its lane.
     #[must_use = "what is not taken is to be counted"]
     pub(crate) fn push(
         &mut self,
         lane: TrafficClass,
-        one: T,
+        (one, since): (T, Option<Instant>),
         bytes: usize,
         limits: QueueLimits,
     ) -> bool {
@@ -60,18 +60,18 @@ impl<T> TransmitQueues<T> {
             return false;
         }
         queue.bytes += bytes;
-        queue.waiting.push_back((one, bytes, Instant::now()));
+        queue.waiting.push_back((one, bytes, since));
         true
     }
 
     /// Takes out the one that is to go next.
     pub(crate) fn pop(&mut self) -> Option<(TrafficClass, T)> {
         let (lane, (one, since)) = self.pop_next()?;
-        self.taken = Some(since);
+        self.taken = since;
         Some((lane, one))
     }
 
-    fn pop_next(&mut self) -> Option<(TrafficClass, (T, Instant))> {
+    fn pop_next(&mut self) -> Option<(TrafficClass, (T, Option<Instant>))> {
         if let Some(one) = self.hellos.pop() {
             return Some((TrafficClass::Hello, one));
         }
@@ -85,16 +85,13 @@ impl<T> TransmitQueues<T> {
     }
 
     /// What waits, with the one that was taken out last if the medium has not taken it yet.
-    pub(crate) fn backlog(&self, is_going: bool) -> TransmitBacklog {
-        let going = self.taken.filter(|_| is_going);
+    pub(crate) fn backlog(&self, is_going: bool, now: Option<Instant>) -> TransmitBacklog {
         let queues = [&self.hellos, &self.urgent, &self.usual];
         let frames: usize = queues.iter().map(|queue| queue.waiting.len()).sum();
         let fronts = queues.iter().filter_map(|queue| queue.waiting.front());
-        let oldest = fronts.map(|(_, _, since)| *since).chain(going).min();
-        TransmitBacklog {
-            frames: frames + usize::from(going.is_some()),
-            oldest: oldest.map(|since| since.elapsed()).unwrap_or_default(),
-        }
+        let going = self.taken.filter(|_| is_going);
+        let oldest = fronts.filter_map(|(_, _, since)| *since).chain(going).min();
+        TransmitBacklog::since(frames + usize::from(is_going), oldest, now)
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -111,7 +108,7 @@ impl<T> TransmitQueues<T> {
 }
 
 impl<T> Queue<T> {
-    fn pop(&mut self) -> Option<(T, Instant)> {
+    fn pop(&mut self) -> Option<(T, Option<Instant>)> {
         let (one, bytes, since) = self.waiting.pop_front()?;
         self.bytes -= bytes;
         Some((one, since))
@@ -135,7 +132,7 @@ mod tests {
         for one in 1..=6 {
             let lane =
                 [TrafficClass::Usual, TrafficClass::Urgent, TrafficClass::Hello][one as usize % 3];
-            assert!(lanes.push(lane, one, 10, LIMITS));
+            assert!(lanes.push(lane, (one, None), 10, LIMITS));
         }
 
         assert_eq!(drain(&mut lanes), [2, 5, 1, 4, 3, 6]);
@@ -146,45 +143,42 @@ mod tests {
     fn each_lane_is_bounded_by_itself_in_frames_and_in_bytes() {
         let mut lanes = TransmitQueues::default();
 
-        let usual = (0..30).filter(|one| lanes.push(TrafficClass::Usual, *one, 0, LIMITS)).count();
-        let urgent =
-            (0..30).filter(|one| lanes.push(TrafficClass::Urgent, *one, 400, LIMITS)).count();
+        let usual =
+            (0..30).filter(|one| lanes.push(TrafficClass::Usual, (*one, None), 0, LIMITS)).count();
+        let urgent = (0..30)
+            .filter(|one| lanes.push(TrafficClass::Urgent, (*one, None), 400, LIMITS))
+            .count();
 
         assert_eq!((usual, urgent), (20, 2));
-        assert!(lanes.push(TrafficClass::Hello, 0, 1_000, LIMITS));
+        assert!(lanes.push(TrafficClass::Hello, (0, None), 1_000, LIMITS));
         assert_eq!(lanes.clear(), 23);
-        assert!(lanes.is_empty() && lanes.push(TrafficClass::Urgent, 1, 1_000, LIMITS));
+        assert!(lanes.is_empty() && lanes.push(TrafficClass::Urgent, (1, None), 1_000, LIMITS));
     }
 
     #[test]
     fn what_waits_is_as_old_as_the_frame_that_the_medium_has_not_taken_yet() {
-        blastema_doubles::paused(async {
-            let mut lanes = TransmitQueues::default();
-            assert_eq!(lanes.backlog(false), TransmitBacklog::default());
-            assert!(lanes.push(TrafficClass::Usual, 1, 10, LIMITS));
-            tokio::time::advance(Duration::from_millis(30)).await;
-            assert!(lanes.push(TrafficClass::Hello, 2, 10, LIMITS));
-            tokio::time::advance(Duration::from_millis(10)).await;
+        let mut lanes = TransmitQueues::default();
+        let at = |millis| Some(Instant::from_millis(millis));
+        let backlog = |frames, millis| {
+            let oldest = Duration::from_millis(millis);
+            TransmitBacklog { frames, oldest }
+        };
+        assert_eq!(lanes.backlog(false, at(0)), backlog(0, 0));
+        assert!(lanes.push(TrafficClass::Usual, (1, at(0)), 10, LIMITS));
+        assert!(lanes.push(TrafficClass::Hello, (2, at(30)), 10, LIMITS));
 
-            let backlog = |frames, millis| {
-                let oldest = Duration::from_millis(millis);
-                TransmitBacklog { frames, oldest }
-            };
-            assert_eq!(lanes.backlog(false), backlog(2, 40));
-            assert_eq!(lanes.pop().map(|(_, one)| one), Some(2));
-            assert_eq!(lanes.pop().map(|(_, one)| one), Some(1));
-            assert_eq!(
-                (lanes.backlog(true), lanes.backlog(false)),
-                (backlog(1, 40), backlog(0, 0))
-            );
-        });
+        assert_eq!(lanes.backlog(false, at(40)), backlog(2, 40));
+        assert_eq!(lanes.pop().map(|(_, one)| one), Some(2));
+        assert_eq!(lanes.pop().map(|(_, one)| one), Some(1));
+        assert_eq!(lanes.backlog(true, at(40)), backlog(1, 40));
+        assert_eq!(lanes.backlog(false, at(40)), backlog(0, 0));
     }
 
     #[test]
     fn a_flood_of_the_urgent_leaves_the_usual_one_place_in_nine() {
         let mut lanes = TransmitQueues::default();
-        (0..18).for_each(|one| assert!(lanes.push(TrafficClass::Urgent, one, 1, LIMITS)));
-        (100..103).for_each(|one| assert!(lanes.push(TrafficClass::Usual, one, 1, LIMITS)));
+        (0..18).for_each(|one| assert!(lanes.push(TrafficClass::Urgent, (one, None), 1, LIMITS)));
+        (100..103).for_each(|one| assert!(lanes.push(TrafficClass::Usual, (one, None), 1, LIMITS)));
 
         let order = drain(&mut lanes);
 

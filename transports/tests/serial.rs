@@ -33,7 +33,8 @@ impl Node {
     fn with(config: SerialConfig) -> Self {
         let transport = FrameTransport::new(SerialLine::new(config, now)).start();
         let (frames, reports) = (Probe::start(), Probe::start());
-        let attach = Attach::new(frames.recipient(), reports.recipient());
+        let attach =
+            Attach { clock: Some(now), ..Attach::new(frames.recipient(), reports.recipient()) };
         transport.do_send(attach);
         Node { transport, frames, reports }
     }

@@ -5,7 +5,7 @@ use blastema_contract::transport::{
     Attach, Close, MediumAddress, ReadCounters, Received, Transmit, TransmitBacklog,
     TransportCounters, TransportReport,
 };
-use blastema_doubles::{PATIENCE, Probe};
+use blastema_doubles::{PATIENCE, Probe, now};
 use blastema_transports::tcp::framing::{PREAMBLE, encode_header, encode_preamble};
 use blastema_transports::{Tcp, TcpConfig};
 use std::future::Future;
@@ -25,7 +25,8 @@ impl Node {
     async fn open(config: TcpConfig) -> Self {
         let transport = Tcp::new(config).start();
         let (frames, reports) = (Probe::start(), Probe::start());
-        let attach = Attach::new(frames.recipient(), reports.recipient());
+        let attach =
+            Attach { clock: Some(now), ..Attach::new(frames.recipient(), reports.recipient()) };
         transport.do_send(attach);
         match reports.expect().await {
             TransportReport::Opened { local: MediumAddress::Ip(local), .. } => {

@@ -132,8 +132,8 @@ fn what_two_sealed_nodes_have_exchanged_is_shown_as_tables() {
         assert!(base.connected("arm", PATIENCE).await, "{:?}", base.links().await);
         let poses = base.publisher::<Pose>("monitor/pose").expect("a topic");
         poses.publish(Pose(1)).expect("the node runs");
-        let nobody = base.sender::<Dim>("arm:nobody").expect("a name");
-        nobody.tell(Dim).expect("the arm can be reached");
+        let absent = base.sender::<Dim>("arm:absent").expect("a name");
+        absent.tell(Dim).expect("the arm can be reached");
 
         let begun = std::time::Instant::now();
         let shown = loop {
@@ -160,7 +160,7 @@ fn what_two_sealed_nodes_have_exchanged_is_shown_as_tables() {
         assert!((9..13).all(|place| figure(place) > 0), "{link:?}");
         assert_eq!(figure(13), 0, "nothing was dropped: {link:?}");
         let letters = row("dead letters");
-        assert_eq!(letters[..4], ["arm", "nobody", "monitor/dim", "receiver unknown"]);
+        assert_eq!(letters[..4], ["arm", "absent", "monitor/dim", "receiver unknown"]);
         assert!(shown.contains("listening nodes") && row("topics").contains(&"arm".to_owned()));
         for node in [base, arm] {
             node.shutdown().await;

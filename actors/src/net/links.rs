@@ -167,7 +167,12 @@ impl LinksActor {
             Some(_) => ConnectionTrust::Proven,
             None => ConnectionTrust::Claimed,
         };
-        self.wiring.transport.attach.do_send(Attach { frames, reports, connections });
+        self.wiring.transport.attach.do_send(Attach {
+            frames,
+            reports,
+            connections,
+            clock: Some(platform::now),
+        });
     }
 
     /// What a link costs at present.

@@ -6,8 +6,8 @@
 
 use actix::dev::ToEnvelope;
 use actix::{Actor, Addr, Handler, Message, Recipient};
-use blastema_core::GatherBuffer;
 use blastema_core::medium::impairment::{Impairable, Impairment, Injected};
+use blastema_core::{GatherBuffer, Instant};
 use bytes::Bytes;
 use std::collections::BTreeSet;
 use std::fmt;
@@ -218,12 +218,15 @@ pub struct Attach {
     /// What a connection that another node makes is worth. A change from `Claimed` to `Proven`
     /// closes all connections, for none of them is proven.
     pub connections: ConnectionTrust,
+    /// The node's clock, by which the transport tells how long frames wait for the medium; without
+    /// one it does not.
+    pub clock: Option<fn() -> Instant>,
 }
 
 impl Attach {
     /// For a receiver that believes the addresses that connections claim.
     pub fn new(frames: Recipient<Received>, reports: Recipient<TransportReport>) -> Self {
-        Attach { frames, reports, connections: ConnectionTrust::Claimed }
+        Attach { frames, reports, connections: ConnectionTrust::Claimed, clock: None }
     }
 }
 
@@ -296,11 +299,18 @@ pub struct TransportCounters {
 pub struct TransmitBacklog {
     /// How many.
     pub frames: usize,
-    /// How long the oldest of them has waited; zero if there is none.
+    /// How long the oldest of them has waited; zero if there is none, or if the receiver that is
+    /// attached has no clock.
     pub oldest: Duration,
 }
 
 impl TransmitBacklog {
+    /// So many frames, of which the oldest waits since then.
+    pub fn since(frames: usize, oldest: Option<Instant>, now: Option<Instant>) -> TransmitBacklog {
+        let age = now.zip(oldest).map(|(now, oldest)| now - oldest);
+        TransmitBacklog { frames, oldest: age.unwrap_or_default() }
+    }
+
     /// Both together.
     pub fn and(self, other: TransmitBacklog) -> TransmitBacklog {
         let (frames, oldest) = (self.frames + other.frames, self.oldest.max(other.oldest));

@@ -166,17 +166,17 @@ fn messages_that_were_not_delivered_are_shown_with_the_reason_and_how_many() {
         let folder = tempfile::tempdir().expect("a folder");
         let nodes = start(robot(folder.path())).await;
         let base = &nodes[0];
-        let nobody = base.sender::<Count>("arm:nobody").expect("a name");
+        let absent = base.sender::<Count>("arm:absent").expect("a name");
         for _ in 0..3 {
-            nobody.tell(Count).expect("the arm can be reached");
+            absent.tell(Count).expect("the arm can be reached");
         }
 
         let is_counted = async || {
-            let letters = row(base, "dead_letters", "object", "nobody").await;
+            let letters = row(base, "dead_letters", "object", "absent").await;
             letters["count"] == 3
         };
         until(is_counted, "the picture has three dead letters").await;
-        let letters = row(base, "dead_letters", "object", "nobody").await;
+        let letters = row(base, "dead_letters", "object", "absent").await;
         assert_eq!(letters["reason"], "receiver unknown", "{letters}");
         assert_eq!(
             (&letters["node"], &letters["contract"]),

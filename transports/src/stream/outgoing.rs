@@ -3,11 +3,10 @@
 use super::ByteStream;
 use super::framing::{HEADER, encode_header};
 use blastema_contract::transport::{TrafficClass, TransmitBacklog};
-use blastema_core::GatherBuffer;
+use blastema_core::{GatherBuffer, Instant};
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
 use std::task::{self, Poll};
-use tokio::time::Instant;
 
 /// So many frames go into one system call.
 const AT_ONCE: usize = 32;
@@ -16,11 +15,13 @@ const SLICES: usize = 3;
 /// What a frame costs beside its bytes, so that empty frames have a bound too.
 const OVERHEAD: usize = 64;
 
+/// A frame with its lane, and since when it waits, where that is known.
+pub(super) type WaitingFrame = (TrafficClass, GatherBuffer, Option<Instant>);
+
 /// A bounded queue of frames before one peer, the urgent before the usual.
 #[derive(Default)]
 pub(super) struct StreamSendQueue {
-    /// Each with its lane, and since when it waits.
-    frames: VecDeque<(TrafficClass, GatherBuffer, Instant)>,
+    frames: VecDeque<WaitingFrame>,
     /// What the frames of each lane cost together, in the order in which they go.
     costs: [usize; 3],
     /// How much of the first frame, with its header, is written already.
@@ -29,11 +30,7 @@ pub(super) struct StreamSendQueue {
 
 impl StreamSendQueue {
     /// Takes a frame, unless those of its lane would cost more than `limit` bytes together.
-    pub(super) fn push(&mut self, lane: TrafficClass, frame: GatherBuffer, limit: usize) -> bool {
-        self.insert((lane, frame, Instant::now()), limit)
-    }
-
-    fn insert(&mut self, waiting: (TrafficClass, GatherBuffer, Instant), limit: usize) -> bool {
+    pub(super) fn push(&mut self, waiting: WaitingFrame, limit: usize) -> bool {
         let (lane, frame, since) = waiting;
         let cost = &mut self.costs[lane as usize];
         let more = *cost + frame.len() + OVERHEAD;
@@ -56,10 +53,9 @@ impl StreamSendQueue {
     }
 
     /// What waits, the frame that has begun included.
-    pub(super) fn backlog(&self) -> TransmitBacklog {
-        let oldest = self.frames.iter().map(|(_, _, since)| *since).min();
-        let oldest = oldest.map(|since| since.elapsed()).unwrap_or_default();
-        TransmitBacklog { frames: self.frames.len(), oldest }
+    pub(super) fn backlog(&self, now: Option<Instant>) -> TransmitBacklog {
+        let oldest = self.frames.iter().filter_map(|(_, _, since)| *since).min();
+        TransmitBacklog::since(self.frames.len(), oldest, now)
     }
 
     /// Throws everything away; the answer is how many frames that were.
@@ -78,7 +74,7 @@ impl StreamSendQueue {
     /// used from now on.
     pub(super) fn follow(&mut self, first: StreamSendQueue) {
         for waiting in std::mem::replace(self, first).frames {
-            self.insert(waiting, usize::MAX);
+            self.push(waiting, usize::MAX);
         }
     }
 
@@ -149,7 +145,7 @@ mod tests {
     fn frames_are_complete_when_their_last_byte_is_written() {
         let mut outgoing = StreamSendQueue::default();
         for frame in ["", "abc", "", "de"] {
-            assert!(outgoing.push(TrafficClass::Usual, frame.into(), 1 << 20));
+            assert!(outgoing.push((TrafficClass::Usual, frame.into(), None), 1 << 20));
         }
 
         let completed = [3, 1, 6, 1, 4, 6].map(|bytes| outgoing.advance(bytes));
@@ -163,12 +159,14 @@ mod tests {
         let mut outgoing = StreamSendQueue::default();
 
         let taken = (0..10_000)
-            .filter(|_| outgoing.push(TrafficClass::Usual, GatherBuffer::default(), 64 * 100))
+            .filter(|_| {
+                outgoing.push((TrafficClass::Usual, GatherBuffer::default(), None), 64 * 100)
+            })
             .count();
 
         assert_eq!(taken, 100);
         assert!(
-            outgoing.push(TrafficClass::Urgent, GatherBuffer::default(), 64),
+            outgoing.push((TrafficClass::Urgent, GatherBuffer::default(), None), 64),
             "the urgent has a place of its own"
         );
         assert_eq!(outgoing.clear(), 101);
@@ -179,7 +177,7 @@ mod tests {
         let queue = |frames: [(TrafficClass, &'static str); 2], written| {
             let mut queue = StreamSendQueue::default();
             for (lane, frame) in frames {
-                assert!(queue.push(lane, frame.into(), 1 << 20));
+                assert!(queue.push((lane, frame.into(), None), 1 << 20));
             }
             assert_eq!(queue.advance(written), 0);
             queue
@@ -197,7 +195,7 @@ mod tests {
     fn the_urgent_goes_behind_the_frame_that_has_begun_and_before_all_others() {
         let mut outgoing = StreamSendQueue::default();
         let push = |outgoing: &mut StreamSendQueue, lane, frame: &'static str| {
-            assert!(outgoing.push(lane, frame.into(), 1 << 20));
+            assert!(outgoing.push((lane, frame.into(), None), 1 << 20));
         };
         push(&mut outgoing, TrafficClass::Usual, "a");
         push(&mut outgoing, TrafficClass::Usual, "b");

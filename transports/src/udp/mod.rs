@@ -294,13 +294,13 @@ impl MediumActor for Udp {
         let Some(frame) = (if waits { Some(frame) } else { self.send(to, frame) }) else { return };
         let limits = QueueLimits { frames: self.config.queue_frames, bytes: usize::MAX };
         let bytes = frame.len();
-        if !self.queue.push(lane, (to, frame), bytes, limits) {
+        if !self.queue.push(lane, ((to, frame), self.outlet.now()), bytes, limits) {
             self.outlet.counters.dropped += 1;
         }
     }
 
     fn backlog(&self) -> TransmitBacklog {
-        self.queue.backlog(self.going.is_some())
+        self.queue.backlog(self.going.is_some(), self.outlet.now())
     }
 
     fn pump(&mut self, task: &mut task::Context<'_>) {
