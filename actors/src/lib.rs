@@ -163,11 +163,11 @@ pub use platform::sleep;
 // Sending, and what becomes of messages.
 pub use crate::actuator::{ActuatorRow, ActuatorSpec, Commander};
 pub use crate::host::reference::ActorRef;
-pub use crate::messaging::dead_letters::DeadLetterLog;
+pub use crate::messaging::dead_letters::{DeadLetterLog, DeadLetterSnapshot};
 pub use crate::messaging::death_watch::{Down, DownReason};
 pub use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
 pub use crate::messaging::sender::{Repeatable, Sender};
-pub use blastema_core::delivery::dead_letters::DeadReason;
+pub use blastema_core::delivery::dead_letters::{DeadLetterCount, DeadReason};
 pub use blastema_core::lease::{CommanderId, LeaseStatus};
 pub use blastema_core::{
     DeliveryError, Incarnation, NodeName, ObjectAddress, ObjectName, Outcome, RetryPolicy,
@@ -192,6 +192,8 @@ pub use crate::global_name::{
 
 // Nodes, their trees and their networks.
 #[cfg(feature = "network")]
+pub use crate::net::RosterRow;
+#[cfg(feature = "network")]
 pub use crate::registry::access::AccessRefusal;
 #[cfg(feature = "network")]
 pub use blastema_contract::link::LinkRow;
@@ -201,16 +203,18 @@ pub use blastema_contract::naming::NodeRow;
 pub use blastema_contract::session::SessionRow;
 pub use blastema_contract::supervisor::SupervisionTree;
 #[cfg(feature = "network")]
+pub use blastema_contract::transport::{TransmitBacklog, TransportCounters};
+#[cfg(feature = "network")]
 pub use blastema_core::net::session::{SessionCounters, SessionState, SessionStatus};
 #[cfg(feature = "network")]
-pub use blastema_core::net::{LinkState, Refusals, Route};
+pub use blastema_core::net::{LinkState, LinkTraffic, Refusals, Route};
 pub use blastema_macros::main;
 #[cfg(feature = "network")]
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
 #[cfg(feature = "network")]
 pub use node::{
-    Cable, Direction, Impairment, IsolateError, Link, MemoryMedium, Network, NetworkRow,
-    NetworkSnapshot, NotReady,
+    Cable, Direction, Impairment, IsolateError, Link, LinkName, MediumRow, MemoryMedium, Network,
+    NetworkRow, NetworkSnapshot, NotReady, RouteRow,
 };
 pub use node::{
     FaultEvents, Node, NodeBuilder, NodeSnapshot, NodeState, RestartError, RestartedChild,

@@ -78,7 +78,12 @@ impl FaultInjector {
     fn attach_inner(&self, context: &mut Context<Self>) {
         let (frames, reports) = (context.address().recipient(), context.address().recipient());
         let connections = self.outlet.connections();
-        self.inner.attach.do_send(Attach { frames, reports, connections });
+        self.inner.attach.do_send(Attach {
+            frames,
+            reports,
+            connections,
+            clock: Some(self.config.now),
+        });
     }
 
     fn announce(&mut self) {

@@ -6,7 +6,9 @@ use crate::reopen_backoff::ReopenBackoff;
 use crate::transmit_queues::TransmitQueues;
 use crate::upstream::Upstream;
 use actix::Context;
-use blastema_contract::transport::{MediumAddress, TrafficClass, Transmit, TransportReport};
+use blastema_contract::transport::{
+    MediumAddress, TrafficClass, Transmit, TransmitBacklog, TransportReport,
+};
 use bytes::Bytes;
 use std::io;
 use std::task::{self, Poll};
@@ -185,9 +187,18 @@ impl MediumActor for FrameTransport {
         let (limits, bytes) = (self.medium.queue(), frame.len());
         if bytes > mtu {
             self.outlet.counters.refused += 1;
-        } else if !self.queue.push(lane, (to, frame.into_bytes()), bytes, limits) {
+        } else if !self.queue.push(
+            lane,
+            ((to, frame.into_bytes()), self.outlet.now()),
+            bytes,
+            limits,
+        ) {
             self.outlet.counters.dropped += 1;
         }
+    }
+
+    fn backlog(&self) -> TransmitBacklog {
+        self.queue.backlog(self.going.is_some(), self.outlet.now())
     }
 
     fn pump(&mut self, task: &mut task::Context<'_>) {

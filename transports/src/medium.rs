@@ -3,7 +3,7 @@
 use crate::upstream::Upstream;
 use actix::fut::ActorFuture;
 use actix::{Actor, AsyncContext, Context, Supervised};
-use blastema_contract::transport::{Adopt, Attach, Transmit};
+use blastema_contract::transport::{Adopt, Attach, Transmit, TransmitBacklog};
 use std::pin::Pin;
 use std::task::{self, Poll};
 
@@ -67,6 +67,11 @@ pub(crate) trait MediumActor: Actor<Context = Context<Self>> + Supervised {
     /// Takes a frame that is to go out. It must not wait: the pump follows at once.
     fn transmit(&mut self, message: Transmit);
 
+    /// What waits to go out. A medium that hands frames on at once has nothing.
+    fn backlog(&self) -> TransmitBacklog {
+        TransmitBacklog::default()
+    }
+
     /// Attaches another receiver.
     fn attach(&mut self, message: Attach, _: &mut Context<Self>) {
         self.outlet().attach(message);
@@ -126,7 +131,9 @@ macro_rules! transport {
                 _: blastema_contract::transport::ReadCounters,
                 _: &mut actix::Context<Self>,
             ) -> Self::Result {
-                actix::MessageResult(crate::medium::MediumActor::outlet(self).counters)
+                let mut counters = crate::medium::MediumActor::outlet(self).counters;
+                counters.backlog = crate::medium::MediumActor::backlog(self);
+                actix::MessageResult(counters)
             }
         }
     };

@@ -1,7 +1,8 @@
 //! What waits for a medium, hellos first and the usual last.
 
 use crate::frame_medium::QueueLimits;
-use blastema_contract::transport::TrafficClass;
+use blastema_contract::transport::{TrafficClass, TransmitBacklog};
+use blastema_core::Instant;
 use std::collections::VecDeque;
 
 /// So many urgent frames go first in a row while a usual one waits: a flood of them does not keep
@@ -16,11 +17,14 @@ pub(crate) struct TransmitQueues<T> {
     urgent: Queue<T>,
     usual: Queue<T>,
     in_a_row: usize,
+    /// Since when the one that was taken out last had waited.
+    taken: Option<Instant>,
 }
 
 #[derive(Debug)]
 struct Queue<T> {
-    waiting: VecDeque<(T, usize)>,
+    /// Each with its bytes, and since when it waits.
+    waiting: VecDeque<(T, usize, Option<Instant>)>,
     bytes: usize,
 }
 
@@ -33,17 +37,17 @@ impl<T> Default for Queue<T> {
 impl<T> Default for TransmitQueues<T> {
     fn default() -> Self {
         let (hellos, urgent, usual) = (Queue::default(), Queue::default(), Queue::default());
-        TransmitQueues { hellos, urgent, usual, in_a_row: 0 }
+        TransmitQueues { hellos, urgent, usual, in_a_row: 0, taken: None }
     }
 }
 
 impl<T> TransmitQueues<T> {
-    /// Takes one of so many bytes; says whether there was room in its lane.
+    /// Takes one of so many bytes, at this time; says whether there was room in its lane.
     #[must_use = "what is not taken is to be counted"]
     pub(crate) fn push(
         &mut self,
         lane: TrafficClass,
-        one: T,
+        (one, since): (T, Option<Instant>),
         bytes: usize,
         limits: QueueLimits,
     ) -> bool {
@@ -56,12 +60,18 @@ impl<T> TransmitQueues<T> {
             return false;
         }
         queue.bytes += bytes;
-        queue.waiting.push_back((one, bytes));
+        queue.waiting.push_back((one, bytes, since));
         true
     }
 
     /// Takes out the one that is to go next.
     pub(crate) fn pop(&mut self) -> Option<(TrafficClass, T)> {
+        let (lane, (one, since)) = self.pop_next()?;
+        self.taken = since;
+        Some((lane, one))
+    }
+
+    fn pop_next(&mut self) -> Option<(TrafficClass, (T, Option<Instant>))> {
         if let Some(one) = self.hellos.pop() {
             return Some((TrafficClass::Hello, one));
         }
@@ -72,6 +82,16 @@ impl<T> TransmitQueues<T> {
         }
         self.in_a_row = 0;
         Some((TrafficClass::Usual, self.usual.pop()?))
+    }
+
+    /// What waits, with the one that was taken out last if the medium has not taken it yet.
+    pub(crate) fn backlog(&self, is_going: bool, now: Option<Instant>) -> TransmitBacklog {
+        let queues = [&self.hellos, &self.urgent, &self.usual];
+        let frames: usize = queues.iter().map(|queue| queue.waiting.len()).sum();
+        let fronts = queues.iter().filter_map(|queue| queue.waiting.front());
+        let going = self.taken.filter(|_| is_going);
+        let oldest = fronts.filter_map(|(_, _, since)| *since).chain(going).min();
+        TransmitBacklog::since(frames + usize::from(is_going), oldest, now)
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -88,16 +108,17 @@ impl<T> TransmitQueues<T> {
 }
 
 impl<T> Queue<T> {
-    fn pop(&mut self) -> Option<T> {
-        let (one, bytes) = self.waiting.pop_front()?;
+    fn pop(&mut self) -> Option<(T, Option<Instant>)> {
+        let (one, bytes, since) = self.waiting.pop_front()?;
         self.bytes -= bytes;
-        Some(one)
+        Some((one, since))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::Duration;
 
     const LIMITS: QueueLimits = QueueLimits { frames: 20, bytes: 1_000 };
 
@@ -111,7 +132,7 @@ mod tests {
         for one in 1..=6 {
             let lane =
                 [TrafficClass::Usual, TrafficClass::Urgent, TrafficClass::Hello][one as usize % 3];
-            assert!(lanes.push(lane, one, 10, LIMITS));
+            assert!(lanes.push(lane, (one, None), 10, LIMITS));
         }
 
         assert_eq!(drain(&mut lanes), [2, 5, 1, 4, 3, 6]);
@@ -122,21 +143,42 @@ mod tests {
     fn each_lane_is_bounded_by_itself_in_frames_and_in_bytes() {
         let mut lanes = TransmitQueues::default();
 
-        let usual = (0..30).filter(|one| lanes.push(TrafficClass::Usual, *one, 0, LIMITS)).count();
-        let urgent =
-            (0..30).filter(|one| lanes.push(TrafficClass::Urgent, *one, 400, LIMITS)).count();
+        let usual =
+            (0..30).filter(|one| lanes.push(TrafficClass::Usual, (*one, None), 0, LIMITS)).count();
+        let urgent = (0..30)
+            .filter(|one| lanes.push(TrafficClass::Urgent, (*one, None), 400, LIMITS))
+            .count();
 
         assert_eq!((usual, urgent), (20, 2));
-        assert!(lanes.push(TrafficClass::Hello, 0, 1_000, LIMITS));
+        assert!(lanes.push(TrafficClass::Hello, (0, None), 1_000, LIMITS));
         assert_eq!(lanes.clear(), 23);
-        assert!(lanes.is_empty() && lanes.push(TrafficClass::Urgent, 1, 1_000, LIMITS));
+        assert!(lanes.is_empty() && lanes.push(TrafficClass::Urgent, (1, None), 1_000, LIMITS));
+    }
+
+    #[test]
+    fn what_waits_is_as_old_as_the_frame_that_the_medium_has_not_taken_yet() {
+        let mut lanes = TransmitQueues::default();
+        let at = |millis| Some(Instant::from_millis(millis));
+        let backlog = |frames, millis| {
+            let oldest = Duration::from_millis(millis);
+            TransmitBacklog { frames, oldest }
+        };
+        assert_eq!(lanes.backlog(false, at(0)), backlog(0, 0));
+        assert!(lanes.push(TrafficClass::Usual, (1, at(0)), 10, LIMITS));
+        assert!(lanes.push(TrafficClass::Hello, (2, at(30)), 10, LIMITS));
+
+        assert_eq!(lanes.backlog(false, at(40)), backlog(2, 40));
+        assert_eq!(lanes.pop().map(|(_, one)| one), Some(2));
+        assert_eq!(lanes.pop().map(|(_, one)| one), Some(1));
+        assert_eq!(lanes.backlog(true, at(40)), backlog(1, 40));
+        assert_eq!(lanes.backlog(false, at(40)), backlog(0, 0));
     }
 
     #[test]
     fn a_flood_of_the_urgent_leaves_the_usual_one_place_in_nine() {
         let mut lanes = TransmitQueues::default();
-        (0..18).for_each(|one| assert!(lanes.push(TrafficClass::Urgent, one, 1, LIMITS)));
-        (100..103).for_each(|one| assert!(lanes.push(TrafficClass::Usual, one, 1, LIMITS)));
+        (0..18).for_each(|one| assert!(lanes.push(TrafficClass::Urgent, (one, None), 1, LIMITS)));
+        (100..103).for_each(|one| assert!(lanes.push(TrafficClass::Usual, (one, None), 1, LIMITS)));
 
         let order = drain(&mut lanes);
 

@@ -4,6 +4,7 @@ use actix::dev::RecipientRequest;
 use blastema_contract::transport::{
     Attach, MediumAddress, Received, TransportCounters, TransportReport,
 };
+use blastema_core::Instant;
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::future::Future;
@@ -62,6 +63,11 @@ impl Upstream {
             self.bus = Some(all.clone());
             self.report(TransportReport::Bus { all });
         }
+    }
+
+    /// What time it is, if the attached receiver has a clock.
+    pub(crate) fn now(&self) -> Option<Instant> {
+        self.attach.as_ref()?.clock.map(|clock| clock())
     }
 
     fn report_state(&self) {

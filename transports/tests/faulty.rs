@@ -270,7 +270,7 @@ fn the_medium_is_told_which_connections_are_believed_and_which_are_adopted() {
         let (frames, reports) = (bench.frames.recipient(), bench.reports.recipient());
 
         let connections = ConnectionTrust::Proven;
-        bench.cable.do_send(Attach { frames, reports, connections });
+        bench.cable.do_send(Attach { frames, reports, connections, clock: None });
         let peer = MediumAddress::Memory("peer".into());
         let connection = MediumAddress::Connection { number: 7, claimed: peer.clone().into() };
         let adopt = Adopt { connection, peer };

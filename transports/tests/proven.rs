@@ -31,8 +31,12 @@ impl Node {
 
     async fn attach(transport: Transport, connections: ConnectionTrust) -> Self {
         let (frames, reports) = (Probe::start(), Probe::start());
-        let attach =
-            Attach { frames: frames.recipient(), reports: reports.recipient(), connections };
+        let attach = Attach {
+            frames: frames.recipient(),
+            reports: reports.recipient(),
+            connections,
+            clock: None,
+        };
         transport.attach.do_send(attach);
         match reports.expect().await {
             TransportReport::Opened { local, .. } => Node { transport, local, frames, reports },

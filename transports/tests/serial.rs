@@ -2,8 +2,8 @@
 
 use actix::prelude::*;
 use blastema_contract::transport::{
-    Attach, MediumAddress, ReadCounters, Received, TrafficClass, Transmit, TransportCounters,
-    TransportReport,
+    Attach, MediumAddress, ReadCounters, Received, TrafficClass, Transmit, TransmitBacklog,
+    TransportCounters, TransportReport,
 };
 use blastema_doubles::{PATIENCE, Probe, advance, now, paused};
 use blastema_ptys::Cable;
@@ -33,7 +33,8 @@ impl Node {
     fn with(config: SerialConfig) -> Self {
         let transport = FrameTransport::new(SerialLine::new(config, now)).start();
         let (frames, reports) = (Probe::start(), Probe::start());
-        let attach = Attach::new(frames.recipient(), reports.recipient());
+        let attach =
+            Attach { clock: Some(now), ..Attach::new(frames.recipient(), reports.recipient()) };
         transport.do_send(attach);
         Node { transport, frames, reports }
     }
@@ -264,6 +265,26 @@ fn a_slow_line_drops_and_counts_what_it_cannot_carry_and_keeps_nobody_waiting() 
         }
         left.send("late");
         assert_eq!(right.frames.expect().await.frame, "late");
+    });
+}
+
+#[test]
+fn what_waits_for_a_slow_line_is_counted_with_the_age_of_the_oldest() {
+    paused(async {
+        let cable = Cable::new();
+        let left = Node::open(cable.left(), 9_600).await;
+        let _right = Node::open(cable.right(), 9_600).await;
+        assert_eq!(left.counters().await.backlog, TransmitBacklog::default());
+
+        (0..5).for_each(|_| left.send(vec![7; 90]));
+        let first = left.counters().await.backlog;
+        advance(Duration::from_millis(20)).await;
+        let later = left.counters().await.backlog;
+
+        // A frame takes a tenth of a second; the first is on the line.
+        assert!((4..=5).contains(&first.frames) && first.oldest.is_zero(), "{first:?}");
+        assert!(later.frames >= 4, "{later:?}");
+        assert!(later.oldest >= Duration::from_millis(20), "{later:?}");
     });
 }
 

@@ -2,10 +2,10 @@
 
 use actix::prelude::*;
 use blastema_contract::transport::{
-    Attach, Close, MediumAddress, ReadCounters, Received, Transmit, TransportCounters,
-    TransportReport,
+    Attach, Close, MediumAddress, ReadCounters, Received, Transmit, TransmitBacklog,
+    TransportCounters, TransportReport,
 };
-use blastema_doubles::{PATIENCE, Probe};
+use blastema_doubles::{PATIENCE, Probe, now};
 use blastema_transports::tcp::framing::{PREAMBLE, encode_header, encode_preamble};
 use blastema_transports::{Tcp, TcpConfig};
 use std::future::Future;
@@ -25,7 +25,8 @@ impl Node {
     async fn open(config: TcpConfig) -> Self {
         let transport = Tcp::new(config).start();
         let (frames, reports) = (Probe::start(), Probe::start());
-        let attach = Attach::new(frames.recipient(), reports.recipient());
+        let attach =
+            Attach { clock: Some(now), ..Attach::new(frames.recipient(), reports.recipient()) };
         transport.do_send(attach);
         match reports.expect().await {
             TransportReport::Opened { local: MediumAddress::Ip(local), .. } => {
@@ -118,6 +119,24 @@ fn two_who_dial_each_other_at_once_end_up_with_one_connection() {
                 node.transport.send(Close).await.unwrap();
             }
         }
+    });
+}
+
+#[test]
+fn what_waits_for_a_peer_that_does_not_answer_is_counted_with_the_age_of_the_oldest() {
+    run(async {
+        let silent = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let node = Node::open(TcpConfig::default()).await;
+        assert_eq!(node.counters().await.backlog, TransmitBacklog::default());
+
+        for frame in ["a", "b", "c"] {
+            node.send(silent.local_addr().unwrap(), frame);
+        }
+
+        // It has taken the connection, and does not say who it is: the frames wait for that.
+        let first = node.counters().await.backlog;
+        assert_eq!(first.frames, 3, "{first:?}");
+        node.counted(|counted| counted.backlog.oldest > first.oldest).await;
     });
 }
 

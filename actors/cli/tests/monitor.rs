@@ -1,10 +1,11 @@
 //! The program reads the snapshot of a running node.
 
 use blastema::prelude::*;
-use blastema::{ServiceSpec, Stateful};
+use blastema::{Network, ServiceSpec, Stateful};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use std::fs::Permissions;
+use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::{UnixDatagram, UnixListener};
 use std::os::unix::process::CommandExt;
@@ -84,6 +85,86 @@ fn a_running_node_is_shown_as_tables_and_as_json_and_no_more_once_it_has_stopped
             told.contains("no node answers at") && told.contains("inspection_socket"),
             "{told}"
         );
+    });
+}
+
+#[derive(Clone, Debug, Event)]
+#[contract(name = "monitor/pose")]
+struct Pose(u32);
+
+/// Dims a lamp.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "monitor/dim", reply = ())]
+struct Dim;
+
+struct Ear;
+impl Component for Ear {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Pose>();
+    }
+}
+impl Handle<Pose> for Ear {
+    async fn handle(&mut self, _: Pose, _: &mut Context<Self>) {}
+}
+
+#[test]
+fn what_two_sealed_nodes_have_exchanged_is_shown_as_tables() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut keys = Command::new(env!("CARGO_BIN_EXE_blastema"));
+        keys.args(["keys", "new", "ranger", "base", "arm"]).current_dir(folder.path());
+        assert!(keys.output().expect("it can be started").status.success());
+        let held = [0, 1].map(|_| UdpSocket::bind("127.0.0.1:0").expect("a free port"));
+        let at = held.each_ref().map(|socket| socket.local_addr().expect("it is bound"));
+        drop(held);
+        let socket = folder.path().join("base.sock");
+        let node = |own: usize| {
+            let [name, peer] = if own == 0 { ["base", "arm"] } else { ["arm", "base"] };
+            let network = Network::new("wire", &format!("udp://{}", at[own]));
+            Node::builder(name)
+                .work_threads(1)
+                .keys(folder.path().join(format!("{name}.key")))
+                .network(network.peer(peer, &at[1 - own].to_string()))
+        };
+        let base = node(0).inspection_socket(&socket).start().await.expect("it starts");
+        let arm = node(1).child(ChildSpec::new("ear", || Ear));
+        let arm = arm.start().await.expect("it starts");
+        assert!(base.connected("arm", PATIENCE).await, "{:?}", base.links().await);
+        let poses = base.publisher::<Pose>("monitor/pose").expect("a topic");
+        poses.publish(Pose(1)).expect("the node runs");
+        let absent = base.sender::<Dim>("arm:absent").expect("a name");
+        absent.tell(Dim).expect("the arm can be reached");
+
+        let begun = std::time::Instant::now();
+        let shown = loop {
+            let tables = monitor(&[text(&socket)]).await;
+            let shown = String::from_utf8(tables.stdout).expect("text");
+            if shown.contains("dead letters") || begun.elapsed() > PATIENCE {
+                break shown;
+            }
+        };
+
+        // The cells of the first row of a table, by their headings; no cell of these has two words.
+        let row = |title: &str| -> Vec<String> {
+            let table = shown.split("\n\n").find(|table| table.starts_with(title));
+            let table = table.unwrap_or_else(|| panic!("{title} is missing in\n{shown}"));
+            let cells = table.lines().nth(2).expect("a row").split("  ");
+            cells.map(|cell| cell.trim().to_owned()).filter(|cell| !cell.is_empty()).collect()
+        };
+        assert_eq!(row("roster")[..1], ["ranger"]);
+        assert_eq!(row("roster")[2], "2");
+        assert_eq!(row("routes")[0], "arm");
+        assert_eq!(row("routes")[2..6], ["wire", "wire", "-", "-"]);
+        let link = row("links");
+        let figure = |place: usize| link[place].parse::<u64>().expect("a figure");
+        assert!((9..13).all(|place| figure(place) > 0), "{link:?}");
+        assert_eq!(figure(13), 0, "nothing was dropped: {link:?}");
+        let letters = row("dead letters");
+        assert_eq!(letters[..4], ["arm", "absent", "monitor/dim", "receiver unknown"]);
+        assert!(shown.contains("listening nodes") && row("topics").contains(&"arm".to_owned()));
+        for node in [base, arm] {
+            node.shutdown().await;
+        }
     });
 }
 

@@ -293,12 +293,15 @@ impl GatewayActor {
             PeerProtocolOutput::Unsubscribe { peer, subscription } => {
                 self.end_forward((peer, subscription));
             }
-            PeerProtocolOutput::Event { topic, form, age, payload } => {
+            PeerProtocolOutput::Event { peer, topic, form, age, payload } => {
+                let Some(from) = self.peers.get(&peer).map(|peer| (&peer.node, age)) else {
+                    return;
+                };
                 let key = TopicKey::new(&topic.topic, &topic.contract);
                 let topics = &self.wiring.topics;
                 // An event that cannot be read is among the topic's dead letters; a topic that is
                 // not known has no listeners.
-                let given = key.and_then(|key| topics.inject(&key.topic, form, &payload, age));
+                let given = key.and_then(|key| topics.inject(&key.topic, form, &payload, from));
                 if let Err(why) = given {
                     debug!(topic = %topic.topic, %why, "an event did not arrive");
                 }
@@ -420,6 +423,7 @@ impl GatewayActor {
         self.end_lines(peer, why);
         if let Some(peer) = self.peers.get(&peer) {
             peer.send_state.forget_backlog();
+            self.wiring.topics.forget_node(&peer.node);
         }
         let all = (peer, 0)..=(peer, u32::MAX);
         let skeletons: Vec<_> = self.skeletons.range(all.clone()).map(|(key, _)| *key).collect();

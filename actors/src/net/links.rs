@@ -167,7 +167,12 @@ impl LinksActor {
             Some(_) => ConnectionTrust::Proven,
             None => ConnectionTrust::Claimed,
         };
-        self.wiring.transport.attach.do_send(Attach { frames, reports, connections });
+        self.wiring.transport.attach.do_send(Attach {
+            frames,
+            reports,
+            connections,
+            clock: Some(platform::now),
+        });
     }
 
     /// What a link costs at present.
@@ -517,6 +522,7 @@ impl Handler<ReadLinks> for LinksActor {
         let row = |(number, link): (LinkId, &Link)| {
             let spec = self.specs.get(&number)?;
             Some(LinkRow {
+                number,
                 network: self.wiring.network.clone(),
                 link: spec.name.clone(),
                 state: link.state(),
@@ -526,6 +532,7 @@ impl Handler<ReadLinks> for LinksActor {
                 hello_interval: link.hello_interval(),
                 phi: link.phi(now),
                 cost: self.cost(number, link),
+                traffic: self.bundle.traffic(number),
                 refusals: self.bundle.refused_of(number),
                 seal: self.seal(number, now),
             })

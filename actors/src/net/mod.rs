@@ -40,6 +40,7 @@ mod tests;
 
 pub(crate) use carrier::Interface;
 pub(crate) use discovery::DiscoverySpec;
+pub use roster_exchange::RosterRow;
 pub(crate) use roster_watch::RosterChanged;
 
 use self::fault_reporter::FaultReporter;
@@ -63,14 +64,14 @@ use blastema_contract::session::{
     AddGateway, CloseSessions, PeerStatusChanged, ReadSessions, SessionRow,
 };
 use blastema_contract::strategy::{IsolateNode, Reroute};
-use blastema_contract::transport::{MediumAddress, Transport};
+use blastema_contract::transport::{MediumAddress, ReadCounters, Transport, TransportCounters};
 use blastema_core::net::discovery::LEARNED_MAX;
 use blastema_core::net::isolation::{IsolationAuthority, IsolationDecision, VoteRefused};
 use blastema_core::net::{LinkId, NodeId};
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use discovery::{AddNetworks, DiscoveryActor, DiscoveryNetwork, NetworkLinks};
-use roster_exchange::{AttachRosterWatch, RosterActor};
+use roster_exchange::{AttachRosterWatch, ReadRoster, RosterActor};
 use roster_watch::RosterWatch;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -198,6 +199,8 @@ pub(crate) struct NetHandle {
     sessions: Addr<sessions::SessionsActor>,
     router: Addr<router::RouterActor>,
     networks: Vec<(ObjectName, Addr<links::LinksActor>)>,
+    /// The counters of each network's transport.
+    media: Vec<(Arc<str>, Recipient<ReadCounters>)>,
     discovery: Option<Addr<DiscoveryActor>>,
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
@@ -293,6 +296,8 @@ pub(crate) fn start(
     remote_watch::serve(&environment.registry);
 
     let (mut watched, mut domains) = (Vec::new(), Vec::new());
+    let media = networks.iter().map(|spec| (spec.name.clone(), spec.transport.counters.clone()));
+    let media = media.collect();
     let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
         let name = named(&format!("links/{}", spec.name));
         let links = spec.links.into_iter().zip(&numbers).map(|(link, n)| (*n, link)).collect();
@@ -348,6 +353,7 @@ pub(crate) fn start(
         sessions,
         router,
         networks,
+        media,
         discovery,
         guardian,
         arbiter,
@@ -437,10 +443,24 @@ impl NetHandle {
         rows
     }
 
+    /// What each network's medium has carried and lost.
+    pub(crate) async fn read_media(&self) -> Vec<(Arc<str>, TransportCounters)> {
+        let mut rows = Vec::new();
+        for (network, medium) in &self.media {
+            rows.extend(medium.send(ReadCounters).await.ok().map(|read| (network.clone(), read)));
+        }
+        rows
+    }
+
     /// Every node that can be reached, and how.
     pub(crate) async fn read_routes(&self) -> Routes {
         let nothing = Routes { routes: Vec::new() };
         self.router.send(ReadRoutes).await.unwrap_or(nothing)
+    }
+
+    /// The roster that is used; none without keys.
+    pub(crate) async fn read_roster(&self) -> Option<RosterRow> {
+        self.roster.as_ref()?.send(ReadRoster).await.ok()
     }
 
     /// All sessions.

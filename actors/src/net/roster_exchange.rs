@@ -64,6 +64,23 @@ impl RosterMessage {
     }
 }
 
+/// The roster that a node uses, for display.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct RosterRow {
+    /// The robot's name.
+    pub robot: NodeName,
+    /// Its serial number: of two rosters the one with the higher number counts.
+    pub serial: u64,
+    /// How many nodes it lists.
+    pub nodes: usize,
+}
+
+/// Asks for the roster that is used.
+#[derive(Message)]
+#[rtype(result = "RosterRow")]
+pub(super) struct ReadRoster;
+
 /// Takes the rosters of other nodes from now on.
 #[derive(Message)]
 #[rtype(result = "()")]
@@ -158,6 +175,16 @@ impl Handler<RosterChanged> for RosterActor {
         self.keys = keys;
         let peers: Vec<_> = self.peers.values().cloned().collect();
         peers.iter().for_each(|node| self.tell_serial(node));
+    }
+}
+
+impl Handler<ReadRoster> for RosterActor {
+    type Result = MessageResult<ReadRoster>;
+
+    fn handle(&mut self, _: ReadRoster, _: &mut Context<Self>) -> Self::Result {
+        let roster = self.keys.roster();
+        let (robot, serial, nodes) = (roster.robot.clone(), roster.serial, roster.nodes().len());
+        MessageResult(RosterRow { robot, serial, nodes })
     }
 }
 

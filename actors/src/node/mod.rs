@@ -21,10 +21,14 @@ mod faults;
 #[cfg(feature = "unix")]
 pub(crate) mod inspection;
 #[cfg(feature = "network")]
+mod medium_row;
+#[cfg(feature = "network")]
 mod network;
 #[cfg(feature = "network")]
 mod network_row;
 mod restart;
+#[cfg(feature = "network")]
+mod route_row;
 mod safety;
 pub(crate) mod snapshot;
 mod to_the_end;
@@ -36,12 +40,16 @@ pub use controller::NodeState;
 pub use error::StartError;
 pub use faults::FaultEvents;
 #[cfg(feature = "network")]
+pub use medium_row::MediumRow;
+#[cfg(feature = "network")]
 pub use network::{
     Cable, Direction, Impairment, IsolateError, Link, MemoryMedium, Network, NotReady,
 };
 #[cfg(feature = "network")]
 pub use network_row::NetworkRow;
 pub use restart::{RestartError, RestartedChild};
+#[cfg(feature = "network")]
+pub use route_row::{LinkName, RouteRow};
 #[cfg(feature = "network")]
 pub use snapshot::NetworkSnapshot;
 pub use snapshot::NodeSnapshot;
@@ -346,8 +354,8 @@ impl Node {
         self.0.environment.arbiters.abandoned()
     }
 
-    /// Everything that the node knows of itself now: table, threads, links, sessions, claims,
-    /// actuators, faults. It can be read at any time; a part that does not come within a second is
+    /// Everything that the node knows of itself now: table, threads, links, routes, sessions, claims,
+    /// actuators, topics, dead letters, faults. It can be read at any time; a part that does not come within a second is
     /// `None`.
     pub async fn snapshot(&self) -> NodeSnapshot {
         NodeSnapshot::of(self).await

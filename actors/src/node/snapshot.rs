@@ -9,8 +9,10 @@ pub use network::NetworkSnapshot;
 use super::{Node, NodeState};
 use crate::actuator::ActuatorRow;
 use crate::liveness::threads::{ThreadRow, ThreadState};
+use crate::messaging::dead_letters::DeadLetterSnapshot;
 use crate::platform;
 use crate::topic::TopicRow;
+use blastema_core::delivery::dead_letters::DeadLetterCount;
 use blastema_core::detection::{FaultEntry, FaultRecord, MonitorRow, ObjectKind};
 use blastema_core::lease::LeaseStatus;
 use blastema_core::{Incarnation, Instant, NodeName, ObjectName};
@@ -47,6 +49,8 @@ pub struct NodeSnapshot {
     pub actuators: Vec<ActuatorRow>,
     /// The topics that objects of the node have named.
     pub topics: Vec<TopicRow>,
+    /// What was not delivered.
+    pub dead_letters: DeadLetterSnapshot,
     /// The record of faults.
     pub faults: Option<FaultRecord>,
 }
@@ -69,6 +73,7 @@ impl NodeSnapshot {
             network,
             actuators: node.actuators(),
             topics: node.topics(),
+            dead_letters: node.dead_letters().snapshot(),
             faults,
             seen_at: platform::now(),
         }
@@ -94,6 +99,8 @@ impl NodeSnapshot {
             "threads": rows_of(&self.threads, thread),
             "actuators": rows_of(&self.actuators, actuator),
             "topics": rows_of(&self.topics, topic),
+            "dead_letters": rows_of(&self.dead_letters.counts, dead_letter),
+            "dead_letters_beyond": self.dead_letters.beyond,
             "faults": faults.map(|record| rows_of(&record.entries, entry)),
             "faults_dropped": faults.map(|record| record.dropped),
         });
@@ -191,11 +198,22 @@ fn topic(row: &TopicRow) -> Value {
         "latched": row.latched,
         "publishers": row.publishers,
         "listeners": rows_of(&row.listeners, |name| name.as_str().into()),
-        "nodes": row.nodes,
+        "publishing_nodes": rows_of(&row.publishing_nodes, |node| node.as_str().into()),
+        "listening_nodes": rows_of(&row.listening_nodes, |node| node.as_str().into()),
         "events": row.events,
         "rate_hz": row.rate_hz,
         "bytes": row.bytes,
         "similar": row.similar,
+    })
+}
+
+fn dead_letter(row: &DeadLetterCount) -> Value {
+    json!({
+        "node": row.node.as_ref().map(NodeName::as_str),
+        "object": row.object.as_str(),
+        "contract": row.contract,
+        "reason": row.reason.text(),
+        "count": row.count,
     })
 }
 
@@ -257,7 +275,10 @@ mod tests {
                 #[cfg(feature = "network")]
                 network: NetworkSnapshot {
                     networks: Vec::new(),
+                    media: in_time(future::ready(Vec::new())).await,
+                    roster: in_time(future::ready(Vec::new())).await,
                     links: in_time(future::ready(Vec::new())).await,
+                    routes: in_time(future::pending()).await,
                     sessions: in_time(future::pending()).await,
                     claims: Vec::new(),
                     services: Vec::new(),
@@ -265,6 +286,7 @@ mod tests {
                 },
                 actuators: Vec::new(),
                 topics: Vec::new(),
+                dead_letters: DeadLetterSnapshot::default(),
                 faults: in_time(future::pending()).await,
             };
 

@@ -5,7 +5,7 @@ use crate::messaging::message_log;
 use crate::platform;
 use crate::platform::panics;
 use blastema_core::contract::codec;
-use blastema_core::{ContractIdentity, DeliveryError, Event, Instant};
+use blastema_core::{ContractIdentity, DeliveryError, Event, Instant, NodeName};
 use bytes::Bytes;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
@@ -23,7 +23,7 @@ pub(super) trait AnyTopic: Send + Sync {
         &self,
         form: usize,
         event: &Bytes,
-        age: Duration,
+        from: (&NodeName, Duration),
     ) -> Result<(), DeliveryError>;
     fn has_listeners(&self) -> bool;
     /// The same. Without a listener it forgets the event of another node that it keeps. One that
@@ -33,7 +33,10 @@ pub(super) trait AnyTopic: Send + Sync {
     /// Sends it the event that the topic keeps for listeners that join.
     fn catch_up(&self, forward: &RemoteForward);
     fn has_publishers(&self) -> bool;
+    /// For display, without the other nodes that listen: the table knows them.
     fn row(&self, now: Instant) -> TopicRow;
+    /// The session with this node has ended.
+    fn forget_node(&self, node: &NodeName);
     /// Says whether it has publishers and no listeners, although they have had the time to join.
     fn is_unheard(&self, now: Instant) -> bool;
     /// The names of its publishers and listeners of this node.
@@ -74,8 +77,11 @@ impl<E: Event> AnyTopic for Topic<E> {
     }
 
     fn row(&self, now: Instant) -> TopicRow {
-        let nodes = lock(&self.forwards).len();
-        self.traffic.row(&self.key, E::LATCHED, nodes, now)
+        self.traffic.row(&self.key, E::LATCHED, now)
+    }
+
+    fn forget_node(&self, node: &NodeName) {
+        self.traffic.forget_node(node);
     }
 
     fn is_unheard(&self, now: Instant) -> bool {
@@ -92,7 +98,7 @@ impl<E: Event> AnyTopic for Topic<E> {
         &self,
         form: usize,
         event: &Bytes,
-        age: Duration,
+        (from, age): (&NodeName, Duration),
     ) -> Result<(), DeliveryError> {
         let former = form.checked_sub(1).and_then(|place| self.former.get(place));
         // To read it runs what is the user's, on the network's thread.
@@ -113,6 +119,7 @@ impl<E: Event> AnyTopic for Topic<E> {
                 let captured_at = now.as_nanos().saturating_sub(nanos(age));
                 let captured_at = Some(Instant::from_nanos(captured_at));
                 self.traffic.count();
+                self.traffic.came_from(from);
                 let logged = message_log::sent(E::NAME, &self.key.topic, String::new);
                 self.hand_out(event, Times { posted_at: now, captured_at, logged }, true);
                 Ok(())

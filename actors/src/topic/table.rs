@@ -7,7 +7,7 @@ use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
 use crate::registry::difference;
 use crate::runtime::reports::FaultReports;
-use blastema_core::sorted::SortedMap;
+use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{
     ContractIdentity, DeliveryError, Event, NodeName, ObjectName, PeerIdentity, suggestion,
 };
@@ -67,6 +67,7 @@ pub(crate) fn described(contract: &PeerIdentity) -> String {
 /// A forward, and the versions of a contract that its receiver understands. It counts, and gets
 /// events, only where the topic carries one of them.
 struct WantedForward {
+    node: NodeName,
     wanted: Vec<PeerIdentity>,
     forward: RemoteForward,
 }
@@ -187,29 +188,32 @@ impl Topics {
 
     /// The topics that objects of this node have named.
     pub(crate) fn rows(&self) -> Vec<TopicRow> {
-        let topics: Vec<Arc<dyn AnyTopic>> =
-            lock(&self.inner).topics.values().map(|known| known.erased.clone()).collect();
+        let inner = lock(&self.inner);
+        let topic = |known: &TopicEntry| (known.erased.clone(), inner.listening_nodes(known));
+        let topics: Vec<(Arc<dyn AnyTopic>, _)> = inner.topics.values().map(topic).collect();
+        drop(inner);
         let now = platform::now();
-        let row = |topic: &Arc<dyn AnyTopic>| {
+        let row = |(topic, listening_nodes): (Arc<dyn AnyTopic>, Vec<NodeName>)| {
             let unheard = topic.is_unheard(now).then(|| lock(&self.inner).lonely_like(topic.key()));
-            TopicRow { similar: unheard.flatten().map(String::from), ..topic.row(now) }
+            let similar = unheard.flatten().map(String::from);
+            TopicRow { similar, listening_nodes, ..topic.row(now) }
         };
-        topics.iter().map(row).collect()
+        topics.into_iter().map(row).collect()
     }
 
-    /// Ships every event that is published here on this topic, from now on, also if the topic does
+    /// Ships every event that is published here on this topic to this node, from now on, also if the topic does
     /// not exist yet; none if it carries no version that is `wanted`. Events that came in by
     /// [`inject`](Self::inject) are not shipped.
     pub(crate) fn forward(
         &self,
         key: &TopicKey,
-        wanted: Vec<PeerIdentity>,
+        (node, wanted): (NodeName, Vec<PeerIdentity>),
         forward: RemoteForward,
     ) -> ForwardId {
         let mut inner = lock(&self.inner);
         let id = inner.next_forward;
         inner.next_forward += 1;
-        let kept = WantedForward { wanted, forward: forward.clone() };
+        let kept = WantedForward { node, wanted, forward: forward.clone() };
         let topic = inner.topics.get(&key.topic).map(|known| known.erased.clone());
         let topic = topic.filter(|topic| kept.is_understood_of(&topic.identity()));
         inner.forwards.entry(key.topic.clone()).or_default().insert(id, kept);
@@ -231,19 +235,26 @@ impl Topics {
         inner.renew_forwards(&forward.topic);
     }
 
-    /// Gives an event that came from another node to the listeners here, read by this version of
+    /// Gives an event that came from this other node to the listeners here, read by this version of
     /// its contract, 0 for the present one; it took so long.
     pub(crate) fn inject(
         &self,
         topic: &ObjectName,
         form: usize,
         event: &Bytes,
-        age: Duration,
+        from: (&NodeName, Duration),
     ) -> Result<(), DeliveryError> {
         let known = lock(&self.inner).topics.get(topic).map(|known| known.erased.clone());
         match known {
-            Some(known) => known.publish_remote(form, event, age),
+            Some(known) => known.publish_remote(form, event, from),
             None => Err(DeliveryError::Unknown { name: topic.to_string() }),
+        }
+    }
+
+    /// The session with this node has ended: it publishes here no more, until its next event.
+    pub(crate) fn forget_node(&self, node: &NodeName) {
+        for known in lock(&self.inner).topics.values() {
+            known.erased.forget_node(node);
         }
     }
 
@@ -302,6 +313,16 @@ impl TopicTable {
         };
         let names = listened.filter(is_lonely).map(ObjectName::as_str);
         suggestion::nearest(key.topic.as_str(), names).map(Box::from)
+    }
+
+    /// The other nodes whose listeners get what is published on this topic.
+    fn listening_nodes(&self, known: &TopicEntry) -> Vec<NodeName> {
+        let identity = known.erased.identity();
+        let forwards = self.forwards.get(&known.erased.key().topic);
+        let forwards = forwards.into_iter().flat_map(SortedMap::values);
+        let understood = forwards.filter(|kept| kept.is_understood_of(&identity));
+        let nodes: SortedSet<NodeName> = understood.map(|kept| kept.node.clone()).collect();
+        nodes.into_iter().collect()
     }
 
     /// Says whether there are some.

@@ -2,8 +2,8 @@
 
 use super::{TopicKey, lock};
 use crate::platform;
-use blastema_core::sorted::SortedMap;
-use blastema_core::{Instant, ObjectName};
+use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::{Instant, NodeName, ObjectName};
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize};
 use std::sync::{Arc, Mutex};
@@ -28,8 +28,11 @@ pub struct TopicRow {
     pub publishers: Vec<String>,
     /// The objects of this node that listen to it.
     pub listeners: Vec<ObjectName>,
-    /// How many other nodes have listeners.
-    pub nodes: usize,
+    /// The other nodes whose events came, since they have joined; only while this node listens do
+    /// they come.
+    pub publishing_nodes: Vec<NodeName>,
+    /// The other nodes that have listeners.
+    pub listening_nodes: Vec<NodeName>,
     /// The events that were published here, or came from other nodes.
     pub events: u64,
     /// How many of them in a second, since the row was read last, or over a second at least.
@@ -59,6 +62,8 @@ struct Shown {
     publishers: SortedMap<Box<str>, usize>,
     /// How many subscriptions of this name there are.
     listeners: SortedMap<ObjectName, usize>,
+    /// Those whose events came: as many as have sessions at most.
+    publishing_nodes: SortedSet<NodeName>,
     /// The window that began last: when, and after how many events.
     window: (Instant, u64),
     rate_hz: f64,
@@ -84,6 +89,7 @@ impl Traffic {
             shown: Mutex::new(Shown {
                 publishers: SortedMap::new(),
                 listeners: SortedMap::new(),
+                publishing_nodes: SortedSet::new(),
                 window: (now, 0),
                 rate_hz: 0.0,
             }),
@@ -126,6 +132,19 @@ impl Traffic {
         now - self.since >= JOINED_WITHIN && is_used
     }
 
+    /// An event came from this node.
+    pub(super) fn came_from(&self, node: &NodeName) {
+        let mut shown = lock(&self.shown);
+        if !shown.publishing_nodes.contains(node) {
+            shown.publishing_nodes.insert(node.clone());
+        }
+    }
+
+    /// No more events come from this node: its session has ended.
+    pub(super) fn forget_node(&self, node: &NodeName) {
+        lock(&self.shown).publishing_nodes.remove(node);
+    }
+
     /// One publisher more or less.
     pub(super) fn publishes(&self, by: &str, more: bool) {
         count(&mut lock(&self.shown).publishers, by.into(), more);
@@ -151,13 +170,7 @@ impl Traffic {
         publishers.chain(listeners).collect()
     }
 
-    pub(super) fn row(
-        &self,
-        key: &TopicKey,
-        latched: bool,
-        nodes: usize,
-        now: Instant,
-    ) -> TopicRow {
+    pub(super) fn row(&self, key: &TopicKey, latched: bool, now: Instant) -> TopicRow {
         let events = self.events.load(Relaxed);
         let measured = (events > 0 && !self.is_to_be_measured()).then(|| self.bytes.load(Relaxed));
         self.unmeasured.store(true, Relaxed);
@@ -174,7 +187,8 @@ impl Traffic {
             latched,
             publishers: shown.publishers.keys().map(|name| name.to_string()).collect(),
             listeners: shown.listeners.keys().cloned().collect(),
-            nodes,
+            publishing_nodes: shown.publishing_nodes.iter().cloned().collect(),
+            listening_nodes: Vec::new(),
             events,
             rate_hz: shown.rate_hz,
             bytes: measured,

@@ -8,7 +8,7 @@
 use actix::{Message, Recipient};
 use blastema_core::GatherBuffer;
 use blastema_core::net::routing::LinkStatus;
-use blastema_core::net::{LinkId, LinkState, Neighbour, Quality, Refusals};
+use blastema_core::net::{LinkId, LinkState, LinkTraffic, Neighbour, Quality, Refusals};
 use bytes::Bytes;
 use std::sync::Arc;
 use std::time::Duration;
@@ -95,6 +95,8 @@ pub struct ReadLinks;
 /// One link, for display.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkRow {
+    /// Its number on this node, by which routes name it.
+    pub number: LinkId,
     /// The network's name in the configuration.
     pub network: Arc<str>,
     /// The link's name there.
@@ -114,6 +116,8 @@ pub struct LinkRow {
     pub phi: f32,
     /// What it costs at present: its own cost, and more while its quality is poor.
     pub cost: u16,
+    /// What it has carried since its network's links were built last.
+    pub traffic: LinkTraffic,
     /// What was refused on it.
     pub refusals: Refusals,
     /// How its frames are sealed; `None` where they are not, or not yet.

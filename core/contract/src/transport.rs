@@ -6,14 +6,15 @@
 
 use actix::dev::ToEnvelope;
 use actix::{Actor, Addr, Handler, Message, Recipient};
-use blastema_core::GatherBuffer;
 use blastema_core::medium::impairment::{Impairable, Impairment, Injected};
+use blastema_core::{GatherBuffer, Instant};
 use bytes::Bytes;
 use std::collections::BTreeSet;
 use std::fmt;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// An address as one medium writes it.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -217,12 +218,15 @@ pub struct Attach {
     /// What a connection that another node makes is worth. A change from `Claimed` to `Proven`
     /// closes all connections, for none of them is proven.
     pub connections: ConnectionTrust,
+    /// The node's clock, by which the transport tells how long frames wait for the medium; without
+    /// one it does not.
+    pub clock: Option<fn() -> Instant>,
 }
 
 impl Attach {
     /// For a receiver that believes the addresses that connections claim.
     pub fn new(frames: Recipient<Received>, reports: Recipient<TransportReport>) -> Self {
-        Attach { frames, reports, connections: ConnectionTrust::Claimed }
+        Attach { frames, reports, connections: ConnectionTrust::Claimed, clock: None }
     }
 }
 
@@ -286,6 +290,32 @@ pub struct TransportCounters {
     /// Failures that the medium told of and that the transport survived, such as an ICMP "port
     /// unreachable" or a connection that broke.
     pub errors: u64,
+    /// What waits for the medium now.
+    pub backlog: TransmitBacklog,
+}
+
+/// The frames that wait for a medium at one moment.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TransmitBacklog {
+    /// How many.
+    pub frames: usize,
+    /// How long the oldest of them has waited; zero if there is none, or if the receiver that is
+    /// attached has no clock.
+    pub oldest: Duration,
+}
+
+impl TransmitBacklog {
+    /// So many frames, of which the oldest waits since then.
+    pub fn since(frames: usize, oldest: Option<Instant>, now: Option<Instant>) -> TransmitBacklog {
+        let age = now.zip(oldest).map(|(now, oldest)| now - oldest);
+        TransmitBacklog { frames, oldest: age.unwrap_or_default() }
+    }
+
+    /// Both together.
+    pub fn and(self, other: TransmitBacklog) -> TransmitBacklog {
+        let (frames, oldest) = (self.frames + other.frames, self.oldest.max(other.oldest));
+        TransmitBacklog { frames, oldest }
+    }
 }
 
 /// All that is known of a transport, whatever it is made of.

@@ -21,6 +21,7 @@
 use super::link::Link;
 use super::link::LinkOutput;
 use super::link::link_set::{LinkSet, LinkSetOutput};
+use super::link_traffic::LinkTraffic;
 use super::seal::cipher::PUBLIC_KEY;
 use super::seal::{
     ChannelStatus, FrameLane, OpenedFrame, PeerKeyError, SealCrypto, SealRefusals, Sealer,
@@ -113,6 +114,7 @@ struct LinkEnd<A> {
     /// The address of the connection that was adopted last. What came over it before still bears
     /// that address.
     adopted: Option<A>,
+    traffic: LinkTraffic,
 }
 
 /// The machine of all links of one network. `A` are the medium's addresses.
@@ -170,7 +172,10 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
             peer = Some(node);
         }
         self.by_address.insert(address.clone(), number);
-        self.ends.insert(number, LinkEnd { address, peer, adopted: None });
+        self.ends.insert(
+            number,
+            LinkEnd { address, peer, adopted: None, traffic: LinkTraffic::default() },
+        );
         self.links.insert(number, link);
         self.collect(now);
         Ok(())
@@ -272,6 +277,13 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         Refusals { unexpected: link.unexpected + handshakes, ..link }
     }
 
+    /// What a link has carried since it was added.
+    pub fn traffic(&self, number: LinkId) -> LinkTraffic {
+        let carried = self.ends.get(&number).map(|end| end.traffic).unwrap_or_default();
+        let not_up = self.links.get(number).map_or(0, Link::frames_dropped);
+        LinkTraffic { frames_dropped: carried.frames_dropped + not_up, ..carried }
+    }
+
     /// What was refused that came from addresses which no link leads to; nothing where frames are
     /// sealed.
     pub fn strangers(&self) -> Refusals {
@@ -297,6 +309,7 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
 
     /// The medium has received a frame from this address.
     pub fn handle_frame(&mut self, from: A, frame: Bytes, now: Instant) {
+        let bytes = frame.len() as u64;
         let opened = match &mut self.sealer {
             Some(sealer) => match sealer.handle_frame(frame, &from, now) {
                 Ok(Some(OpenedFrame { peer, plain, .. })) => {
@@ -310,6 +323,10 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         // What a frame proves counts before what it says.
         self.collect(now);
         let Some((link, frame)) = opened else { return };
+        if let Some(end) = link.and_then(|link| self.ends.get_mut(&link)) {
+            end.traffic.frames_received += 1;
+            end.traffic.bytes_received += bytes;
+        }
         match link.and_then(|link| self.links.get_mut(link)) {
             Some(link) => link.handle_frame(frame, now),
             None => {
@@ -373,7 +390,7 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
     }
 
     fn transmit(&mut self, link: LinkId, frame: GatherBuffer, now: Instant) {
-        let Some(end) = self.ends.get(&link) else { return };
+        let Some(end) = self.ends.get_mut(&link) else { return };
         let lane = match &frame {
             frame if is_hello(frame) => FrameLane::Hello,
             frame if is_urgent(frame) => FrameLane::Urgent,
@@ -385,10 +402,16 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
                 // Before the handshake no neighbour opens it; nothing goes out unsealed.
                 let sealed =
                     end.peer.and_then(|peer| sealer.seal(peer, lane, &frame.pieces(), now));
-                let Some(sealed) = sealed else { return };
+                let Some(sealed) = sealed else {
+                    // Hellos to a neighbour that is not there are no loss.
+                    end.traffic.frames_dropped += u64::from(lane != FrameLane::Hello);
+                    return;
+                };
                 sealed.into()
             }
         };
+        end.traffic.frames_sent += 1;
+        end.traffic.bytes_sent += frame.len() as u64;
         let to = end.address.clone();
         self.outputs.push_back(LinkLayerOutput::Transmit { to, frame, lane });
     }

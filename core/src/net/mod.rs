@@ -42,6 +42,7 @@ pub mod discovery;
 pub mod isolation;
 pub mod link;
 pub mod link_layer;
+pub mod link_traffic;
 pub mod peer_protocol;
 pub mod refusal_alarms;
 pub mod routing;
@@ -57,6 +58,7 @@ pub use link::{
     PEER_TIMEOUT, Quality,
 };
 pub use link_layer::{AddLinkError, LinkAddress, LinkLayer, LinkLayerOutput, NeighbourKey};
+pub use link_traffic::LinkTraffic;
 pub use peer_protocol::receive_backlog::ReceiveBacklog;
 pub use peer_protocol::{PeerProtocol, PeerProtocolOutput};
 pub use routing::topology::Route;

@@ -7,6 +7,7 @@ mod policy;
 mod processes;
 mod relay;
 mod rosters;
+mod seen;
 mod start;
 
 use blastema::prelude::*;

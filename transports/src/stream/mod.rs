@@ -37,7 +37,8 @@ use crate::medium::PollBudget;
 use crate::reopen_backoff::ReopenBackoff;
 use crate::upstream::Upstream;
 use blastema_contract::transport::{
-    Adopt, Attach, ConnectionTrust, MediumAddress, TrafficClass, Transmit, TransportReport,
+    Adopt, Attach, ConnectionTrust, MediumAddress, TrafficClass, Transmit, TransmitBacklog,
+    TransportReport,
 };
 use blastema_core::GatherBuffer;
 use bytes::BytesMut;
@@ -506,7 +507,8 @@ impl<F: StreamFamily> Streams<F> {
             peer.state = ConnectionState::Dialing(self.family.dial(&local, &to));
         }
         let resting = matches!(peer.state, ConnectionState::Backoff(_));
-        if resting || !peer.outgoing.push(lane, frame, self.bounds.queue_bytes) {
+        if resting || !peer.outgoing.push((lane, frame, self.outlet.now()), self.bounds.queue_bytes)
+        {
             self.outlet.counters.dropped += 1;
         }
     }
@@ -514,10 +516,12 @@ impl<F: StreamFamily> Streams<F> {
     /// Says whether the connection, adopted since or not, takes the frame.
     fn transmit_on(&mut self, number: u32, lane: TrafficClass, frame: GatherBuffer) -> bool {
         if let Some(unproven) = self.strangers.iter_mut().find_map(|one| one.numbered(number)) {
-            return unproven.push(lane, frame);
+            return unproven.push((lane, frame, self.outlet.now()));
         }
         let adopted = self.peers.iter_mut().find(|peer| peer.has_adopted(number));
-        adopted.is_some_and(|peer| peer.outgoing.push(lane, frame, self.bounds.queue_bytes))
+        adopted.is_some_and(|peer| {
+            peer.outgoing.push((lane, frame, self.outlet.now()), self.bounds.queue_bytes)
+        })
     }
 
     pub(crate) fn pump(&mut self, task: &mut task::Context<'_>) {
@@ -531,6 +535,13 @@ impl<F: StreamFamily> Streams<F> {
         self.meet(task);
         self.carry_on(task);
         self.read(task);
+    }
+
+    /// What waits for all peers.
+    pub(crate) fn backlog(&self) -> TransmitBacklog {
+        let now = self.outlet.now();
+        let peers = self.peers.iter().map(|peer| peer.outgoing.backlog(now));
+        peers.fold(TransmitBacklog::default(), TransmitBacklog::and)
     }
 
     pub(crate) fn shut(&mut self) {

@@ -2,8 +2,8 @@
 
 use super::ByteStream;
 use super::framing::{HEADER, encode_header};
-use blastema_contract::transport::TrafficClass;
-use blastema_core::GatherBuffer;
+use blastema_contract::transport::{TrafficClass, TransmitBacklog};
+use blastema_core::{GatherBuffer, Instant};
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
 use std::task::{self, Poll};
@@ -15,10 +15,13 @@ const SLICES: usize = 3;
 /// What a frame costs beside its bytes, so that empty frames have a bound too.
 const OVERHEAD: usize = 64;
 
+/// A frame with its lane, and since when it waits, where that is known.
+pub(super) type WaitingFrame = (TrafficClass, GatherBuffer, Option<Instant>);
+
 /// A bounded queue of frames before one peer, the urgent before the usual.
 #[derive(Default)]
 pub(super) struct StreamSendQueue {
-    frames: VecDeque<(TrafficClass, GatherBuffer)>,
+    frames: VecDeque<WaitingFrame>,
     /// What the frames of each lane cost together, in the order in which they go.
     costs: [usize; 3],
     /// How much of the first frame, with its header, is written already.
@@ -27,7 +30,8 @@ pub(super) struct StreamSendQueue {
 
 impl StreamSendQueue {
     /// Takes a frame, unless those of its lane would cost more than `limit` bytes together.
-    pub(super) fn push(&mut self, lane: TrafficClass, frame: GatherBuffer, limit: usize) -> bool {
+    pub(super) fn push(&mut self, waiting: WaitingFrame, limit: usize) -> bool {
+        let (lane, frame, since) = waiting;
         let cost = &mut self.costs[lane as usize];
         let more = *cost + frame.len() + OVERHEAD;
         if more > limit {
@@ -35,17 +39,23 @@ impl StreamSendQueue {
         }
         *cost = more;
         match lane {
-            TrafficClass::Usual => self.frames.push_back((lane, frame)),
+            TrafficClass::Usual => self.frames.push_back((lane, frame, since)),
             TrafficClass::Hello | TrafficClass::Urgent => {
                 // Behind the one that has begun, and behind those that wait and are as urgent.
                 let begun = usize::from(self.written > 0);
                 let waiting = self.frames.iter().skip(begun);
-                let ahead = waiting.take_while(|(other, _)| *other <= lane).count();
+                let ahead = waiting.take_while(|(other, _, _)| *other <= lane).count();
                 let place = (begun + ahead).min(self.frames.len());
-                self.frames.insert(place, (lane, frame));
+                self.frames.insert(place, (lane, frame, since));
             }
         }
         true
+    }
+
+    /// What waits, the frame that has begun included.
+    pub(super) fn backlog(&self, now: Option<Instant>) -> TransmitBacklog {
+        let oldest = self.frames.iter().filter_map(|(_, _, since)| *since).min();
+        TransmitBacklog::since(self.frames.len(), oldest, now)
     }
 
     /// Throws everything away; the answer is how many frames that were.
@@ -63,8 +73,8 @@ impl StreamSendQueue {
     /// Puts what waits here behind what waits in `first`, which has begun on the connection that is
     /// used from now on.
     pub(super) fn follow(&mut self, first: StreamSendQueue) {
-        for (lane, frame) in std::mem::replace(self, first).frames {
-            self.push(lane, frame, usize::MAX);
+        for waiting in std::mem::replace(self, first).frames {
+            self.push(waiting, usize::MAX);
         }
     }
 
@@ -93,11 +103,11 @@ impl StreamSendQueue {
 
     fn write_once(&mut self, stream: &impl ByteStream) -> io::Result<u64> {
         let mut headers = [[0; HEADER]; AT_ONCE];
-        for (header, (_, frame)) in headers.iter_mut().zip(&self.frames) {
+        for (header, (_, frame, _)) in headers.iter_mut().zip(&self.frames) {
             *header = encode_header(frame.len());
         }
         let mut slices = [IoSlice::new(&[]); SLICES * AT_ONCE];
-        for (own, (header, (_, frame))) in
+        for (own, (header, (_, frame, _))) in
             slices.chunks_exact_mut(SLICES).zip(headers.iter().zip(&self.frames))
         {
             let [head, body] = frame.pieces();
@@ -115,7 +125,7 @@ impl StreamSendQueue {
     fn advance(&mut self, bytes: usize) -> u64 {
         self.written += bytes;
         let mut completed = 0;
-        while let Some((lane, first)) = self.frames.front()
+        while let Some((lane, first, _)) = self.frames.front()
             && self.written >= HEADER + first.len()
         {
             self.written -= HEADER + first.len();
@@ -135,7 +145,7 @@ mod tests {
     fn frames_are_complete_when_their_last_byte_is_written() {
         let mut outgoing = StreamSendQueue::default();
         for frame in ["", "abc", "", "de"] {
-            assert!(outgoing.push(TrafficClass::Usual, frame.into(), 1 << 20));
+            assert!(outgoing.push((TrafficClass::Usual, frame.into(), None), 1 << 20));
         }
 
         let completed = [3, 1, 6, 1, 4, 6].map(|bytes| outgoing.advance(bytes));
@@ -149,12 +159,14 @@ mod tests {
         let mut outgoing = StreamSendQueue::default();
 
         let taken = (0..10_000)
-            .filter(|_| outgoing.push(TrafficClass::Usual, GatherBuffer::default(), 64 * 100))
+            .filter(|_| {
+                outgoing.push((TrafficClass::Usual, GatherBuffer::default(), None), 64 * 100)
+            })
             .count();
 
         assert_eq!(taken, 100);
         assert!(
-            outgoing.push(TrafficClass::Urgent, GatherBuffer::default(), 64),
+            outgoing.push((TrafficClass::Urgent, GatherBuffer::default(), None), 64),
             "the urgent has a place of its own"
         );
         assert_eq!(outgoing.clear(), 101);
@@ -165,7 +177,7 @@ mod tests {
         let queue = |frames: [(TrafficClass, &'static str); 2], written| {
             let mut queue = StreamSendQueue::default();
             for (lane, frame) in frames {
-                assert!(queue.push(lane, frame.into(), 1 << 20));
+                assert!(queue.push((lane, frame.into(), None), 1 << 20));
             }
             assert_eq!(queue.advance(written), 0);
             queue
@@ -174,7 +186,7 @@ mod tests {
 
         waiting.follow(queue([(TrafficClass::Usual, "begun"), (TrafficClass::Usual, "a")], 7));
 
-        let order: Vec<_> = waiting.frames.iter().map(|(_, frame)| frame.pieces()[0]).collect();
+        let order: Vec<_> = waiting.frames.iter().map(|(_, frame, _)| frame.pieces()[0]).collect();
         assert_eq!(order, [&b"begun"[..], b"h", b"a", b"b"]);
         assert_eq!((waiting.written, waiting.advance(2)), (7, 1));
     }
@@ -183,7 +195,7 @@ mod tests {
     fn the_urgent_goes_behind_the_frame_that_has_begun_and_before_all_others() {
         let mut outgoing = StreamSendQueue::default();
         let push = |outgoing: &mut StreamSendQueue, lane, frame: &'static str| {
-            assert!(outgoing.push(lane, frame.into(), 1 << 20));
+            assert!(outgoing.push((lane, frame.into(), None), 1 << 20));
         };
         push(&mut outgoing, TrafficClass::Usual, "a");
         push(&mut outgoing, TrafficClass::Usual, "b");
@@ -194,7 +206,7 @@ mod tests {
         }
         push(&mut outgoing, TrafficClass::Hello, "h");
 
-        let order: Vec<_> = outgoing.frames.iter().map(|(_, frame)| frame.pieces()[0]).collect();
+        let order: Vec<_> = outgoing.frames.iter().map(|(_, frame, _)| frame.pieces()[0]).collect();
         assert_eq!(order, [b"a", b"h", b"x", b"y", b"b"]);
     }
 }

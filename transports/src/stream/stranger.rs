@@ -1,12 +1,11 @@
 //! A connection that another node has made, and that is no peer's yet.
 
 use super::connection::{Connection, DisconnectReason, ReadEnd, ReadStep};
-use super::outgoing::StreamSendQueue;
+use super::outgoing::{StreamSendQueue, WaitingFrame};
 use super::{ByteStream, HandshakeFuture, StreamFamily};
 use crate::medium::PollBudget;
 use crate::upstream::Upstream;
-use blastema_contract::transport::{MediumAddress, TrafficClass};
-use blastema_core::GatherBuffer;
+use blastema_contract::transport::MediumAddress;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -94,8 +93,8 @@ impl<S: ByteStream> UnprovenConnection<S> {
     }
 
     /// Takes a frame, unless too much waits.
-    pub(super) fn push(&mut self, lane: TrafficClass, frame: GatherBuffer) -> bool {
-        self.outgoing.push(lane, frame, QUEUE_BYTES)
+    pub(super) fn push(&mut self, waiting: WaitingFrame) -> bool {
+        self.outgoing.push(waiting, QUEUE_BYTES)
     }
 
     /// Writes what waits, and looks whether it has taken too long.

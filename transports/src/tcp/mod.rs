@@ -13,7 +13,7 @@ use crate::medium::{MediumActor, transport};
 use crate::stream::{BACKLOG, HandshakeFuture, StreamFamily, StreamLimits, Streams, byte_stream};
 use crate::upstream::Upstream;
 use actix::Context;
-use blastema_contract::transport::{Adopt, Attach, MediumAddress, Transmit};
+use blastema_contract::transport::{Adopt, Attach, MediumAddress, Transmit, TransmitBacklog};
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -104,6 +104,10 @@ impl MediumActor for Tcp {
 
     fn transmit(&mut self, message: Transmit) {
         self.0.transmit(message);
+    }
+
+    fn backlog(&self) -> TransmitBacklog {
+        self.0.backlog()
     }
 
     fn pump(&mut self, task: &mut task::Context<'_>) {

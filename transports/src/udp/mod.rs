@@ -11,7 +11,7 @@ use crate::reopen_backoff::ReopenBackoff;
 use crate::transmit_queues::TransmitQueues;
 use crate::upstream::Upstream;
 use actix::Context;
-use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
+use blastema_contract::transport::{MediumAddress, Transmit, TransmitBacklog, TransportReport};
 use blastema_core::GatherBuffer;
 use bytes::{BufMut, BytesMut};
 use socket2::{Domain, Protocol, SockRef, Socket, Type};
@@ -294,9 +294,13 @@ impl MediumActor for Udp {
         let Some(frame) = (if waits { Some(frame) } else { self.send(to, frame) }) else { return };
         let limits = QueueLimits { frames: self.config.queue_frames, bytes: usize::MAX };
         let bytes = frame.len();
-        if !self.queue.push(lane, (to, frame), bytes, limits) {
+        if !self.queue.push(lane, ((to, frame), self.outlet.now()), bytes, limits) {
             self.outlet.counters.dropped += 1;
         }
+    }
+
+    fn backlog(&self) -> TransmitBacklog {
+        self.queue.backlog(self.going.is_some(), self.outlet.now())
     }
 
     fn pump(&mut self, task: &mut task::Context<'_>) {

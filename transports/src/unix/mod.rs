@@ -24,7 +24,7 @@ use crate::medium::{MediumActor, transport};
 use crate::stream::{HandshakeFuture, StreamFamily, StreamLimits, Streams, byte_stream};
 use crate::upstream::Upstream;
 use actix::Context;
-use blastema_contract::transport::{Adopt, Attach, MediumAddress, Transmit};
+use blastema_contract::transport::{Adopt, Attach, MediumAddress, Transmit, TransmitBacklog};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io;
 use std::path::Path;
@@ -64,6 +64,10 @@ impl MediumActor for Unix {
 
     fn transmit(&mut self, message: Transmit) {
         self.0.transmit(message);
+    }
+
+    fn backlog(&self) -> TransmitBacklog {
+        self.0.backlog()
     }
 
     fn pump(&mut self, task: &mut task::Context<'_>) {

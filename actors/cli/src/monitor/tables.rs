@@ -8,7 +8,7 @@ use std::fmt::Write;
 pub(crate) type Column = (&'static str, &'static str);
 
 /// The tables in their order: the title, the key in the snapshot, the columns.
-const TABLES: [(&str, &str, &[Column]); 11] = [
+const TABLES: [(&str, &str, &[Column]); 15] = [
     (
         "objects",
         "table",
@@ -58,6 +58,21 @@ const TABLES: [(&str, &str, &[Column]); 11] = [
         ],
     ),
     (
+        "media",
+        "media",
+        &[
+            ("network", "network"),
+            ("sent", "frames_sent"),
+            ("received", "frames_received"),
+            ("dropped", "frames_dropped"),
+            ("refused", "refused"),
+            ("errors", "errors"),
+            ("queued", "queued"),
+            ("oldest", "oldest_ms"),
+        ],
+    ),
+    ("roster", "roster", &[("robot", "robot"), ("serial", "serial"), ("nodes", "nodes")]),
+    (
         "links",
         "links",
         &[
@@ -70,9 +85,29 @@ const TABLES: [(&str, &str, &[Column]); 11] = [
             ("jitter", "jitter_ms"),
             ("loss in 1000", "loss_permille"),
             ("cost", "cost"),
+            ("sent", "frames_sent"),
+            ("bytes sent", "bytes_sent"),
+            ("received", "frames_received"),
+            ("bytes received", "bytes_received"),
+            ("dropped", "frames_dropped"),
             ("refused", "refused"),
             ("seal", "seal"),
             ("key age", "key_age_ms"),
+        ],
+    ),
+    (
+        "routes",
+        "routes",
+        &[
+            ("node", "node"),
+            ("incarnation", "incarnation"),
+            ("network", "network"),
+            ("link", "link"),
+            ("else network", "alternate_network"),
+            ("else link", "alternate_link"),
+            ("cost", "cost"),
+            ("largest frame", "mtu_bytes"),
+            ("nodes between", "relays"),
         ],
     ),
     (
@@ -158,12 +193,24 @@ const TABLES: [(&str, &str, &[Column]); 11] = [
             ("contract", "contract"),
             ("publishers", "publishers"),
             ("listeners", "listeners"),
-            ("other nodes", "nodes"),
+            ("publishing nodes", "publishing_nodes"),
+            ("listening nodes", "listening_nodes"),
             ("events", "events"),
             ("in a second", "rate_hz"),
             ("bytes", "bytes"),
             ("latched", "latched"),
             ("similar name", "similar"),
+        ],
+    ),
+    (
+        "dead letters",
+        "dead_letters",
+        &[
+            ("node", "node"),
+            ("object", "object"),
+            ("contract", "contract"),
+            ("reason", "reason"),
+            ("times", "count"),
         ],
     ),
     (
@@ -319,9 +366,23 @@ mod tests {
             ],
             "links": [{
                 "network": "wire", "link": "wire", "state": "up", "neighbour": "arm", "last_sign_ms": 12.0,
-                "round_trip_ms": 0.2, "jitter_ms": 0.01, "loss_permille": 0, "cost": 10, "refused": 0,
+                "round_trip_ms": 0.2, "jitter_ms": 0.01, "loss_permille": 0, "cost": 10,
+                "frames_sent": 12, "bytes_sent": 3456, "frames_received": 7, "bytes_received": 890,
+                "frames_dropped": 1, "refused": 0,
                 "seal": "AES-256-GCM", "key_age_ms": 61000.0,
             }],
+            "media": [{
+                "network": "wire", "frames_sent": 20, "frames_received": 9, "frames_dropped": 2,
+                "refused": 0, "errors": 1, "queued": 3, "oldest_ms": 40.0,
+            }],
+            "routes": [{
+                "node": "head", "incarnation": 3, "network": "wire", "link": "wire",
+                "alternate_network": null, "alternate_link": null, "cost": 20, "mtu_bytes": 1200, "relays": 1,
+            }],
+            "roster": [{ "robot": "ranger", "serial": 7, "nodes": 3 }],
+            "dead_letters": [
+                { "node": "arm", "object": "grip", "contract": "close", "reason": "no way", "count": 2 },
+            ],
             "faults": null,
         });
 
@@ -335,14 +396,30 @@ networks
  wire     udp://10.0.1.1:7400  network       yes     -
  here     memory://a           this process  -       -
 
+media
+ network  sent  received  dropped  refused  errors  queued  oldest
+ wire       20         9        2        0       1       3   40 ms
+
+roster
+ robot   serial  nodes
+ ranger       7      3
+
 links
- network  link  state  neighbour  last sign  round trip   jitter  loss in 1000  cost  refused  seal         key age
- wire     wire  up     arm            12 ms     0.20 ms  0.01 ms             0    10        0  AES-256-GCM   61.0 s
+ network  link  state  neighbour  last sign  round trip   jitter  loss in 1000  cost  sent  bytes sent  received  bytes received  dropped  refused  seal         key age
+ wire     wire  up     arm            12 ms     0.20 ms  0.01 ms             0    10    12        3456         7             890        1        0  AES-256-GCM   61.0 s
+
+routes
+ node  incarnation  network  link  else network  else link  cost  largest frame  nodes between
+ head            3  wire     wire             -          -    20           1200              1
 
 global names
  name  node     object  epoch  known for
  map   module1  slam        7    0.25 ms
  base  -        b          12     61.0 s
+
+dead letters
+ node  object  contract  reason  times
+ arm   grip    close     no way      2
 
 faults: not answered
 ";

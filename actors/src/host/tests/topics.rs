@@ -8,7 +8,9 @@ use crate::{
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::ExitReason;
 use blastema_core::delivery::dead_letters::DeadReason;
-use blastema_core::{Contract, ContractIdentity, GatherBuffer, Incarnation, Instant, Lifecycle};
+use blastema_core::{
+    Contract, ContractIdentity, GatherBuffer, Incarnation, Instant, Lifecycle, NodeName,
+};
 use blastema_doubles::{advance, paused, settle};
 use bytes::Bytes;
 use std::pin::Pin;
@@ -241,12 +243,13 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         let stage = Stage::new();
         let topics = &stage.environment.topics();
         let key = TopicKey::new("other", Sample::NAME).unwrap();
+        let far = NodeName::new("far").unwrap();
         let shipped = Arc::new(Mutex::new(vec![]));
         let kept = shipped.clone();
         let wanted = vec![ContractIdentity::of::<Sample>().brief()];
-        let forward = topics.forward(&key, wanted, Arc::new(Shipped(kept)));
+        let forward = topics.forward(&key, (far.clone(), wanted), Arc::new(Shipped(kept)));
         assert!(matches!(
-            topics.inject(&key.topic, 0, &Bytes::from_static(&[1]), Duration::ZERO),
+            topics.inject(&key.topic, 0, &Bytes::from_static(&[1]), (&far, Duration::ZERO)),
             Err(DeliveryError::Unknown { .. })
         ));
         let interest = Arc::new(Mutex::new(vec![]));
@@ -262,12 +265,12 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         publish(&stage, "other", 5);
         settle().await;
         let bytes = shipped.lock().unwrap().pop().unwrap();
-        topics.inject(&key.topic, 0, &bytes.into_bytes(), Duration::ZERO).unwrap();
+        topics.inject(&key.topic, 0, &bytes.into_bytes(), (&far, Duration::ZERO)).unwrap();
         settle().await;
         assert_eq!(logged(&log), [5, 5]);
         assert!(shipped.lock().unwrap().is_empty(), "what came in is not sent out again");
         assert!(matches!(
-            topics.inject(&key.topic, 0, &Bytes::from_static(&[9, 9, 9]), Duration::ZERO),
+            topics.inject(&key.topic, 0, &Bytes::from_static(&[9, 9, 9]), (&far, Duration::ZERO)),
             Err(DeliveryError::Undecodable { .. })
         ));
 

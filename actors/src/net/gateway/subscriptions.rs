@@ -116,12 +116,12 @@ impl GatewayActor {
         };
         let Some(known) = self.peers.get(&peer) else { return };
         let (send_state, gateway) = (known.send_state.clone(), context.address().recipient());
-        let (delivery, losses) = (by.1, self.losses(known, &key));
+        let (delivery, losses, node) = (by.1, self.losses(known, &key), known.node.clone());
         let (target, unsent) = (ForwardTarget { gateway, peer, subscription }, losses.clone());
         let forward = PeerForward { target, send_state, delivery, newest, unsent };
         let forward: RemoteForward = Arc::new(forward);
         self.end_forward((peer, subscription));
-        let id = self.wiring.topics.forward(&key, wanted, forward);
+        let id = self.wiring.topics.forward(&key, (node, wanted), forward);
         let forwarded = Forwarded { id, key: key.clone(), unverified, by, losses };
         self.forwards.insert((peer, subscription), forwarded);
         // An object may have named the topic just now.

@@ -1,7 +1,8 @@
 //! The methods of a node that show its networks.
 
 use super::Cable;
-use crate::node::Node;
+use crate::net::RosterRow;
+use crate::node::{MediumRow, Node};
 use blastema_contract::link::LinkRow;
 use blastema_contract::naming::NodeRow;
 use blastema_contract::router::InjectPanic;
@@ -31,12 +32,24 @@ impl Node {
         }
     }
 
+    /// What the medium of each network has carried and lost, and what waits for it now.
+    pub async fn media(&self) -> Vec<MediumRow> {
+        let Some(networks) = &self.0.networks else { return Vec::new() };
+        let rows = networks.handle.read_media().await;
+        rows.into_iter().map(|(network, counters)| MediumRow { network, counters }).collect()
+    }
+
     /// Every node that can be reached from here, and over which link.
     pub async fn routes(&self) -> Vec<Route> {
         match &self.0.networks {
             Some(networks) => networks.handle.read_routes().await.routes,
             None => Vec::new(),
         }
+    }
+
+    /// The roster that this node uses, with its serial number; none without keys.
+    pub async fn roster(&self) -> Option<RosterRow> {
+        self.0.networks.as_ref()?.handle.read_roster().await
     }
 
     /// The sessions with other nodes: whether they stand, how much is under way, and what was lost,

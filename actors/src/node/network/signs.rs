@@ -44,7 +44,7 @@ fn show_in(rows: &mut [MonitorRow], links: &[LinkRow]) {
 mod tests {
     use super::*;
     use blastema_core::detection::ObjectKind;
-    use blastema_core::net::{LinkState, Neighbour, Quality, Refusals};
+    use blastema_core::net::{LinkId, LinkState, LinkTraffic, Neighbour, Quality, Refusals};
     use blastema_core::{Incarnation, NodeName};
     use std::time::Duration;
 
@@ -54,6 +54,7 @@ mod tests {
 
     fn link(name: &str, neighbour: &str, last_sign: Option<u64>) -> LinkRow {
         LinkRow {
+            number: LinkId(0),
             network: "net".into(),
             link: name.into(),
             state: LinkState::Up,
@@ -69,6 +70,7 @@ mod tests {
             hello_interval: Duration::from_millis(100),
             phi: 0.0,
             cost: 1,
+            traffic: LinkTraffic::default(),
             refusals: Refusals::default(),
             seal: None,
         }

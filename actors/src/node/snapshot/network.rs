@@ -2,14 +2,17 @@
 
 use crate::AccessRefusal;
 use crate::global_name::ClaimRow;
+use crate::net::RosterRow;
 use crate::node::Node;
+use crate::node::medium_row::MediumRow;
 use crate::node::network_row::NetworkRow;
+use crate::node::route_row::{LinkName, RouteRow};
 use crate::node::snapshot::{in_time, millis, rows_of};
 use crate::service::ServiceRow;
 use blastema_contract::link::LinkRow;
 use blastema_contract::session::SessionRow;
 use blastema_core::NodeName;
-use futures_util::future::join;
+use futures_util::future::join5;
 use serde_json::{Value, json};
 
 /// Everything that a node knows of other nodes at one moment, as part of its
@@ -19,8 +22,14 @@ use serde_json::{Value, json};
 pub struct NetworkSnapshot {
     /// The networks, and which of them are sealed or insecure.
     pub networks: Vec<NetworkRow>,
+    /// What the medium of each network has carried and lost.
+    pub media: Option<Vec<MediumRow>>,
+    /// The roster that the node uses; an empty list without keys.
+    pub roster: Option<Vec<RosterRow>>,
     /// The links, in the order in which they were described.
     pub links: Option<Vec<LinkRow>>,
+    /// Every node that can be reached, and over which link.
+    pub routes: Option<Vec<RouteRow>>,
     /// The sessions with other nodes.
     pub sessions: Option<Vec<SessionRow>>,
     /// The global names with a holder, as known to this node.
@@ -33,10 +42,25 @@ pub struct NetworkSnapshot {
 
 impl NetworkSnapshot {
     pub(in crate::node) async fn of(node: &Node) -> Self {
-        let (links, sessions) = join(in_time(node.links()), in_time(node.sessions())).await;
+        let (links, routes, roster, sessions, media) = join5(
+            in_time(node.links()),
+            in_time(node.routes()),
+            in_time(node.roster()),
+            in_time(node.sessions()),
+            in_time(node.media()),
+        )
+        .await;
+        // Without the links, those of a route have no names.
+        let routes = links
+            .as_deref()
+            .zip(routes)
+            .map(|(links, routes)| routes.iter().map(|route| RouteRow::of(route, links)).collect());
         NetworkSnapshot {
             networks: node.networks().to_vec(),
+            media,
+            roster: roster.map(Vec::from_iter),
             links,
+            routes,
             sessions,
             claims: node.claims(),
             services: node.services(),
@@ -48,6 +72,9 @@ impl NetworkSnapshot {
     pub(in crate::node) fn shown_in(&self, mut document: Value) -> Value {
         document["networks"] = rows_of(&self.networks, network).into();
         document["links"] = self.links.as_deref().map(|rows| rows_of(rows, link)).into();
+        document["media"] = self.media.as_deref().map(|rows| rows_of(rows, medium)).into();
+        document["roster"] = self.roster.as_deref().map(|rows| rows_of(rows, roster)).into();
+        document["routes"] = self.routes.as_deref().map(|rows| rows_of(rows, route)).into();
         document["sessions"] = self.sessions.as_deref().map(|rows| rows_of(rows, session)).into();
         document["global_names"] = rows_of(&self.claims, claim).into();
         document["services"] = rows_of(&self.services, service).into();
@@ -66,6 +93,20 @@ fn network(row: &NetworkRow) -> Value {
     })
 }
 
+fn medium(row: &MediumRow) -> Value {
+    let counters = &row.counters;
+    json!({
+        "network": &*row.network,
+        "frames_sent": counters.sent,
+        "frames_received": counters.received,
+        "frames_dropped": counters.dropped,
+        "refused": counters.refused,
+        "errors": counters.errors,
+        "queued": counters.backlog.frames,
+        "oldest_ms": millis(counters.backlog.oldest),
+    })
+}
+
 fn link(row: &LinkRow) -> Value {
     json!({
         "network": &*row.network,
@@ -77,10 +118,35 @@ fn link(row: &LinkRow) -> Value {
         "jitter_ms": millis(row.quality.jitter),
         "loss_permille": row.quality.loss_permille,
         "cost": row.cost,
+        "frames_sent": row.traffic.frames_sent,
+        "bytes_sent": row.traffic.bytes_sent,
+        "frames_received": row.traffic.frames_received,
+        "bytes_received": row.traffic.bytes_received,
+        "frames_dropped": row.traffic.frames_dropped,
         "refused": row.refusals.total(),
         "seal": row.seal.map(|seal| seal.cipher),
         "key_age_ms": millis(row.seal.map(|seal| seal.key_age)),
     })
+}
+
+fn route(row: &RouteRow) -> Value {
+    let network = |name: &Option<LinkName>| name.as_ref().map(|name| name.network.to_string());
+    let link = |name: &Option<LinkName>| name.as_ref().map(|name| name.link.to_string());
+    json!({
+        "node": row.node.as_str(),
+        "incarnation": row.incarnation.0,
+        "network": network(&row.link),
+        "link": link(&row.link),
+        "alternate_network": network(&row.alternate),
+        "alternate_link": link(&row.alternate),
+        "cost": row.cost,
+        "mtu_bytes": row.mtu,
+        "relays": row.relays,
+    })
+}
+
+fn roster(row: &RosterRow) -> Value {
+    json!({ "robot": row.robot.as_str(), "serial": row.serial, "nodes": row.nodes })
 }
 
 fn session(row: &SessionRow) -> Value {

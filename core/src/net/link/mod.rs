@@ -92,6 +92,7 @@ pub struct Link {
     doubted: Option<PeerRefusal>,
     refused: Option<PeerRefusal>,
     refusals: Refusals,
+    frames_dropped: u64,
     outputs: VecDeque<LinkOutput>,
 }
 
@@ -162,6 +163,7 @@ impl Link {
             doubted: None,
             refused: None,
             refusals: Refusals::default(),
+            frames_dropped: 0,
             outputs: VecDeque::new(),
         }
     }
@@ -191,6 +193,11 @@ impl Link {
         self.refusals
     }
 
+    /// How many frames of the router were dropped because the link was not up.
+    pub fn frames_dropped(&self) -> u64 {
+        self.frames_dropped
+    }
+
     /// Sends a message of the router. Dropped and counted when the link is not up.
     pub fn handle_routing(&mut self, bytes: Bytes) {
         for frame in reassembly::frames_of(bytes, self.mtu) {
@@ -207,7 +214,7 @@ impl Link {
         if self.carries() {
             self.outputs.push_back(LinkOutput::Transmit(frame.parcel()));
         } else {
-            self.refusals.unexpected += 1;
+            self.frames_dropped += 1;
         }
     }
 

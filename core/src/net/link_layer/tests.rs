@@ -439,3 +439,29 @@ fn without_keys_a_frame_belongs_to_the_link_of_its_address() {
     assert_eq!(strangers.count(), 1);
     assert!(!end.is_sealed() && end.seal_refusals().is_none());
 }
+
+#[test]
+fn what_a_link_carries_is_counted_with_its_seal_and_what_it_cannot_carry_as_dropped() {
+    let mut world = World::new();
+    world.packet(0, "too early");
+    assert_eq!(
+        world.ends[0].traffic(LINK),
+        LinkTraffic { frames_dropped: 1, ..Default::default() }
+    );
+    assert_eq!(world.ends[0].refused_of(LINK).total(), 0, "the neighbour has sent nothing");
+
+    let mut world = World::up();
+    // Past the hello that is on its way, and before the next.
+    world.run(10);
+    let (before, sent) = (world.ends.each_ref().map(|end| end.traffic(LINK)), world.sent.len());
+    world.packet(0, "0123456789");
+    let frame = world.sent[sent].2.len() as u64;
+    world.run(1);
+
+    let after = world.ends.each_ref().map(|end| end.traffic(LINK));
+    assert_eq!(after[0].frames_sent - before[0].frames_sent, 1);
+    assert_eq!(after[0].bytes_sent - before[0].bytes_sent, frame);
+    assert!(frame >= 10 + world.ends[0].overhead() as u64, "{frame} bytes");
+    assert_eq!(after[1].frames_received - before[1].frames_received, 1);
+    assert_eq!(after[1].bytes_received - before[1].bytes_received, frame);
+}

@@ -301,7 +301,13 @@ impl PeerProtocol {
                 if !self.was_offered(peer, &topic) {
                     return;
                 }
-                self.outputs.push_back(PeerProtocolOutput::Event { topic, form, age, payload });
+                self.outputs.push_back(PeerProtocolOutput::Event {
+                    peer,
+                    topic,
+                    form,
+                    age,
+                    payload,
+                });
             }
             // It crossed our unsubscribing.
             None => self.refusals.stale += 1,

@@ -314,6 +314,7 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     pair.ends[1].handle_event(*peer, (*subscription, Delivery::Reliable), payload().into(), at(0));
     pair.run();
     let event = PeerProtocolOutput::Event {
+        peer: NodeId::of(&node("right")),
         topic: topic(),
         form: 0,
         age: Duration::ZERO,

@@ -214,6 +214,8 @@ pub enum PeerProtocolOutput {
     },
     /// An event arrived for those who listen here.
     Event {
+        /// From whom.
+        peer: NodeId,
         /// Which topic.
         topic: TopicContract,
         /// By which of our versions of the contract it is read: 0 is the present one.
