@@ -115,9 +115,9 @@ impl CongestionControl {
         (self.is_narrow, self.part) = (is_narrow, mtu.min(PART));
         (self.base, self.probing_until) = (None, None);
         self.recent.clear();
-        self.is_slow_start = true;
-        let initial = self.initial();
-        self.window = if is_narrow { self.window.min(initial) } else { self.window.max(initial) };
+        // What the path before carried says nothing of this one, which may be a radio in the place
+        // of a cable (RFC 9000, 9.4).
+        (self.window, self.is_slow_start) = (self.initial(), true);
     }
 
     /// A session begins from nothing, with this transmission.
@@ -362,6 +362,20 @@ mod tests {
             let most = rate * 30_000;
             assert!(arrived * 10 > most * 8, "{arrived} of {most} at {base:?}");
         }
+    }
+
+    #[test]
+    fn a_slow_path_in_the_place_of_a_fast_one_gets_no_burst() {
+        let mut path = Path::new(125_000, MS);
+        path.run(Duration::from_secs(5));
+        assert!(path.control.window() > 400_000, "{:?}", path.control);
+        path.run(Duration::from_secs(1));
+        path.rate = 1_000;
+        path.flying.clear();
+        path.free_at = path.now;
+        path.control.enter_path(PART, false);
+        let (longest, ..) = path.run(Duration::from_secs(5));
+        assert!(longest < 6 * TARGET, "{longest:?}");
     }
 
     #[test]
