@@ -35,6 +35,16 @@ impl ReplacementCause {
             _ => ReplacementCause::Faulty,
         }
     }
+
+    /// The same in words, where nothing more exact is known yet.
+    fn as_str(self) -> &'static str {
+        match self {
+            ReplacementCause::Died => "it died",
+            ReplacementCause::Stuck | ReplacementCause::Behind => "it did not answer",
+            ReplacementCause::Faulty => "it was faulty",
+            ReplacementCause::Asked => "it was asked to",
+        }
+    }
 }
 
 /// Where a child stands with its supervisor.
@@ -147,11 +157,16 @@ impl SupervisedChild {
     }
 
     /// That it was restarted too often, and why it failed last: of a supervisor, which of its
-    /// children was the cause.
-    pub(super) fn excess(&self, intensity: u32, period: Duration) -> String {
+    /// children was the cause. The recoverer may order the restart before its guard reports the end.
+    pub(super) fn excess(
+        &self,
+        cause: ReplacementCause,
+        intensity: u32,
+        period: Duration,
+    ) -> String {
         let SupervisedChild { name, failed, .. } = self;
-        let cause = failed.as_ref().map_or(String::new(), |failed| format!(": {failed}"));
-        format!("{name} needed more than {intensity} restarts in {period:?}{cause}")
+        let why = failed.as_deref().unwrap_or(cause.as_str());
+        format!("{name} needed more than {intensity} restarts in {period:?}: {why}")
     }
 
     pub(super) fn is_alive(&self) -> bool {

@@ -160,7 +160,7 @@ impl Supervisor {
             return Ok(());
         }
         let held_against = !matches!(cause, ReplacementCause::Behind | ReplacementCause::Asked);
-        let is_worth_it = !held_against || self.count_restart(key, now);
+        let is_worth_it = !held_against || self.count_restart(key, cause, now);
         // An incarnation that is stuck is not given up for nothing: it may move again before the
         // recoverer takes its next action.
         if is_worth_it || cause == ReplacementCause::Died || !self.at_work() {
@@ -170,7 +170,7 @@ impl Supervisor {
             }
         }
         if !is_worth_it {
-            return self.leave_failed(key);
+            return self.leave_failed(key, cause);
         }
         let child = self.kept(key);
         child.failed = None;
@@ -186,11 +186,15 @@ impl Supervisor {
 
     /// The restart of a child was one too many. Unless the whole supervisor ends, it is left to the
     /// recoverer's next action.
-    fn leave_failed(&mut self, key: ChildKey) -> Result<(), GiveUpReason> {
+    fn leave_failed(
+        &mut self,
+        key: ChildKey,
+        cause: ReplacementCause,
+    ) -> Result<(), GiveUpReason> {
         if !self.at_work() {
             return Ok(());
         }
-        let reason = self.excess_of(key);
+        let reason = self.excess_of(key, cause);
         let child = self.kept(key);
         if !child.is_alive() {
             child.failed = Some(reason.clone());
@@ -437,10 +441,10 @@ impl Supervisor {
 
     /// Counts a restart and says whether it is within the intensity. One that is not ends
     /// everything where no child can go on without this one.
-    fn count_restart(&mut self, key: ChildKey, now: Instant) -> bool {
+    fn count_restart(&mut self, key: ChildKey, cause: ReplacementCause, now: Instant) -> bool {
         let within = self.budget.add(key, now);
         if !within && (self.budget.is_shared() || self.kept(key).rules.essential) {
-            let reason = self.excess_of(key);
+            let reason = self.excess_of(key, cause);
             self.end(Some(reason));
         } else if self.budget.left(key, now) == 0 {
             if self.budget.is_shared() {
@@ -452,8 +456,8 @@ impl Supervisor {
         within
     }
 
-    fn excess_of(&self, key: ChildKey) -> String {
-        self.children[&key].excess(self.rules.intensity, self.rules.period)
+    fn excess_of(&self, key: ChildKey, cause: ReplacementCause) -> String {
+        self.children[&key].excess(cause, self.rules.intensity, self.rules.period)
     }
 
     pub(super) fn restarted_on_the_spot(&mut self, key: ChildKey, next: Incarnation, now: Instant) {
@@ -466,7 +470,7 @@ impl Supervisor {
         if !matches!(child.state, ChildPhase::Down | ChildPhase::Stopping { .. }) {
             self.await_start(key, now);
         }
-        if self.at_work() && self.count_restart(key, now) {
+        if self.at_work() && self.count_restart(key, ReplacementCause::Died, now) {
             self.grant(key, now);
         }
     }

@@ -13,7 +13,7 @@ fn one_restart_too_many_ends_everything_and_escalates() {
     assert_eq!(rig.restart("b", ReplacementCause::Died, 4), ["stop c"]);
     assert_eq!(rig.restart("a", ReplacementCause::Died, 1), [""; 0]);
     assert_eq!(rig.stopped("c", 1), ["stop a"]);
-    assert_eq!(rig.stopped("a", 1), ["escalate: b needed more than 3 restarts in 60s"]);
+    assert_eq!(rig.stopped("a", 1), ["escalate: b needed more than 3 restarts in 60s: it died"]);
 
     // What was asked of the old incarnation is answered by the new one.
     assert_eq!(rig.begin(), ["start a #2"]);
@@ -34,9 +34,9 @@ fn the_end_of_the_root_is_the_end_of_hope() {
     assert_eq!(
         rig.restart("a", ReplacementCause::Died, 1),
         [
-            "give up: a needed more than 0 restarts in 60s",
-            "escalate: a needed more than 0 restarts in 60s",
-            "1 gave a up: given up: a needed more than 0 restarts in 60s"
+            "give up: a needed more than 0 restarts in 60s: it died",
+            "escalate: a needed more than 0 restarts in 60s: it died",
+            "1 gave a up: given up: a needed more than 0 restarts in 60s: it died"
         ]
     );
     assert!(rig.restart("a", ReplacementCause::Died, 1)[0].starts_with("2 gave a up"));
@@ -110,7 +110,7 @@ fn restarts_on_the_spot_beyond_the_budget_escalate() {
 
     assert_eq!(rig.died_on_the_spot("a", 1), ["withdraw a"]);
     assert_eq!(rig.died_on_the_spot("a", 2), ["stop a"]);
-    assert_eq!(rig.stopped("a", 3), ["escalate: a needed more than 1 restarts in 60s"]);
+    assert_eq!(rig.stopped("a", 3), ["escalate: a needed more than 1 restarts in 60s: it died"]);
 }
 
 #[test]

@@ -26,7 +26,7 @@ fn each_child_has_a_count_of_its_own() {
     assert_eq!(rig.restart("b", ReplacementCause::Died, 1), ["start b #2"]);
     rig.started("b", 2);
     let refused = "3 gave a up: it is not restarted any more: \
-                   a needed more than 1 restarts in 60s";
+                   a needed more than 1 restarts in 60s: it died";
     assert_eq!(rig.restart("a", ReplacementCause::Died, 2), [refused]);
 
     assert_eq!((rig.state("a"), rig.state("b")), (ChildState::Failed, ChildState::Running));
@@ -101,7 +101,7 @@ fn a_standing_order_draws_from_the_childs_own_count() {
 fn an_essential_child_takes_its_supervisor_along() {
     let mut rig = apart(0, &[("a", essential()), ("b", permanent())]);
     assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["stop b"]);
-    let escalates = ["escalate: a needed more than 0 restarts in 60s"];
+    let escalates = ["escalate: a needed more than 0 restarts in 60s: it died"];
     assert_eq!(rig.stopped("b", 1), escalates);
 
     let mut rig = apart(3, &[("a", essential()), ("b", permanent())]);
@@ -195,7 +195,7 @@ fn who_waits_for_a_supervisor_that_does_not_return_is_told() {
     let escalated = rig.restart("a", ReplacementCause::Died, 1);
     assert_eq!(
         escalated,
-        ["escalate: a needed more than 0 restarts in 60s"],
+        ["escalate: a needed more than 0 restarts in 60s: it died"],
         "its next incarnation says"
     );
 
