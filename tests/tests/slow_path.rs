@@ -166,6 +166,8 @@ fn connect(from: SocketAddr, to: SocketAddr) -> io::Result<TcpStream> {
 fn pump(from: &TcpStream, to: &TcpStream, counters: Arc<Fifo>) {
     let (mut from, mut to) =
         (from.try_clone().expect("a socket"), to.try_clone().expect("a socket"));
+    // A wire does not wait for more to carry, as Nagle's algorithm would here.
+    to.set_nodelay(true).expect("it is TCP");
     let fifo = Arc::new(Fifo::default());
     let carried = fifo.clone();
     thread::spawn(move || {
@@ -296,17 +298,19 @@ fn beside_images(
         let drive = async {
             let stick = desk.commander::<Drive>("robot:wheels", "stick").expect("a name");
             stick.claim().await.expect("the wheels are free");
-            let mut driven = 0;
+            let (mut driven, mut longest) = (0, Duration::ZERO);
             while Instant::now() < ends {
+                let asked = Instant::now();
                 // Within the lease, or it is lost.
                 let speed = stick.command(Drive(1.0)).await.expect("commands pass what is large");
                 assert_eq!(speed, 1.0);
+                longest = longest.max(asked.elapsed());
                 driven += 1;
                 tokio::time::sleep(20 * MS).await;
             }
-            driven
+            (driven, longest)
         };
-        let (taken, shown, driven) = tokio::join!(film, maps, drive);
+        let (taken, shown, (driven, longest)) = tokio::join!(film, maps, drive);
 
         let count = || seen.lock().expect("nothing panics").len();
         let all_seen = async {
@@ -325,7 +329,9 @@ fn beside_images(
         // What was repeated in vain would be here as well.
         let carried = wire.fifos.each_ref().map(|fifo| fifo.carried.load(Relaxed));
         let payload = [taken, shown].map(|count: u32| u64::from(count) * IMAGE as u64);
-        let totals = format!("{carried:?} for {payload:?}, {driven} commands");
+        let totals =
+            format!("{carried:?} for {payload:?}, {driven} commands, the longest {longest:?}");
+        eprintln!("{totals}");
         assert!(taken > 10 && shown > 5 && driven > 20, "all went on: {totals}");
         assert!(carried.iter().zip(payload).all(|(all, of)| all * 10 < of * 11), "{totals}");
         assert!(wire.fifos.iter().all(|fifo| fifo.dropped.load(Relaxed) == 0));

@@ -85,16 +85,13 @@ pub struct Session {
     /// The largest segment that the path carries; `None` while there is no path.
     path: Option<usize>,
     streams: [StreamState; 3],
-    /// Round trips and retransmission timers of what travels by one path, and of what travels by
-    /// all.
-    rtt: [RttEstimator; 2],
-    retransmit_at: [Option<Instant>; 2],
+    /// Of each stream, for control overtakes data on its way.
+    rtt: [RttEstimator; 3],
+    retransmit_at: [Option<Instant>; 3],
     /// Of what travels by one path.
     congestion: CongestionControl,
     /// Parts of control since the last one of data.
     control_run: usize,
-    /// How many transmissions there were.
-    orders: [u64; 2],
     /// Since when the peer owes an answer, or has no path.
     waiting_since: Option<Instant>,
     pieces: Reassembly<(Stream, u64)>,
@@ -141,11 +138,6 @@ struct StreamState {
 /// In the order of their places.
 const STREAMS: [Stream; 3] = [Stream::Control, Stream::Data, Stream::Redundant];
 
-/// The index of a stream's round trip and retransmission timer.
-fn lane(stream: Stream) -> usize {
-    usize::from(stream == Stream::Redundant)
-}
-
 impl Session {
     /// Parts of control that go before one of data that waits: control goes first, and takes no more
     /// than eight parts of nine.
@@ -158,8 +150,8 @@ impl Session {
     /// A machine without a session; it opens one when there is a path.
     pub fn new(config: SessionConfig, now: Instant) -> Self {
         let streams = [(); 3].map(|()| StreamState::new(&config));
-        let trip = || RttEstimator::new(config.retransmit_min, config.retransmit_max);
-        let rtt = [trip(), trip()];
+        let trip = |()| RttEstimator::new(config.retransmit_min, config.retransmit_max);
+        let rtt = [(); 3].map(trip);
         // Pieces of two of the largest messages.
         let assembly = config.message_max.saturating_mul(2);
         Session {
@@ -171,10 +163,9 @@ impl Session {
             path: None,
             streams,
             rtt,
-            retransmit_at: [None; 2],
+            retransmit_at: [None; 3],
             congestion: CongestionControl::new(config.window_bytes),
             control_run: 0,
-            orders: [0; 2],
             waiting_since: None,
             pieces: Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT),
             best_effort: BestEffort::new(
@@ -292,8 +283,8 @@ impl Session {
                 self.waiting_since = waits.then_some(now);
                 for stream in STREAMS {
                     if self.streams[stream as usize].outbound.lose_all() {
-                        let lane = lane(stream);
-                        self.retransmit_at[lane] = Some(now + self.rtt[lane].timeout());
+                        let due = now + self.retransmit_timeout(stream);
+                        self.retransmit_at[stream as usize] = Some(due);
                     }
                 }
             }
@@ -305,7 +296,7 @@ impl Session {
     pub fn handle_no_path(&mut self, now: Instant) {
         self.now = now;
         self.path = None;
-        self.retransmit_at = [None; 2];
+        self.retransmit_at = [None; 3];
         self.waiting_since.get_or_insert(now);
     }
 
@@ -456,8 +447,8 @@ impl Session {
         let pieces = Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT);
         self.best_effort = BestEffort::new(self.config.channels_max, pieces);
         self.replicas = DuplicateDiscard::default();
-        self.congestion.restart(self.orders[0]);
-        self.retransmit_at = [None; 2];
+        self.congestion.restart(self.now);
+        self.retransmit_at = [None; 3];
         self.waiting_since = None;
         self.rtt.iter_mut().for_each(RttEstimator::progress);
     }

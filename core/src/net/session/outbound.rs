@@ -32,6 +32,8 @@ pub(crate) struct Outbound {
     flying_bytes: usize,
     lost: usize,
     next: u64,
+    /// How many transmissions there were.
+    orders: u64,
     /// The peer takes parts below this.
     limit: u64,
     /// The widest window that is believed.
@@ -61,18 +63,18 @@ pub(crate) struct Chunk {
     pub(crate) first: bool,
     pub(crate) last: bool,
     pub(crate) payload: GatherBuffer,
-    sent: Instant,
-    /// Its place among all transmissions of the session.
-    order: u64,
-    again: bool,
+    pub(crate) latest: Transmission,
     lost: bool,
 }
 
-impl Chunk {
-    /// It has been sent before.
-    pub(crate) fn is_repeated(&self) -> bool {
-        self.again
-    }
+/// When a part was sent last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Transmission {
+    /// Its place among all transmissions of the stream.
+    pub(crate) order: u64,
+    pub(crate) sent: Instant,
+    /// The part was sent before that, too.
+    pub(crate) again: bool,
 }
 
 /// What an acknowledgement brought.
@@ -82,10 +84,8 @@ pub(crate) struct AckResult {
     pub(crate) parts: usize,
     /// Their bytes.
     pub(crate) bytes: usize,
-    /// When the latest was sent, if that was only once (Karn's rule).
-    pub(crate) sent: Option<Instant>,
     /// The latest transmission among them.
-    pub(crate) order: Option<u64>,
+    pub(crate) latest: Option<Transmission>,
 }
 
 /// A message that is small for its sender is small with the header of the exchange, too.
@@ -123,6 +123,7 @@ impl Outbound {
             flying_bytes: 0,
             lost: 0,
             next: 0,
+            orders: 0,
             limit: window.into(),
             window,
         }
@@ -183,17 +184,14 @@ impl Outbound {
     }
 
     /// The next part to send: what was lost first, then new ones, as large as `capacity` allows.
-    pub(crate) fn transmit(
-        &mut self,
-        capacity: usize,
-        order: u64,
-        now: Instant,
-    ) -> Option<(u64, Chunk)> {
+    pub(crate) fn transmit(&mut self, capacity: usize, now: Instant) -> Option<(u64, Chunk)> {
+        let latest = Transmission { order: self.orders, sent: now, again: self.lost > 0 };
         if self.lost > 0
             && let Some((sequence, part)) = self.flight.iter_mut().find(|(_, part)| part.lost)
         {
             self.lost -= 1;
-            *part = Chunk { sent: now, order, again: true, lost: false, ..part.clone() };
+            self.orders += 1;
+            *part = Chunk { latest, lost: false, ..part.clone() };
             self.flying_bytes += part.payload.len();
             return Some((*sequence, part.clone()));
         }
@@ -205,8 +203,9 @@ impl Outbound {
             Some(payload) => (true, true, payload),
             None => self.cut_part(capacity, sequence),
         };
-        let part = Chunk { first, last, payload, sent: now, order, again: false, lost: false };
+        let part = Chunk { first, last, payload, latest, lost: false };
         self.next += 1;
+        self.orders += 1;
         self.flying_bytes += part.payload.len();
         self.flight.insert(sequence, part.clone());
         Some((sequence, part))
@@ -322,9 +321,8 @@ impl Outbound {
             }
             progress.parts += 1;
             progress.bytes += part.payload.len();
-            if progress.order.is_none_or(|order| part.order > order) {
-                progress.order = Some(part.order);
-                progress.sent = (!part.again).then_some(part.sent);
+            if progress.latest.is_none_or(|latest| part.latest.order > latest.order) {
+                progress.latest = Some(part.latest);
             }
         }
     }
@@ -333,7 +331,7 @@ impl Outbound {
     pub(crate) fn find_lost(&mut self, arrived: u64) -> bool {
         // Fewer than three later arrivals are taken for reordering (RFC 5681, RFC 9002).
         const REORDERING: u64 = 3;
-        self.lose(|part| part.order + REORDERING <= arrived)
+        self.lose(|part| part.latest.order + REORDERING <= arrived)
     }
 
     /// Nothing on its way is believed to arrive any more.

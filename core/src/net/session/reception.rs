@@ -60,7 +60,7 @@ impl Session {
     /// takes a third of what a part does.
     fn ack_delay(&self) -> Duration {
         const NARROW_MAX: Duration = Duration::from_millis(50);
-        let trip = self.rtt[0].smoothed().filter(|_| self.is_narrow());
+        let trip = self.round_trip().filter(|_| self.is_narrow());
         let quarter = trip.map_or(Duration::ZERO, |trip| trip / 4);
         self.config.ack_delay.max(quarter.min(NARROW_MAX))
     }

@@ -2,10 +2,9 @@
 
 use super::duplicates::DuplicateDiscard;
 use super::round_trip::RttEstimator;
-use super::{STREAMS, Session, SessionCounters, State, lane};
+use super::{STREAMS, Session, SessionCounters, State};
 use crate::Incarnation;
 use crate::net::wire::Refusals;
-use crate::net::wire::segment::Stream;
 use std::fmt;
 use std::time::Duration;
 
@@ -114,7 +113,7 @@ impl Session {
             incarnation: self.peer(),
             round_trip: self.round_trip(),
             unacknowledged: held.iter().sum(),
-            in_flight: self.flying(lane(Stream::Data)) + self.flying(lane(Stream::Redundant)),
+            in_flight: self.streams.iter().map(|stream| stream.outbound.flying()).sum(),
             window: self.congestion.window(),
             queueing: self.congestion.queueing(),
             counters: self.counters(),

@@ -39,6 +39,8 @@ struct Pair {
     /// Bytes per second each way, where the wire is slow, and until when each way is taken.
     rate: Option<u64>,
     taken: [u64; 2],
+    /// Control passes what waits for a slow wire, as in the queues of a transport.
+    overtakes: bool,
     /// Every segment that went out, by its sender.
     sent: Vec<(usize, Segment)>,
     outputs: [Vec<SessionOutput>; 2],
@@ -57,6 +59,7 @@ impl Pair {
             wire: VecDeque::new(),
             rate: None,
             taken: [0; 2],
+            overtakes: false,
             sent: vec![],
             outputs: [vec![], vec![]],
             lose: Box::new(|_, _| false),
@@ -105,17 +108,22 @@ impl Pair {
     fn drain(&mut self) {
         for end in 0..2 {
             while let Some(output) = self.ends[end].poll_output() {
-                let SessionOutput::Transmit { segment, .. } = output else {
+                let SessionOutput::Transmit { class, segment, .. } = output else {
                     self.outputs[end].push(output);
                     continue;
                 };
                 let segment = segment.into_bytes();
                 let decoded = Segment::decode(segment.clone()).unwrap();
                 if !(self.lose)(end, &decoded) {
-                    let takes = self.rate.map_or(1, |rate| segment.len() as u64 * 1000 / rate);
-                    let begins = if self.rate.is_some() { self.taken[end] } else { 0 };
-                    self.taken[end] = begins.max(self.now) + takes;
-                    self.wire.push_back((self.taken[end], 1 - end, segment));
+                    let due = match self.rate {
+                        Some(rate) if class != PacketPriority::Control || !self.overtakes => {
+                            let takes = segment.len() as u64 * 1000 / rate;
+                            self.taken[end] = self.taken[end].max(self.now) + takes;
+                            self.taken[end]
+                        }
+                        _ => self.now + 1,
+                    };
+                    self.wire.push_back((due, 1 - end, segment));
                 }
                 self.sent.push((end, decoded));
             }

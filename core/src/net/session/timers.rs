@@ -1,9 +1,10 @@
 //! When a session acts by itself.
 
+use super::round_trip::RttEstimator;
 use super::{Session, State};
 use crate::Instant;
+use crate::net::wire::segment::Stream;
 use crate::timer::Timers;
-use std::time::Duration;
 
 /// The timers of a session.
 #[derive(Clone, Copy, Debug)]
@@ -12,9 +13,11 @@ pub(crate) enum SessionTimer {
     /// for `idle_timeout`; with a path for three retransmission timeouts at least (QUIC: idle
     /// timeout; TCP: user timeout, RFC 5482).
     Idle,
-    /// Sends again what travels by one path: a retransmission timeout after the first chunk in
-    /// flight (RFC 6298).
-    LossOrdered,
+    /// Sends again what is control: a retransmission timeout after the first chunk in flight
+    /// (RFC 6298).
+    LossControl,
+    /// The same for data.
+    LossData,
     /// The same for what travels by all paths.
     LossRedundant,
     /// Repeats the handshake while there is a path (TCP: SYN timer).
@@ -33,18 +36,29 @@ impl Timers for Session {
 
     const TIMERS: &'static [SessionTimer] = {
         use SessionTimer::*;
-        &[Idle, LossOrdered, LossRedundant, OpenRetransmit, CloseRetransmit, AckDelay, Pacing]
+        &[
+            Idle,
+            LossControl,
+            LossData,
+            LossRedundant,
+            OpenRetransmit,
+            CloseRetransmit,
+            AckDelay,
+            Pacing,
+        ]
     };
 
     fn due(&self, timer: SessionTimer) -> Option<Instant> {
         match (timer, self.state) {
             (SessionTimer::Idle, _) => {
                 // Where an answer takes long, one that is lost is asked for twice before that.
-                let answers = self.path.map_or(Duration::ZERO, |_| 3 * self.rtt[0].timeout());
+                let longest = self.rtt.iter().map(RttEstimator::timeout).max();
+                let answers = longest.filter(|_| self.path.is_some()).unwrap_or_default() * 3;
                 Some(self.waiting_since? + self.config.idle_timeout.max(answers))
             }
-            (SessionTimer::LossOrdered, _) => self.retransmit_at[0],
-            (SessionTimer::LossRedundant, _) => self.retransmit_at[1],
+            (SessionTimer::LossControl, _) => self.retransmit_at[Stream::Control as usize],
+            (SessionTimer::LossData, _) => self.retransmit_at[Stream::Data as usize],
+            (SessionTimer::LossRedundant, _) => self.retransmit_at[Stream::Redundant as usize],
             (SessionTimer::OpenRetransmit, State::Opening { again_at, .. }) => {
                 self.path.map(|_| again_at)
             }
@@ -58,8 +72,9 @@ impl Timers for Session {
     fn fire(&mut self, timer: SessionTimer, _: Instant) {
         match timer {
             SessionTimer::Idle => self.give_up(),
-            SessionTimer::LossOrdered => self.detect_loss(0),
-            SessionTimer::LossRedundant => self.detect_loss(1),
+            SessionTimer::LossControl => self.detect_loss(Stream::Control),
+            SessionTimer::LossData => self.detect_loss(Stream::Data),
+            SessionTimer::LossRedundant => self.detect_loss(Stream::Redundant),
             SessionTimer::OpenRetransmit => self.say_open(),
             SessionTimer::CloseRetransmit => self.repeat_close(),
             SessionTimer::AckDelay | SessionTimer::Pacing => {}

@@ -1,9 +1,10 @@
 //! What a session sends when, and what acknowledgements tell it.
 
 use super::congestion::{CongestionControl, CongestionSignal, DelaySample};
-use super::outbound::Chunk;
+use super::outbound::{Chunk, Transmission};
 use super::reassembly::pieces_of;
-use super::{STREAMS, Session, SessionOutput, State, lane};
+use super::round_trip::RttEstimator;
+use super::{Session, SessionOutput, State};
 use crate::net::is_narrow;
 use crate::net::session::size_class::SizeClass;
 use crate::net::wire::packet::{PacketPriority, UndeliveredReason, WAY_MAX};
@@ -11,6 +12,7 @@ use crate::net::wire::segment::{
     Ack, Data, DelayTicks, PIECE_HEADER, Segment, Stream, data_header,
 };
 use crate::{DeliveryError, Instant};
+use std::time::Duration;
 
 /// Which stream goes first when several wait.
 const BY_URGENCY: [Stream; 3] = [Stream::Control, Stream::Redundant, Stream::Data];
@@ -26,7 +28,7 @@ impl Session {
         self.counters.last_return = Some(reason);
         self.returned = Some(reason);
         let soon = now + self.config.retransmit_min;
-        self.retransmit_at = self.retransmit_at.map(|lane| lane.map(|at| at.min(soon)));
+        self.retransmit_at = self.retransmit_at.map(|due| due.map(|at| at.min(soon)));
     }
 
     /// Why the peer cannot be reached, as far as it was reported.
@@ -47,17 +49,30 @@ impl Session {
         self.path.is_some_and(is_narrow)
     }
 
-    /// Parts on their way of the streams that share this lane.
-    pub(super) fn flying(&self, of: usize) -> usize {
-        let streams = STREAMS.into_iter().filter(|stream| lane(*stream) == of);
-        streams.map(|stream| self.streams[stream as usize].outbound.flying()).sum()
+    /// Parts on their way of this stream.
+    fn flying(&self, stream: Stream) -> usize {
+        self.streams[stream as usize].outbound.flying()
     }
 
     /// What is on its way along one path.
     fn load(&self) -> usize {
-        let streams = STREAMS.into_iter().filter(|stream| lane(*stream) == 0);
-        let bytes = streams.map(|stream| self.streams[stream as usize].outbound.flying_bytes());
-        CongestionControl::load(self.flying(0), bytes.sum())
+        let load = |stream| {
+            let outbound = &self.streams[stream as usize].outbound;
+            CongestionControl::load(outbound.flying(), outbound.flying_bytes())
+        };
+        load(Stream::Control) + load(Stream::Data)
+    }
+
+    /// How long an answer is waited for. Where this stream has measured none, others may have.
+    pub(super) fn retransmit_timeout(&self, stream: Stream) -> Duration {
+        let own = &self.rtt[stream as usize];
+        let measured = self.rtt.iter().filter(|rtt| rtt.smoothed().is_some());
+        match own.smoothed() {
+            Some(_) => own.timeout(),
+            None => {
+                measured.map(RttEstimator::timeout).max().unwrap_or_default().max(own.timeout())
+            }
+        }
     }
 
     /// When data may go on, if something of it waits for nothing but that.
@@ -102,9 +117,7 @@ impl Session {
             if held {
                 continue;
             }
-            if let Some((sequence, part)) =
-                state.outbound.transmit(capacity, self.orders[lane(stream)], self.now)
-            {
+            if let Some((sequence, part)) = state.outbound.transmit(capacity, self.now) {
                 match stream {
                     Stream::Control => self.control_run += 1,
                     Stream::Data => self.control_run = 0,
@@ -149,16 +162,16 @@ impl Session {
         mut ack: Option<Ack>,
         capacity: usize,
     ) {
-        let again = part.is_repeated();
+        let again = part.latest.again;
         self.counters.sent += 1;
         self.counters.retransmitted += u64::from(again);
-        let lane = lane(stream);
-        self.orders[lane] += 1;
-        self.retransmit_at[lane].get_or_insert(self.now + self.rtt[lane].timeout());
+        let due = self.now + self.retransmit_timeout(stream);
+        self.retransmit_at[stream as usize].get_or_insert(due);
         let Chunk { first, last, payload, .. } = part;
         if stream == Stream::Data {
             let load = CongestionControl::load(1, payload.len());
-            self.congestion.handle_sent(load, self.rtt[0].smoothed(), self.now);
+            let round_trip = self.rtt[stream as usize].smoothed();
+            self.congestion.handle_sent(load, round_trip, self.now);
         }
         for (piece, payload) in pieces_of(&payload, capacity) {
             let ack = ack.take();
@@ -211,33 +224,28 @@ impl Session {
             Ok(progress) => progress,
             Err(error) => return self.refusals.count(&error),
         };
-        let of = lane(stream);
-        if let Some(sent) = progress.sent {
-            self.rtt[of].measure(self.now - sent);
-            if of == 0 {
-                let sample = DelaySample {
-                    delay: ack.arrived - DelayTicks::of(sent),
-                    round_trip: self.now - sent,
-                    is_data: stream == Stream::Data,
-                };
-                self.congestion.handle_delay(sample, self.now);
+        if let Some(Transmission { order, sent, again }) = progress.latest {
+            let has_lost = outbound.find_lost(order);
+            let round_trip = self.now - sent;
+            // What was sent again may be the answer to the first sending (Karn's algorithm).
+            if !again {
+                self.rtt[stream as usize].measure(round_trip);
             }
-        }
-        if let Some(order) = progress.order {
-            // Control overtakes data on its way: what arrives of one stream says nothing of the
-            // others.
-            let lost = self.streams[stream as usize].outbound.find_lost(order);
-            if of == 0 {
-                self.congestion.handle_arrived(CongestionSignal {
-                    arrived: (progress.parts, progress.bytes),
-                    was_full,
-                    has_lost: lost,
-                    is_measured: progress.sent.is_some(),
-                    orders: (order, self.orders[0]),
-                });
+            // Copies take every path.
+            if stream != Stream::Redundant {
+                let is_data = stream == Stream::Data;
+                let delay = ack.arrived - DelayTicks::of(sent);
+                if !again {
+                    let sample = DelaySample { delay, round_trip, is_data };
+                    self.congestion.handle_delay(sample, self.now);
+                }
+                let arrived = (progress.parts, progress.bytes);
+                let is_measured = !again;
+                let signal = CongestionSignal { arrived, was_full, has_lost, is_measured, sent };
+                self.congestion.handle_arrived(signal, self.now);
             }
-            let flying = self.flying(of) > 0;
-            self.retransmit_at[of] = flying.then(|| self.now + self.rtt[of].timeout());
+            let due = self.now + self.retransmit_timeout(stream);
+            self.retransmit_at[stream as usize] = (self.flying(stream) > 0).then_some(due);
         }
         self.report_ready(stream);
         self.record_receipt();
@@ -274,19 +282,18 @@ impl Session {
         }
     }
 
-    /// Takes all that is in flight on this lane for lost.
-    pub(super) fn detect_loss(&mut self, of: usize) {
-        self.retransmit_at[of] = None;
-        if self.flying(of) == 0 {
+    /// Takes all that is in flight of this stream for lost.
+    pub(super) fn detect_loss(&mut self, stream: Stream) {
+        self.retransmit_at[stream as usize] = None;
+        if self.flying(stream) == 0 {
             return;
         }
-        self.rtt[of].back_off();
-        if of == 0 {
-            self.congestion.handle_timeout(self.orders[0]);
+        self.rtt[stream as usize].back_off();
+        // Data on its way tells by itself what the path is like.
+        if stream == Stream::Data || stream == Stream::Control && self.flying(Stream::Data) == 0 {
+            self.congestion.handle_timeout(self.now);
         }
-        for stream in STREAMS.into_iter().filter(|stream| lane(*stream) == of) {
-            self.streams[stream as usize].outbound.lose_all();
-        }
-        self.retransmit_at[of] = Some(self.now + self.rtt[of].timeout());
+        self.streams[stream as usize].outbound.lose_all();
+        self.retransmit_at[stream as usize] = Some(self.now + self.retransmit_timeout(stream));
     }
 }

@@ -186,11 +186,7 @@ impl Supervisor {
 
     /// The restart of a child was one too many. Unless the whole supervisor ends, it is left to the
     /// recoverer's next action.
-    fn leave_failed(
-        &mut self,
-        key: ChildKey,
-        cause: ReplacementCause,
-    ) -> Result<(), GiveUpReason> {
+    fn leave_failed(&mut self, key: ChildKey, cause: ReplacementCause) -> Result<(), GiveUpReason> {
         if !self.at_work() {
             return Ok(());
         }

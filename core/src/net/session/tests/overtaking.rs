@@ -82,7 +82,7 @@ fn whatever_is_lost_each_object_gets_everything_once_and_in_order() {
 /// Takes out parts of so much until one of the messages of this text is in it. Answers with how
 /// many that were.
 fn parts_until(outbound: &mut Outbound, capacity: usize, text: &str) -> usize {
-    let mut parts = (1..).map(|n| (n, outbound.transmit(capacity, n as u64, at(0)).unwrap().1));
+    let mut parts = (1..).map(|n| (n, outbound.transmit(capacity, at(0)).unwrap().1));
     let found = parts.find(|(_, part)| {
         part.first && part.last && part.payload.clone().into_bytes().ends_with(text.as_bytes())
     });
@@ -95,7 +95,7 @@ fn an_order_is_next_however_many_large_ones_wait_for_another_object() {
     for _ in 0..123 {
         outbound.push(strand("map"), vec![7; 17 << 10].into());
     }
-    outbound.transmit(1300, 0, at(0)).unwrap();
+    outbound.transmit(1300, at(0)).unwrap();
     outbound.push(strand("leg"), "stop".into());
 
     assert!(parts_until(&mut outbound, 1300, "stop") <= 2);
@@ -108,7 +108,7 @@ fn an_order_is_next_however_many_small_ones_wait_behind_a_large_one_of_their_obj
     for _ in 0..32 {
         outbound.push(strand("map"), "reading".into());
     }
-    outbound.transmit(1300, 0, at(0)).unwrap();
+    outbound.transmit(1300, at(0)).unwrap();
     outbound.push(strand("leg"), "stop".into());
 
     assert!(parts_until(&mut outbound, 1300, "stop") <= 2);
@@ -120,7 +120,7 @@ fn an_order_comes_soon_although_a_hundred_objects_have_large_ones_before_it() {
     for n in 0..100 {
         outbound.push(strand(&format!("camera{n}")), vec![7; 100_000].into());
     }
-    outbound.transmit(1300, 0, at(0)).unwrap();
+    outbound.transmit(1300, at(0)).unwrap();
     outbound.push(strand("leg"), "stop".into());
 
     assert!(parts_until(&mut outbound, 1300, "stop") <= 8, "32 are looked at for each part");
@@ -132,8 +132,8 @@ fn what_was_not_cut_when_the_session_ends_was_not_sent_and_all_come_back_in_orde
     outbound.push(strand("map"), vec![7; 3000].into());
     outbound.push(strand("map"), "after".into());
     outbound.push(strand("leg"), "stop".into());
-    for n in 0..2 {
-        outbound.transmit(1300, n, at(0)).unwrap();
+    for _ in 0..2 {
+        outbound.transmit(1300, at(0)).unwrap();
     }
     outbound.push(strand("leg"), "go".into());
 

@@ -249,3 +249,27 @@ fn over_9600_baud_what_is_small_does_not_wait_for_the_rest_of_what_is_large() {
     pair.run(20_000);
     assert!(pair.take(1) == [message(image)]);
 }
+
+#[test]
+fn the_round_trips_of_control_that_overtakes_do_not_make_data_repeat() {
+    let mut pair = Pair::new();
+    (pair.rate, pair.overtakes) = (Some(100_000), true);
+    pair.connect();
+    for _ in 0..50 {
+        let now = at(pair.now);
+        pair.ends[0].handle_send(Stream::Control, text("command"), now).unwrap();
+        pair.run(20);
+    }
+
+    for _ in 0..5 {
+        // Each part takes 13 ms, and a command comes back in two.
+        pair.send(0, Bytes::from(vec![7; 5_000]));
+        pair.run(300);
+        let now = at(pair.now);
+        pair.ends[0].handle_send(Stream::Control, text("command"), now).unwrap();
+        pair.run(20);
+    }
+
+    let counters = pair.ends[0].counters();
+    assert_eq!((counters.retransmitted, pair.take(1).len()), (0, 1 + 55 + 5), "{counters:?}");
+}
