@@ -7,6 +7,7 @@
 //!   camera ───────────────────── images ───────────────────────────► screen
 //!   screen ◄──────────────────── maps ─────────────────────────────── desk
 //! ```
+#![allow(clippy::print_stderr, reason = "a trial shows what it has measured")]
 
 use blastema::prelude::*;
 use blastema::{ActuatorSpec, Blob, Network};
