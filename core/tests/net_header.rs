@@ -113,9 +113,10 @@ fn a_small_reading_of_which_the_newest_counts_has_the_overhead_that_is_stated() 
             tag: 7,
             channel: 10,
             sequence,
+            number: Some(sequence),
             piece: None,
             payload: payload.into(),
         }))
     });
-    assert_eq!(overhead, [22, 27]);
+    assert_eq!(overhead, [23, 30]);
 }

@@ -90,8 +90,14 @@ fn genuine() -> Vec<Bytes> {
     };
     let names =
         PeerMessage::Names { timestamp_us: 0, complete: true, added: vec![], removed: vec![] };
-    let datagram =
-        Datagram { tag: 1, channel: 1, sequence: 1, piece: None, payload: payload.clone().into() };
+    let datagram = Datagram {
+        tag: 1,
+        channel: 1,
+        sequence: 1,
+        number: None,
+        piece: None,
+        payload: payload.clone().into(),
+    };
     vec![
         Frame::Hello(hello).encode(),
         Frame::Data(packet.encode().into()).encode(),
@@ -104,7 +110,14 @@ fn genuine() -> Vec<Bytes> {
         segment,
         Segment::Open(open).encode(),
         Segment::Datagram(datagram).encode(),
-        Segment::Acknowledge { tag: 1, control: None, data: Some(ack), redundant: None }.encode(),
+        Segment::Acknowledge {
+            tag: 1,
+            control: None,
+            data: Some(ack),
+            redundant: None,
+            datagrams: None,
+        }
+        .encode(),
         Segment::Reset { tag: 1 }.encode(),
         PeerMessage::Request {
             binding: 1,
@@ -290,6 +303,7 @@ fn a_peer_that_never_finishes_a_message_costs_no_more_than_its_bound() {
             tag,
             channel: 1,
             sequence: n + 1,
+            number: None,
             piece: Some(Fragment { index: 0, count: 2 }),
             payload: Bytes::from_static(&[0; 100]).into(),
         };
@@ -302,12 +316,24 @@ fn a_peer_that_never_finishes_a_message_costs_no_more_than_its_bound() {
 fn an_acknowledgement_of_what_was_never_sent_is_refused_and_an_absurd_window_bounded() {
     let (mut session, tag) = session();
     let ack = Ack { next: 5, window: u32::MAX, arrived: DelayTicks::default(), ranges: vec![] };
-    let lie = Segment::Acknowledge { tag, control: None, data: Some(ack), redundant: None };
+    let lie = Segment::Acknowledge {
+        tag,
+        control: None,
+        data: Some(ack),
+        redundant: None,
+        datagrams: None,
+    };
     session.handle_segment(lie.encode(), Instant::ORIGIN);
     assert_eq!(session.refusals().malformed, 1);
 
     let ack = Ack { next: 0, window: u32::MAX, arrived: DelayTicks::default(), ranges: vec![] };
-    let greedy = Segment::Acknowledge { tag, control: None, data: Some(ack), redundant: None };
+    let greedy = Segment::Acknowledge {
+        tag,
+        control: None,
+        data: Some(ack),
+        redundant: None,
+        datagrams: None,
+    };
     session.handle_segment(greedy.encode(), Instant::ORIGIN);
     for _ in 0..8000 {
         let (along, bytes) =

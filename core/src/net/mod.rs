@@ -22,7 +22,7 @@
 //! | --- | --- | --- | --- |
 //! | message without an answer | 23 | 28 | 6, then 8 more |
 //! | event | 22 | 27 | 6, then 8 more |
-//! | event of which the newest counts | 22 | 27 | never |
+//! | event of which the newest counts | 23 | 30 | never |
 //! | request | 25 | 32 | 6, then 8 more |
 //! | its answer | 20 | 24 | 6, then 8 more |
 //!

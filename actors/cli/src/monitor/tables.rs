@@ -126,6 +126,7 @@ const TABLES: [(&str, &str, &[Column]); 15] = [
             ("retransmitted", "retransmitted"),
             ("duplicates", "duplicates"),
             ("superseded", "superseded"),
+            ("replaced", "replaced"),
             ("incomplete", "incomplete"),
             ("returned", "returned"),
             ("refused", "refused"),

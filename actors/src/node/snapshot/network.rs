@@ -164,6 +164,7 @@ fn session(row: &SessionRow) -> Value {
         "retransmitted": counters.retransmitted,
         "duplicates": counters.duplicates,
         "superseded": counters.superseded,
+        "replaced": counters.replaced,
         "incomplete": counters.incomplete,
         "returned": counters.returned,
         "refused": status.refusals.total(),

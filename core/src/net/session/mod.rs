@@ -48,7 +48,7 @@ pub use self::config::{IDLE_TIMEOUT, PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
 pub use self::status::{SessionState, SessionStatus};
 
-use self::best_effort::BestEffort;
+use self::best_effort::{BestEffortInbound, BestEffortOutbound};
 use self::congestion::CongestionControl;
 use self::duplicates::DuplicateDiscard;
 use self::inbound::Inbound;
@@ -95,7 +95,12 @@ pub struct Session {
     /// Since when the peer owes an answer, or has no path.
     waiting_since: Option<Instant>,
     pieces: Reassembly<(Stream, u64)>,
-    best_effort: BestEffort,
+    datagrams_out: BestEffortOutbound,
+    datagrams_in: BestEffortInbound,
+    /// Of data and datagrams, these go next.
+    is_datagrams_turn: bool,
+    /// When datagrams are taken for lost of which the peer has told nothing.
+    datagrams_lost_at: Option<Instant>,
     replicas: DuplicateDiscard,
     /// Why a router last returned a segment, since the peer's last one.
     returned: Option<UndeliveredReason>,
@@ -168,10 +173,13 @@ impl Session {
             control_run: 0,
             waiting_since: None,
             pieces: Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT),
-            best_effort: BestEffort::new(
+            datagrams_out: BestEffortOutbound::default(),
+            datagrams_in: BestEffortInbound::new(
                 config.channels_max,
                 Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT),
             ),
+            is_datagrams_turn: false,
+            datagrams_lost_at: None,
             replicas: DuplicateDiscard::default(),
             returned: None,
             now,
@@ -224,7 +232,8 @@ impl Session {
         Ok(())
     }
 
-    /// Sends a message once, if at all: of one channel, the newest that arrives counts.
+    /// Sends a message once, if at all: of one channel, the newest that arrives counts, and one that
+    /// still waits for the path gives way to the next.
     ///
     /// # Errors
     /// [`DeliveryError::Restarting`] while there is no session yet,
@@ -242,13 +251,18 @@ impl Session {
         let (State::Open { peer }, Some(capacity)) = (self.state, self.path) else {
             return Err((DeliveryError::Restarting, message.into_bytes()));
         };
-        let limit = BestEffort::most(capacity);
+        let limit = BestEffortOutbound::most(capacity, !self.is_narrow());
         if message.len() > limit {
             return Err((DeliveryError::TooLargeForSession { limit }, message.into_bytes()));
         }
-        for datagram in self.best_effort.cut(peer.tag, channel, &message, capacity) {
-            self.transmit(PacketPriority::Data, Segment::Datagram(datagram));
+        if self.datagrams_out.bytes() + message.len() > 2 * self.config.buffer_bytes {
+            let node = self.config.peer.to_string();
+            let bulk = load_of(&message) == SizeClass::Bulk;
+            return Err((DeliveryError::WayFull { node, bulk }, message.into_bytes()));
         }
+        self.datagrams_out.push(channel, message);
+        // While the path bears it, nothing waits for something newer.
+        while self.may_send_data() && self.transmit_datagram(peer.tag) {}
         Ok(())
     }
 
@@ -273,6 +287,8 @@ impl Session {
         let enter = if narrow { RttEstimator::enter_narrow_path } else { RttEstimator::enter_path };
         self.rtt.iter_mut().for_each(enter);
         self.congestion.enter_path(mtu, narrow);
+        self.datagrams_out.handle_path();
+        self.datagrams_lost_at = None;
         match self.state {
             State::Idle => self.open(None),
             State::Opening { peer, pause, .. } => {
@@ -296,6 +312,8 @@ impl Session {
     pub fn handle_no_path(&mut self, now: Instant) {
         self.now = now;
         self.path = None;
+        self.datagrams_out.handle_no_path();
+        self.datagrams_lost_at = None;
         self.retransmit_at = [None; 3];
         self.waiting_since.get_or_insert(now);
     }
@@ -360,9 +378,12 @@ impl Session {
             Ok(Segment::Datagram(datagram)) if self.meant_for_us(datagram.tag) => {
                 self.handle_datagram(datagram);
             }
-            Ok(Segment::Acknowledge { tag, control, data, redundant })
+            Ok(Segment::Acknowledge { tag, control, data, redundant, datagrams })
                 if self.meant_for_us(tag) =>
             {
+                if let Some(ack) = datagrams {
+                    self.handle_datagram_ack(ack);
+                }
                 for (stream, ack) in STREAMS.into_iter().zip([control, data, redundant]) {
                     if let Some(ack) = ack {
                         self.handle_ack(stream, &ack);
@@ -445,7 +466,9 @@ impl Session {
         let assembly = self.config.message_max.saturating_mul(2);
         self.pieces = Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT);
         let pieces = Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT);
-        self.best_effort = BestEffort::new(self.config.channels_max, pieces);
+        self.datagrams_in = BestEffortInbound::new(self.config.channels_max, pieces);
+        self.datagrams_out = BestEffortOutbound::default();
+        self.datagrams_lost_at = None;
         self.replicas = DuplicateDiscard::default();
         self.congestion.restart(self.now);
         self.retransmit_at = [None; 3];

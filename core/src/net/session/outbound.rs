@@ -63,13 +63,13 @@ pub(crate) struct Chunk {
     pub(crate) first: bool,
     pub(crate) last: bool,
     pub(crate) payload: GatherBuffer,
-    pub(crate) latest: Transmission,
+    pub(crate) latest: SentPart,
     lost: bool,
 }
 
 /// When a part was sent last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Transmission {
+pub(crate) struct SentPart {
     /// Its place among all transmissions of the stream.
     pub(crate) order: u64,
     pub(crate) sent: Instant,
@@ -85,7 +85,7 @@ pub(crate) struct AckResult {
     /// Their bytes.
     pub(crate) bytes: usize,
     /// The latest transmission among them.
-    pub(crate) latest: Option<Transmission>,
+    pub(crate) latest: Option<SentPart>,
 }
 
 /// A message that is small for its sender is small with the header of the exchange, too.
@@ -185,7 +185,7 @@ impl Outbound {
 
     /// The next part to send: what was lost first, then new ones, as large as `capacity` allows.
     pub(crate) fn transmit(&mut self, capacity: usize, now: Instant) -> Option<(u64, Chunk)> {
-        let latest = Transmission { order: self.orders, sent: now, again: self.lost > 0 };
+        let latest = SentPart { order: self.orders, sent: now, again: self.lost > 0 };
         if self.lost > 0
             && let Some((sequence, part)) = self.flight.iter_mut().find(|(_, part)| part.lost)
         {

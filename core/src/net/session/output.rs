@@ -90,6 +90,8 @@ pub struct SessionCounters {
     pub duplicates: u64,
     /// Best-effort messages that were received after a newer one of their channel.
     pub superseded: u64,
+    /// Best-effort messages that gave way to a newer one of their channel before they were sent.
+    pub replaced: u64,
     /// Fragmented messages that were given up before all of their chunks were received.
     pub incomplete: u64,
     /// Packets that came back undelivered; what is reliable of them was sent again.

@@ -67,7 +67,7 @@ impl Session {
 
     pub(super) fn handle_datagram(&mut self, datagram: Datagram) {
         let channel = datagram.channel;
-        match self.best_effort.handle(datagram, self.now) {
+        match self.datagrams_in.handle(datagram, self.now, self.ack_delay()) {
             DatagramStatus::Newest(message) => {
                 self.outputs.push_back(SessionOutput::Newest { channel, message });
             }

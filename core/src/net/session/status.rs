@@ -81,13 +81,14 @@ impl Session {
 
     /// What it did so far.
     pub fn counters(&self) -> SessionCounters {
-        let unfinished = self.pieces.given_up + self.best_effort.unfinished();
+        let unfinished = self.pieces.given_up + self.datagrams_in.unfinished();
         let DuplicateDiscard { dropped, missed, alone, .. } = self.replicas;
         SessionCounters {
             incomplete: self.counters.incomplete + unfinished,
             replicas: self.counters.replicas + dropped,
             missed: self.counters.missed + missed,
             alone: self.counters.alone + alone,
+            replaced: self.counters.replaced + self.datagrams_out.replaced,
             ..self.counters
         }
     }
@@ -108,12 +109,13 @@ impl Session {
             State::Closed => SessionState::Closed,
         };
         let held = STREAMS.map(|stream| self.streams[stream as usize].outbound.messages());
+        let parts = self.streams.iter().map(|stream| stream.outbound.flying());
         SessionStatus {
             state,
             incarnation: self.peer(),
             round_trip: self.round_trip(),
             unacknowledged: held.iter().sum(),
-            in_flight: self.streams.iter().map(|stream| stream.outbound.flying()).sum(),
+            in_flight: parts.sum::<usize>() + self.datagrams_out.flying().0,
             window: self.congestion.window(),
             queueing: self.congestion.queueing(),
             counters: self.counters(),

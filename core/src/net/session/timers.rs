@@ -20,6 +20,9 @@ pub(crate) enum SessionTimer {
     LossData,
     /// The same for what travels by all paths.
     LossRedundant,
+    /// Takes datagrams for lost of which the peer has told nothing: a retransmission timeout of data
+    /// after the first of them.
+    LossDatagrams,
     /// Repeats the handshake while there is a path (TCP: SYN timer).
     OpenRetransmit,
     /// Repeats the close, [`Session::CLOSE_TRIES`] times in all (TCP: FIN timer).
@@ -41,6 +44,7 @@ impl Timers for Session {
             LossControl,
             LossData,
             LossRedundant,
+            LossDatagrams,
             OpenRetransmit,
             CloseRetransmit,
             AckDelay,
@@ -59,6 +63,7 @@ impl Timers for Session {
             (SessionTimer::LossControl, _) => self.retransmit_at[Stream::Control as usize],
             (SessionTimer::LossData, _) => self.retransmit_at[Stream::Data as usize],
             (SessionTimer::LossRedundant, _) => self.retransmit_at[Stream::Redundant as usize],
+            (SessionTimer::LossDatagrams, _) => self.datagrams_lost_at,
             (SessionTimer::OpenRetransmit, State::Opening { again_at, .. }) => {
                 self.path.map(|_| again_at)
             }
@@ -75,6 +80,7 @@ impl Timers for Session {
             SessionTimer::LossControl => self.detect_loss(Stream::Control),
             SessionTimer::LossData => self.detect_loss(Stream::Data),
             SessionTimer::LossRedundant => self.detect_loss(Stream::Redundant),
+            SessionTimer::LossDatagrams => self.detect_lost_datagrams(),
             SessionTimer::OpenRetransmit => self.say_open(),
             SessionTimer::CloseRetransmit => self.repeat_close(),
             SessionTimer::AckDelay | SessionTimer::Pacing => {}

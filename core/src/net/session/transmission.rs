@@ -1,7 +1,8 @@
 //! What a session sends when, and what acknowledgements tell it.
 
+use super::best_effort::DatagramProgress;
 use super::congestion::{CongestionControl, CongestionSignal, DelaySample};
-use super::outbound::{Chunk, Transmission};
+use super::outbound::{Chunk, SentPart};
 use super::reassembly::pieces_of;
 use super::round_trip::RttEstimator;
 use super::{Session, SessionOutput, State};
@@ -9,7 +10,7 @@ use crate::net::is_narrow;
 use crate::net::session::size_class::SizeClass;
 use crate::net::wire::packet::{PacketPriority, UndeliveredReason, WAY_MAX};
 use crate::net::wire::segment::{
-    Ack, Data, DelayTicks, PIECE_HEADER, Segment, Stream, data_header,
+    Ack, Data, DatagramAck, DelayTicks, PIECE_HEADER, Segment, Stream, data_header,
 };
 use crate::{DeliveryError, Instant};
 use std::time::Duration;
@@ -60,7 +61,8 @@ impl Session {
             let outbound = &self.streams[stream as usize].outbound;
             CongestionControl::load(outbound.flying(), outbound.flying_bytes())
         };
-        load(Stream::Control) + load(Stream::Data)
+        let (datagrams, bytes) = self.datagrams_out.flying();
+        load(Stream::Control) + load(Stream::Data) + CongestionControl::load(datagrams, bytes)
     }
 
     /// How long an answer is waited for. Where this stream has measured none, others may have.
@@ -77,11 +79,17 @@ impl Session {
 
     /// When data may go on, if something of it waits for nothing but that.
     pub(super) fn paced_until(&self) -> Option<Instant> {
-        let waits = self.streams[Stream::Data as usize].outbound.has_more();
+        let data = &self.streams[Stream::Data as usize].outbound;
+        let waits = data.has_more() || self.datagrams_out.has_more();
         let is_open = matches!(self.state, State::Open { .. } | State::Closing { .. });
         let is_held = !is_open || self.path.is_none() || self.congestion.is_full(self.load());
         let at = self.congestion.send_at();
         (waits && !is_held && at > self.now).then_some(at)
+    }
+
+    /// The path bears more data at present.
+    pub(super) fn may_send_data(&self) -> bool {
+        !self.congestion.is_full(self.load()) && self.congestion.send_at() <= self.now
     }
 
     /// Sends the next part that may be sent: control first, but for every ninth part if data waits,
@@ -117,10 +125,15 @@ impl Session {
             if held {
                 continue;
             }
+            if stream == Stream::Data && self.is_datagrams_turn && self.transmit_datagram(peer.tag)
+            {
+                return true;
+            }
+            let state = &mut self.streams[stream as usize];
             if let Some((sequence, part)) = state.outbound.transmit(capacity, self.now) {
                 match stream {
                     Stream::Control => self.control_run += 1,
-                    Stream::Data => self.control_run = 0,
+                    Stream::Data => (self.control_run, self.is_datagrams_turn) = (0, true),
                     Stream::Redundant => {}
                 }
                 let state = &mut self.streams[stream as usize];
@@ -138,15 +151,39 @@ impl Session {
                 self.transmit_as(peer.tag, stream, sequence, part, ack, capacity);
                 return true;
             }
+            if stream == Stream::Data && self.transmit_datagram(peer.tag) {
+                return true;
+            }
         }
         false
+    }
+
+    /// Sends the next datagram, as large as a part of data may be.
+    pub(super) fn transmit_datagram(&mut self, tag: u32) -> bool {
+        let Some(mtu) = self.path else { return false };
+        // The queues before a slow line are those of its transport, which keeps them short; an
+        // acknowledgement takes as long there as what it tells of.
+        let is_numbered = !self.is_narrow();
+        let capacity = mtu.min(self.config.chunk_max.min(self.congestion.part_max()));
+        let way = (capacity, is_numbered);
+        let Some(datagram) = self.datagrams_out.transmit(tag, way, self.now) else { return false };
+        (self.control_run, self.is_datagrams_turn) = (0, false);
+        if is_numbered {
+            let due = self.now + self.retransmit_timeout(Stream::Data);
+            self.datagrams_lost_at.get_or_insert(due);
+            let load = CongestionControl::load(1, datagram.payload.len());
+            let round_trip = self.rtt[Stream::Data as usize].smoothed();
+            self.congestion.handle_sent(load, round_trip, self.now);
+        }
+        self.transmit(PacketPriority::Data, Segment::Datagram(datagram));
+        true
     }
 
     fn transmit_ack(&mut self, tag: u32, stream: Stream, ack: Ack) {
         let mut acks = [None, None, None];
         acks[stream as usize] = Some(ack);
         let [control, data, redundant] = acks;
-        let segment = Segment::Acknowledge { tag, control, data, redundant };
+        let segment = Segment::Acknowledge { tag, control, data, redundant, datagrams: None };
         match stream {
             Stream::Redundant => self.transmit_everywhere(PacketPriority::Control, segment),
             Stream::Control | Stream::Data => self.transmit(PacketPriority::Control, segment),
@@ -195,7 +232,9 @@ impl Session {
         let [control, data, _] = &mut self.streams;
         let control = Some(control.inbound.acknowledge());
         let data = Some(data.inbound.acknowledge());
-        let segment = Segment::Acknowledge { tag: peer.tag, control, data, redundant: None };
+        let datagrams = self.datagrams_in.acknowledge();
+        let tag = peer.tag;
+        let segment = Segment::Acknowledge { tag, control, data, redundant: None, datagrams };
         self.transmit(PacketPriority::Control, segment);
     }
 
@@ -213,7 +252,8 @@ impl Session {
     }
 
     pub(super) fn ack_owed(&self) -> Option<Instant> {
-        self.streams.iter().filter_map(|stream| stream.inbound.owed()).min()
+        let streams = self.streams.iter().filter_map(|stream| stream.inbound.owed());
+        streams.chain(self.datagrams_in.owed()).min()
     }
 
     pub(super) fn handle_ack(&mut self, stream: Stream, ack: &Ack) {
@@ -224,7 +264,7 @@ impl Session {
             Ok(progress) => progress,
             Err(error) => return self.refusals.count(&error),
         };
-        if let Some(Transmission { order, sent, again }) = progress.latest {
+        if let Some(SentPart { order, sent, again }) = progress.latest {
             let has_lost = outbound.find_lost(order);
             let round_trip = self.now - sent;
             // What was sent again may be the answer to the first sending (Karn's algorithm).
@@ -249,6 +289,36 @@ impl Session {
         }
         self.report_ready(stream);
         self.record_receipt();
+    }
+
+    pub(super) fn handle_datagram_ack(&mut self, ack: DatagramAck) {
+        let was_full = self.congestion.is_full(self.load() + self.congestion.part_max());
+        let progress = match self.datagrams_out.handle_ack(ack) {
+            Ok(Some(progress)) => progress,
+            Ok(None) => return,
+            Err(error) => return self.refusals.count(&error),
+        };
+        let DatagramProgress { arrived, latest: SentPart { sent, .. }, has_lost } = progress;
+        let round_trip = self.now - sent;
+        self.rtt[Stream::Data as usize].measure(round_trip);
+        let delay = ack.arrived - DelayTicks::of(sent);
+        let sample = DelaySample { delay, round_trip, is_data: true };
+        self.congestion.handle_delay(sample, self.now);
+        let signal = CongestionSignal { arrived, was_full, has_lost, is_measured: true, sent };
+        self.congestion.handle_arrived(signal, self.now);
+        let due = self.now + self.retransmit_timeout(Stream::Data);
+        self.datagrams_lost_at = (self.datagrams_out.flying().0 > 0).then_some(due);
+    }
+
+    /// Takes all datagrams on their way for lost.
+    pub(super) fn detect_lost_datagrams(&mut self) {
+        self.datagrams_lost_at = None;
+        self.datagrams_out.lose_all();
+        // Data on its way tells by itself what the path is like.
+        if self.flying(Stream::Data) == 0 {
+            self.rtt[Stream::Data as usize].back_off();
+            self.congestion.handle_timeout(self.now);
+        }
     }
 
     pub(super) fn report_ready(&mut self, stream: Stream) {

@@ -9,9 +9,10 @@
 //! open         000 00000 │ version 1 │ tag 4 │ echo 4 │ incarnation 8 │ number 4
 //! data         001 palfs │ tag 4 │ sequence v │ p: index v, count v │ a: ack │ payload
 //! redundant    111 palfr │ as data, and a copy goes over every way
-//! datagram     010 p0000 │ tag 4 │ channel v │ sequence v │ p: index v, count v │ payload
-//! acknowledge  011 00rdc │ tag 4 │ c: ack of the control stream │ d: of the data stream │ r: of the
-//!                        redundant one
+//! datagram     010 p000n │ tag 4 │ channel v │ sequence v │ n: number v │ p: index v, count v │
+//!                        payload
+//! acknowledge  011 0nrdc │ tag 4 │ c: ack of the control stream │ d: of the data stream │ r: of the
+//!                        redundant one │ n: next v, received v, arrived 2
 //! close        100 00000 │ tag 4
 //! closed       101 00000 │ tag 4
 //! reset        110 00000 │ tag 4, the one of the unknown segment
@@ -20,6 +21,8 @@
 //! r     sent again: no copy of what was sent before
 //! f, l  the first, the last part of a message; with both the payload is one or more whole messages,
 //!       each after its length v; the first of several parts begins with the whole length v
+//! n     datagrams with a number are acknowledged: all below next were sent before the last that
+//!       arrived, and so many of all were received
 //! p     one of `count` pieces of what was cut for a larger MTU
 //! ack   next expected v │ window v │ arrived 2 │ n 1 │ n × (gap v, length v): beyond, these arrived as
 //!       well
@@ -77,6 +80,8 @@ pub enum Segment {
         data: Option<Ack>,
         /// For the redundant stream.
         redundant: Option<Ack>,
+        /// For datagrams.
+        datagrams: Option<DatagramAck>,
     },
     /// All that I had to say is said and acknowledged.
     Close {
@@ -142,6 +147,8 @@ pub struct Datagram {
     pub channel: u32,
     /// Its place in its channel.
     pub sequence: u64,
+    /// Its place among all datagrams of which the sender wants to be told.
+    pub number: Option<u64>,
     /// This is not the whole message.
     pub piece: Option<Fragment>,
     /// The bytes.
@@ -197,6 +204,17 @@ pub struct Ack {
     pub ranges: Vec<(u64, u64)>,
 }
 
+/// What has arrived of numbered datagrams.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DatagramAck {
+    /// One more than the greatest number.
+    pub next: u64,
+    /// How many were received; what is missing to `next` was lost, or is late.
+    pub received: u64,
+    /// When the last of them arrived, by the receiver's clock.
+    pub arrived: DelayTicks,
+}
+
 const OPEN: u8 = 0;
 const DATA: u8 = 1;
 const DATAGRAM: u8 = 2;
@@ -226,14 +244,20 @@ impl Segment {
             }
             Segment::Data(data) => data.parcel(),
             Segment::Datagram(datagram) => datagram.parcel(),
-            Segment::Acknowledge { tag, control, data, redundant } => {
+            Segment::Acknowledge { tag, control, data, redundant, datagrams } => {
                 let flags = u8::from(control.is_some())
                     | u8::from(data.is_some()) << 1
-                    | u8::from(redundant.is_some()) << 2;
+                    | u8::from(redundant.is_some()) << 2
+                    | u8::from(datagrams.is_some()) << 3;
                 let mut bytes = begin(ACKNOWLEDGE, flags, 32);
                 bytes.put_u32(*tag);
                 for ack in [control, data, redundant].into_iter().flatten() {
                     ack.put(&mut bytes);
+                }
+                if let Some(DatagramAck { next, received, arrived }) = datagrams {
+                    bytes.varint(*next);
+                    bytes.varint(*received);
+                    bytes.put_u16(arrived.0);
                 }
                 bytes.freeze().into()
             }
@@ -253,8 +277,8 @@ impl Segment {
         let (kind, flags) = (first >> 5, first & 0x1f);
         let allowed = match kind {
             DATA | REDUNDANT => 0b11111,
-            DATAGRAM => 0b10000,
-            ACKNOWLEDGE => 0b00111,
+            DATAGRAM => 0b10001,
+            ACKNOWLEDGE => 0b01111,
             _ => 0,
         };
         if flags & !allowed != 0 {
@@ -270,8 +294,10 @@ impl Segment {
             ACKNOWLEDGE => {
                 let mut ack = |bit| (flags & bit != 0).then(|| Ack::read(&mut reader)).transpose();
                 let (control, data, redundant) = (ack(1)?, ack(2)?, ack(4)?);
+                let datagrams =
+                    (flags & 8 != 0).then(|| DatagramAck::read(&mut reader)).transpose()?;
                 reader.end("an acknowledgement")?;
-                Ok(Segment::Acknowledge { tag, control, data, redundant })
+                Ok(Segment::Acknowledge { tag, control, data, redundant, datagrams })
             }
             // Three bits have no other value.
             _ => {
@@ -352,11 +378,14 @@ impl Data {
 
 impl Datagram {
     fn parcel(&self) -> GatherBuffer {
-        let flags = u8::from(self.piece.is_some()) << 4;
+        let flags = u8::from(self.piece.is_some()) << 4 | u8::from(self.number.is_some());
         let mut bytes = begin(DATAGRAM, flags, 24 + self.payload.copied());
         bytes.put_u32(self.tag);
         bytes.varint(self.channel.into());
         bytes.varint(self.sequence);
+        if let Some(number) = self.number {
+            bytes.varint(number);
+        }
         Fragment::put(self.piece, &mut bytes);
         self.payload.behind(bytes)
     }
@@ -365,8 +394,9 @@ impl Datagram {
         let channel = u32::try_from(reader.varint()?)
             .map_err(|_| WireError::TooLarge { what: "a channel's number" })?;
         let sequence = reader.varint()?;
+        let number = (flags & 1 != 0).then(|| reader.varint()).transpose()?;
         let piece = Fragment::read(flags, &mut reader)?;
-        Ok(Datagram { tag, channel, sequence, piece, payload: reader.rest().into() })
+        Ok(Datagram { tag, channel, sequence, number, piece, payload: reader.rest().into() })
     }
 }
 
@@ -436,6 +466,13 @@ impl Ack {
     }
 }
 
+impl DatagramAck {
+    fn read(reader: &mut Reader) -> Result<DatagramAck, WireError> {
+        let (next, received) = (reader.varint()?, reader.varint()?);
+        Ok(DatagramAck { next, received, arrived: DelayTicks(reader.u16()?) })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -463,9 +500,12 @@ mod tests {
             tag: 1,
             channel: 4,
             sequence: 9,
+            number: None,
             piece: None,
             payload: Bytes::from_static(b"x").into(),
         };
+        let numbered = Datagram { number: Some(300), ..datagram.clone() };
+        let told = DatagramAck { next: 301, received: 299, arrived };
         vec![
             (
                 Segment::Open(open),
@@ -478,17 +518,35 @@ mod tests {
                 b"\x3f\x01\x02\x03\x04\xac\x02\x01\x02\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00\x02hi",
             ),
             (Segment::Datagram(datagram), b"\x40\0\0\0\x01\x04\x09x"),
+            (Segment::Datagram(numbered), b"\x41\0\0\0\x01\x04\x09\xac\x02x"),
+            (
+                Segment::Acknowledge {
+                    tag: 1,
+                    control: None,
+                    data: None,
+                    redundant: None,
+                    datagrams: Some(told),
+                },
+                b"\x68\0\0\0\x01\xad\x02\xab\x02\x12\x34",
+            ),
             (
                 Segment::Acknowledge {
                     tag: 1,
                     control: None,
                     data: None,
                     redundant: Some(ack.clone()),
+                    datagrams: None,
                 },
                 b"\x64\0\0\0\x01\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
             ),
             (
-                Segment::Acknowledge { tag: 1, control: None, data: Some(ack), redundant: None },
+                Segment::Acknowledge {
+                    tag: 1,
+                    control: None,
+                    data: Some(ack),
+                    redundant: None,
+                    datagrams: None,
+                },
                 b"\x62\0\0\0\x01\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
             ),
             (Segment::Close { tag: 1 }, b"\x80\0\0\0\x01"),
@@ -511,8 +569,9 @@ mod tests {
             let refused = Segment::decode(Bytes::from_static(bytes));
             assert!(matches!(refused, Err(WireError::Malformed { .. })), "{refused:?}");
         };
-        check(b"\x68\0\0\0\x01");
+        check(b"\x70\0\0\0\x01");
         check(b"\x81\0\0\0\x01");
+        check(b"\x42\0\0\0\x01");
         check(b"\x30\0\0\0\x01\x01\x02\x02");
         check(b"\x62\0\0\0\x01\x05\x05\0\0\x11");
         check(b"\x62\0\0\0\x01\x05\x05\0\0\x01\xff\xff\xff\xff\xff\xff\xff\xff\xff\x01\x01");

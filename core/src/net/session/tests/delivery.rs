@@ -281,7 +281,13 @@ fn a_peer_that_promises_an_absurd_window_is_sent_no_more_than_ours() {
     }
     let tag = pair.ends[0].tag;
     let ack = Ack { next: 1, window: u32::MAX, arrived: DelayTicks::default(), ranges: vec![] };
-    let greedy = Segment::Acknowledge { tag, control: None, data: None, redundant: Some(ack) };
+    let greedy = Segment::Acknowledge {
+        tag,
+        control: None,
+        data: None,
+        redundant: Some(ack),
+        datagrams: None,
+    };
     pair.ends[0].handle_segment(greedy.encode(), at(pair.now));
     pair.drain();
 
