@@ -197,7 +197,9 @@ impl Handler<TransportReport> for FaultInjector {
                 self.outlet.announce_rate(bytes_per_second);
             }
             TransportReport::Bus { all } => self.outlet.announce_bus(all),
-            TransportReport::Opened { .. } | TransportReport::Closed { .. } => {
+            TransportReport::Opened { .. }
+            | TransportReport::Closed { .. }
+            | TransportReport::Ended => {
                 self.state = Some(message);
                 self.announce();
             }

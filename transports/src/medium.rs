@@ -202,7 +202,8 @@ macro_rules! transport {
                 context: &mut actix::Context<Self>,
             ) {
                 crate::medium::MediumActor::close(self);
-                crate::medium::MediumActor::outlet(self).announce_closed("closed as asked".into());
+                let ended = blastema_contract::transport::TransportReport::Ended;
+                crate::medium::MediumActor::outlet(self).announce(ended);
                 actix::ActorContext::stop(context);
             }
         }

@@ -414,7 +414,8 @@ impl Handler<TransportReport> for DiscoveryActor {
         match report {
             TransportReport::Opened { .. } => self.say_beacons(),
             TransportReport::Closed { reason } => warn!("no beacons: {reason}"),
-            TransportReport::Rate { .. }
+            TransportReport::Ended
+            | TransportReport::Rate { .. }
             | TransportReport::PeerLost { .. }
             | TransportReport::Bus { .. }
             | TransportReport::NoCarrier { .. }

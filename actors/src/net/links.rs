@@ -422,6 +422,10 @@ impl Handler<TransportReport> for LinksActor {
                 self.lose_all(&reason, now);
                 self.tell_of_lonely_medium(LinkCondition::Down { reason });
             }
+            TransportReport::Ended => {
+                self.mtu = None;
+                self.lose_all("the node has closed the network", now);
+            }
             TransportReport::Rate { bytes_per_second } => {
                 self.bytes_per_second = Some(bytes_per_second);
                 self.bundle.handle_rate(bytes_per_second);

@@ -198,6 +198,12 @@ mod rights {
             log.rows().filter(|row| row.denied.is_of_a_program()).max_by_key(|row| row.last)
         }
 
+        /// Nodes that were refused so much, or more, since this was asked last.
+        pub(crate) fn take_floods(&self, least: u64) -> Vec<NodeName> {
+            let mut log = self.rights.log.lock().unwrap_or_else(PoisonError::into_inner);
+            log.take_floods(least)
+        }
+
         /// What was refused, in the order of nodes.
         pub(crate) fn refusals(&self) -> Vec<AccessRefusal> {
             let now = platform::now();

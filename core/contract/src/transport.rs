@@ -176,6 +176,8 @@ pub enum TransportReport {
         /// What happened, and what helps.
         reason: String,
     },
+    /// The medium is closed for good, as [`Close`] asked.
+    Ended,
     /// How much the medium carries, where that is little: hellos are said less often on it, and it
     /// is dearer to use. Reported after each opening.
     Rate {

@@ -233,7 +233,8 @@ impl Handler<Report> for Medium {
     type Result = ();
 
     fn handle(&mut self, Report(report): Report, _: &mut Context<Self>) {
-        if matches!(report, TransportReport::Opened { .. } | TransportReport::Closed { .. }) {
+        use TransportReport::{Closed, Ended, Opened};
+        if matches!(report, Opened { .. } | Closed { .. } | Ended) {
             self.state = report.clone();
         }
         self.report(report);
@@ -272,7 +273,7 @@ impl Handler<Close> for Medium {
         if let Some(network) = &self.network {
             network.leave(&self.name);
         }
-        self.report(TransportReport::Closed { reason: "closed as asked".into() });
+        self.report(TransportReport::Ended);
         context.stop();
     }
 }

@@ -72,6 +72,10 @@ impl End {
         }
     }
 
+    async fn ended(&self) {
+        self.reports.wait(|report| *report == TransportReport::Ended).await;
+    }
+
     async fn closed(&self) -> String {
         let closed = |report: &TransportReport| matches!(report, TransportReport::Closed { .. });
         match self.reports.wait(closed).await {

@@ -114,7 +114,7 @@ pub(crate) async fn a_peer_that_is_gone_and_back_is_reached_again<M: Medium>() {
     assert_eq!(b.frames.expect().await.frame, "before");
 
     b.transport.close.do_send(Close);
-    b.closed().await;
+    b.ended().await;
     if M::CONNECTS {
         assert_eq!(a.reports.expect().await, TransportReport::PeerLost { peer: at_b.clone() });
     }
@@ -134,7 +134,7 @@ pub(crate) async fn closing_releases_the_port<M: Medium>() {
     let (at, _) = a.opened().await;
 
     a.transport.close.do_send(Close);
-    a.closed().await;
+    a.ended().await;
     let b = End::new(medium.open(Some(at.clone())));
 
     assert_eq!(b.opened().await.0, at);

@@ -35,9 +35,16 @@ impl GatewayActor {
         self.forbidden.refused_by.remove(&peer);
     }
 
+    /// So many refusals of one node between two looks, a second apart, are an offence of it.
+    const FLOOD: u64 = 1_000;
+
     /// Declares what was refused since the last look, and clears the fault when nothing was for a
     /// minute.
     pub(super) fn look_at_access(&mut self) {
+        for node in self.wiring.registry.access().take_floods(Self::FLOOD) {
+            let what = "it asks a thousand times a second for what it may not";
+            self.offends(NodeId::of(&node), what);
+        }
         let alarm = &mut self.forbidden;
         if let Some(row) = self.wiring.registry.access().newest_of_a_program()
             && alarm.last_refusal.replace(row.last) != Some(row.last)

@@ -4,6 +4,8 @@ use super::*;
 use blastema_contract::router::SegmentArrived;
 use blastema_core::net::NodeId;
 use blastema_core::net::session::VERSION;
+use blastema_core::net::trust::access::AccessDenied;
+use blastema_core::net::trust::policy::Verb;
 use blastema_core::net::wire::segment::{Ack, DelayTicks, OpenSegment, Segment};
 use bytes::Bytes;
 
@@ -272,5 +274,30 @@ fn lasting_garbage_from_strangers_is_a_fault_of_the_links() {
         assert_eq!(declared.len(), 1, "{declared:?}");
         let detail = &declared[0].detail;
         assert!(detail.contains("no link of a leads to"), "{detail}");
+    });
+}
+
+#[test]
+fn who_is_refused_a_thousand_times_a_second_is_told_as_an_offender() {
+    paused(async {
+        let (_robot, [left, right, _middle]) = three().await;
+        right.sender::<Add>("left:acc").ask(Add(0)).await.unwrap();
+        let denied = AccessDenied {
+            peer: NodeName::new("right").unwrap(),
+            verb: Verb::Set,
+            object: "left/speed".into(),
+            contract: String::new(),
+            line: Some(1),
+            serial: 1,
+        };
+        let refuse = async |times| {
+            (0..times).for_each(|_| left.host.registry.access().record(denied.clone()));
+            advance(1_000 * MS).await;
+        };
+        refuse(999).await;
+        assert_eq!(offences(&left), Vec::<String>::new());
+        refuse(1_000).await;
+        let what = "right: it asks a thousand times a second for what it may not";
+        assert_eq!(offences(&left), [what]);
     });
 }

@@ -204,6 +204,8 @@ struct PeerRefusals {
     entries: SortedMap<RefusalKey, RefusalEntry>,
     /// Since when so many were told.
     told: (Instant, u32),
+    /// How many there were since [`RefusalLog::take_floods`].
+    recent: u64,
 }
 
 /// What is counted together: the verb, the object and the contract.
@@ -235,8 +237,9 @@ impl RefusalLog {
     /// A peer was refused something. Returns how often, if that is to be told: the first time, and
     /// once a minute while it goes on; but no more than 32 times a minute of one peer.
     pub fn handle_refused(&mut self, denied: AccessDenied, now: Instant) -> Option<u64> {
-        let none = || PeerRefusals { entries: SortedMap::new(), told: (now, 0) };
+        let none = || PeerRefusals { entries: SortedMap::new(), told: (now, 0), recent: 0 };
         let peer = self.peers.entry(denied.peer.clone()).or_insert_with(none);
+        peer.recent = peer.recent.saturating_add(1);
         let times = peer.count(denied, now)?;
         let (since, told) = &mut peer.told;
         if now >= *since + REFUSAL_REMINDER {
@@ -244,6 +247,15 @@ impl RefusalLog {
         }
         *told += 1;
         (*told <= TOLD_MAX).then_some(times)
+    }
+
+    /// Peers that were refused so much, or more, since this was asked last.
+    pub fn take_floods(&mut self, least: u64) -> Vec<NodeName> {
+        let floods = self.peers.iter_mut().filter_map(|(node, peer)| {
+            let recent = std::mem::take(&mut peer.recent);
+            (recent >= least).then(|| node.clone())
+        });
+        floods.collect()
     }
 
     /// What was refused, in the order of peers.
@@ -340,6 +352,18 @@ mod tests {
         assert_eq!(needs("blastema/load-state"), BindingNeeds::OwnNode);
         assert_eq!(needs("blastema/votes"), BindingNeeds::Membership);
         assert_eq!(needs("blastema/actor-message"), BindingNeeds::Nothing);
+    }
+
+    #[test]
+    fn who_asks_a_thousand_times_for_what_it_may_not_is_told_once_for_each_look() {
+        let (mut log, start) = (RefusalLog::default(), Instant::default());
+        for number in 0..1_500 {
+            log.handle_refused(denied("arm", &format!("o{number}")), start);
+        }
+        (0..999).for_each(|_| drop(log.handle_refused(denied("leg", "base/wheels"), start)));
+        assert_eq!(log.take_floods(1_000), [name("arm")]);
+        log.handle_refused(denied("leg", "base/wheels"), start);
+        assert_eq!(log.take_floods(1_000), []);
     }
 
     #[test]
