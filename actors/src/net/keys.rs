@@ -35,6 +35,14 @@ pub(crate) struct SealTerms {
     pub(crate) forgeable_addresses: bool,
 }
 
+/// Why a roster does not count.
+#[derive(Debug)]
+pub(super) struct RosterRefusal {
+    pub(super) reason: String,
+    /// The robot has signed it.
+    pub(super) is_signed: bool,
+}
+
 impl NodeKeys {
     /// Reads the key of the node called `node` from this file, and the roster beside it.
     ///
@@ -89,11 +97,12 @@ impl NodeKeys {
     ///
     /// # Errors
     /// It is refused, and why.
-    pub(super) fn reread(&self) -> Result<Option<NodeKeys>, String> {
-        let text = read_public(&self.path).map_err(|error| {
-            format!(
+    pub(super) fn reread(&self) -> Result<Option<NodeKeys>, RosterRefusal> {
+        let text = read_public(&self.path).map_err(|error| RosterRefusal {
+            reason: format!(
                 "{error}: copy the newest one there, without which this node does not start again"
-            )
+            ),
+            is_signed: false,
         })?;
         self.newer(&text, &self.path.display().to_string())
     }
@@ -102,11 +111,21 @@ impl NodeKeys {
     ///
     /// # Errors
     /// It is refused, and why. `place` says where it was found.
-    pub(super) fn newer(&self, text: &str, place: &str) -> Result<Option<NodeKeys>, String> {
-        let known = self.serial();
-        let roster = NodeRoster::parse_signed(text, &self.own.signer)
-            .map_err(|error| format!("{place}: {error}"))?;
-        let serial = roster.serial;
+    pub(super) fn newer(&self, text: &str, place: &str) -> Result<Option<NodeKeys>, RosterRefusal> {
+        let roster = NodeRoster::parse_signed(text, &self.own.signer).map_err(|error| {
+            RosterRefusal { reason: format!("{place}: {error}"), is_signed: false }
+        })?;
+        let judged = self.judge(roster, text, place);
+        judged.map_err(|reason| RosterRefusal { reason, is_signed: true })
+    }
+
+    fn judge(
+        &self,
+        roster: NodeRoster,
+        text: &str,
+        place: &str,
+    ) -> Result<Option<NodeKeys>, String> {
+        let (known, serial) = (self.serial(), roster.serial);
         let own = roster.node(&self.own.node).map(|listed| listed.keys);
         match self.roster.order_of(&roster) {
             RosterOrder::Same => Ok(None),
@@ -128,6 +147,12 @@ impl NodeKeys {
             )),
             RosterOrder::Newer => Ok(Some(NodeKeys { roster, text: text.into(), ..self.clone() })),
         }
+    }
+
+    /// Nodes of this roster that the other one does not list.
+    pub(super) fn missing_in(&self, other: &NodeKeys) -> Vec<NodeName> {
+        let listed = self.roster.nodes().iter().map(|node| &node.name);
+        listed.filter(|node| other.roster.node(node).is_none()).cloned().collect()
     }
 
     /// The roster's signed text.
@@ -273,7 +298,8 @@ pub(super) mod tests {
         let list = folder.path().join("ranger.roster");
         let reread = |text: &str| {
             fs::write(&list, text).expect("a folder");
-            keys.reread().map(|keys| keys.map(|keys| keys.serial()))
+            let reread = keys.reread().map_err(|refusal| refusal.reason);
+            reread.map(|keys| keys.map(|keys| keys.serial()))
         };
 
         assert_eq!(reread(&roster(&[("base", 1), ("arm", 2)], 5)), Ok(None));
@@ -290,7 +316,7 @@ pub(super) mod tests {
         let whole = roster(&[("base", 1)], 6);
         refused(&whole[..whole.len() / 2], "ranger.roster");
         fs::remove_file(&list).expect("it is there");
-        let gone = keys.reread().map(|_| ()).expect_err("the file is gone");
+        let gone = keys.reread().map(|_| ()).expect_err("the file is gone").reason;
         assert!(gone.contains("ranger.roster") && gone.contains("does not start again"), "{gone}");
     }
 }

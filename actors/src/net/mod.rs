@@ -243,9 +243,10 @@ pub(crate) fn start(
     }
     environment.observers.extend(discovery.clone().map(Addr::recipient));
     let registry = environment.registry.clone();
+    let faults = environment.own_faults("roster");
     let roster = environment.keys.clone().map(|keys| {
         guardian.start(named("roster"), on_arbiter, move |context: &mut Context<_>| {
-            RosterActor::new(keys, &registry, context.address().recipient())
+            RosterActor::new(keys, &registry, faults, context.address().recipient())
         })
     });
     if roster.is_none() {
@@ -337,10 +338,11 @@ pub(crate) fn start(
     let networks: Vec<(_, Addr<links::LinksActor>)> = networks.collect();
     let roster_watch = roster.as_ref().zip(keys).map(|(roster, keys)| {
         let links = networks.iter().map(|(_, links)| links.clone().recipient());
-        let others =
-            [router.clone().recipient(), roster.clone().recipient(), gateway.clone().recipient()];
-        let told = links.chain(others).chain(environment.roster_observers).collect();
-        let watch = Arc::new(RosterWatch::start(keys, told));
+        // Who is not missed any more is known before the links go down.
+        let first = [router.clone().recipient(), gateway.clone().recipient()].into_iter();
+        let told = first.chain(links).chain(environment.roster_observers).collect();
+        let exchange = (roster.clone().recipient(), roster.clone().recipient());
+        let watch = Arc::new(RosterWatch::start(keys, exchange, told));
         roster.do_send(AttachRosterWatch(Arc::downgrade(&watch)));
         watch
     });

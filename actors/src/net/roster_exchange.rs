@@ -9,17 +9,18 @@
 //! The one with the lower number is given the text. It believes the signature of the robot, not the
 //! node that sends it.
 
+use super::fault_reporter::FaultReporter;
 use super::keys::NodeKeys;
 use super::peer_messages::{ActorMessageReceived, PeerChannel};
-use super::roster_watch::{RosterChanged, RosterOffer, RosterWatch};
+use super::roster_watch::{RosterChanged, RosterOffer, RosterRefused, RosterWatch};
 use crate::registry::Registry;
 use crate::runtime::guardian::answers_the_monitor;
 use actix::prelude::*;
 use blastema_contract::router::InjectPanic;
 use blastema_contract::session::PeerStatusChanged;
-use blastema_core::NodeName;
 use blastema_core::net::NodeId;
 use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::{FaultKind, NodeName};
 use bytes::Bytes;
 use std::sync::{Arc, Weak};
 
@@ -36,6 +37,7 @@ pub(super) struct RosterActor {
     asked: SortedSet<NodeId>,
     /// It ends with the node's network.
     watch: Weak<RosterWatch>,
+    faults: FaultReporter,
 }
 
 /// What a node says of its roster.
@@ -90,6 +92,7 @@ impl RosterActor {
     pub(super) fn new(
         keys: Arc<NodeKeys>,
         registry: &Registry,
+        faults: FaultReporter,
         reader: Recipient<ActorMessageReceived>,
     ) -> Self {
         let channel = PeerChannel::at(super::named("roster"), registry, reader);
@@ -99,6 +102,7 @@ impl RosterActor {
             peers: SortedMap::new(),
             asked: SortedSet::new(),
             watch: Weak::new(),
+            faults,
         }
     }
 
@@ -175,6 +179,17 @@ impl Handler<RosterChanged> for RosterActor {
         self.keys = keys;
         let peers: Vec<_> = self.peers.values().cloned().collect();
         peers.iter().for_each(|node| self.tell_serial(node));
+    }
+}
+
+impl Handler<RosterRefused> for RosterActor {
+    type Result = ();
+
+    fn handle(&mut self, RosterRefused(reason): RosterRefused, _: &mut Context<Self>) {
+        match reason {
+            Some(reason) => self.faults.declare(FaultKind::CheckFailed, reason),
+            None => self.faults.clear(FaultKind::CheckFailed),
+        }
     }
 }
 

@@ -5,7 +5,7 @@
 //! its links, one that is new gets keys. One that came from another node replaces the file. A file
 //! that is refused is logged, and the node goes on with the roster that it has.
 
-use super::keys::NodeKeys;
+use super::keys::{NodeKeys, RosterRefusal};
 use crate::platform;
 use crate::platform::key_files::FileStamp;
 use crate::platform::replace_file::replace_file;
@@ -19,6 +19,8 @@ use tracing::{error, info, warn};
 
 /// How often the file is looked at.
 const POLL_INTERVAL: Duration = Duration::from_secs(2);
+/// How long a node that is listed no more may still hear why, before its links and keys go.
+const FAREWELL: Duration = Duration::from_millis(250);
 /// So many rosters of other nodes wait to be checked, one of each node that was asked.
 const OFFERS_MAX: usize = 64;
 
@@ -26,6 +28,11 @@ const OFFERS_MAX: usize = 64;
 #[derive(Clone, Message)]
 #[rtype(result = "()")]
 pub(crate) struct RosterChanged(pub(crate) Arc<NodeKeys>);
+
+/// The newest roster does not count, and why; nothing once one does.
+#[derive(Debug, Message)]
+#[rtype(result = "()")]
+pub(super) struct RosterRefused(pub(super) Option<String>);
 
 /// Another node has this roster.
 pub(super) struct RosterOffer {
@@ -37,13 +44,20 @@ pub(super) struct RosterOffer {
 pub(crate) struct RosterWatch(SyncSender<RosterOffer>);
 
 impl RosterWatch {
-    /// Tells these of each newer roster.
-    pub(crate) fn start(keys: Arc<NodeKeys>, told: Vec<Recipient<RosterChanged>>) -> RosterWatch {
+    /// Tells these of each newer roster, and the first, which tells other nodes, before all others.
+    pub(super) fn start(
+        keys: Arc<NodeKeys>,
+        (exchange, refusals): (Recipient<RosterChanged>, Recipient<RosterRefused>),
+        told: Vec<Recipient<RosterChanged>>,
+    ) -> RosterWatch {
         let (offers, offered) = sync_channel(OFFERS_MAX);
         // The file may have been replaced since the node has read it.
-        let file = RosterFile { stamp: None, keys, refused: None, refused_of: SortedSet::new() };
+        let refused_of = SortedSet::new();
+        let file = RosterFile { stamp: None, keys, refused: None, refused_of, refusals };
         // Without the thread, a new roster counts when the node starts again.
-        if let Err(error) = platform::start_thread("roster", move || watch(file, &offered, &told)) {
+        if let Err(error) =
+            platform::start_thread("roster", move || watch(file, &offered, &exchange, &told))
+        {
             error!("a newer roster will count at the next start only: {error}");
         }
         RosterWatch(offers)
@@ -56,11 +70,21 @@ impl RosterWatch {
     }
 }
 
-fn watch(mut file: RosterFile, offered: &Receiver<RosterOffer>, told: &[Recipient<RosterChanged>]) {
-    let tell = |newer: Option<Arc<NodeKeys>>| {
-        if let Some(keys) = newer {
-            told.iter().for_each(|to| to.do_send(RosterChanged(keys.clone())));
+fn watch(
+    mut file: RosterFile,
+    offered: &Receiver<RosterOffer>,
+    exchange: &Recipient<RosterChanged>,
+    told: &[Recipient<RosterChanged>],
+) {
+    let mut known = file.keys.clone();
+    let mut tell = |newer: Option<Arc<NodeKeys>>| {
+        let Some(keys) = newer else { return };
+        exchange.do_send(RosterChanged(keys.clone()));
+        if !known.missing_in(&keys).is_empty() {
+            std::thread::sleep(FAREWELL);
         }
+        told.iter().for_each(|to| to.do_send(RosterChanged(keys.clone())));
+        known = keys;
     };
     loop {
         let offer = match offered.recv_timeout(POLL_INTERVAL) {
@@ -84,6 +108,7 @@ struct RosterFile {
     refused: Option<String>,
     /// Nodes of which a roster was refused and logged since the last that was taken.
     refused_of: SortedSet<NodeName>,
+    refusals: Recipient<RosterRefused>,
 }
 
 impl RosterFile {
@@ -99,7 +124,7 @@ impl RosterFile {
             // It is tried again: what keeps it from being read may pass.
             self.stamp = None;
         }
-        self.adopt(newer)
+        self.adopt(newer, true)
     }
 
     /// The keys with the roster of another node, if that is newer.
@@ -111,7 +136,9 @@ impl RosterFile {
         if newer.is_err() {
             self.refused_of.insert(from.clone());
         }
-        let keys = self.adopt(newer)?;
+        // What the robot has not signed says nothing of this node.
+        let is_own = newer.as_ref().err().is_none_or(|refusal| refusal.is_signed);
+        let keys = self.adopt(newer, is_own)?;
         let path = keys.roster_path();
         match replace_file(path, keys.roster_text().as_bytes()) {
             Ok(()) => self.stamp = FileStamp::of(path),
@@ -125,7 +152,15 @@ impl RosterFile {
         Some(keys)
     }
 
-    fn adopt(&mut self, newer: Result<Option<NodeKeys>, String>) -> Option<Arc<NodeKeys>> {
+    /// `is_fault` if it is one of this node that a roster does not count.
+    fn adopt(
+        &mut self,
+        newer: Result<Option<NodeKeys>, RosterRefusal>,
+        is_fault: bool,
+    ) -> Option<Arc<NodeKeys>> {
+        if newer.is_ok() && self.refused.is_some() {
+            self.refusals.do_send(RosterRefused(None));
+        }
         match newer {
             Ok(Some(keys)) => {
                 info!(robot = %keys.robot(), serial = keys.serial(), "a newer roster");
@@ -138,10 +173,13 @@ impl RosterFile {
                 self.refused = None;
                 None
             }
-            Err(refused) => {
-                if self.refused.as_ref() != Some(&refused) {
-                    error!("the roster is refused: {refused}");
-                    self.refused = Some(refused);
+            Err(RosterRefusal { reason, .. }) => {
+                if self.refused.as_ref() != Some(&reason) {
+                    error!("the roster is refused: {reason}");
+                    if is_fault {
+                        self.refusals.do_send(RosterRefused(Some(reason.clone())));
+                    }
+                    self.refused = Some(reason);
                 }
                 None
             }
@@ -153,27 +191,33 @@ impl RosterFile {
 mod tests {
     use super::*;
     use crate::net::keys::tests::written;
+    use blastema_doubles::{Probe, paused};
     use std::fs;
 
     #[test]
     fn a_file_that_is_gone_is_told_each_time_that_it_goes_and_is_read_when_it_is_back() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let keys = Arc::new(written(folder.path()));
-        let path = keys.roster_path().to_owned();
-        let mut file =
-            RosterFile { keys, stamp: None, refused: None, refused_of: SortedSet::new() };
-        assert!(file.look().is_none() && file.refused.is_none(), "it is the one that is known");
+        paused(async {
+            let folder = tempfile::tempdir().expect("a folder");
+            let keys = Arc::new(written(folder.path()));
+            let path = keys.roster_path().to_owned();
+            let told = Probe::<RosterRefused>::start();
+            let (refused_of, refusals) = (SortedSet::new(), told.recipient());
+            let mut file = RosterFile { keys, stamp: None, refused: None, refused_of, refusals };
+            assert!(file.look().is_none() && file.refused.is_none(), "it is the one that is known");
 
-        for _ in 0..2 {
-            let text = fs::read(&path).expect("it is there");
-            fs::remove_file(&path).expect("it is ours");
-            assert!(file.look().is_none());
-            let refused = file.refused.clone().expect("it is gone");
-            assert!(refused.contains("does not start again"), "{refused}");
+            for _ in 0..2 {
+                let text = fs::read(&path).expect("it is there");
+                fs::remove_file(&path).expect("it is ours");
+                assert!(file.look().is_none());
+                let refused = file.refused.clone().expect("it is gone");
+                assert!(refused.contains("does not start again"), "{refused}");
+                assert!(told.expect().await.0 == Some(refused));
 
-            fs::write(&path, text).expect("it is ours");
-            assert!(file.look().is_none());
-            assert_eq!(file.refused, None);
-        }
+                fs::write(&path, text).expect("it is ours");
+                assert!(file.look().is_none());
+                assert_eq!(file.refused, None);
+                assert!(told.expect().await.0.is_none());
+            }
+        });
     }
 }

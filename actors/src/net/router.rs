@@ -342,7 +342,10 @@ impl Handler<RosterChanged> for RouterActor {
     fn handle(&mut self, message: RosterChanged, context: &mut Context<Self>) {
         let RosterChanged(keys) = message;
         self.machine.handle_roster(keys.roster(), platform::now());
-        self.keys = Some(keys);
+        let before = self.keys.replace(keys.clone());
+        for node in before.iter().flat_map(|before| before.missing_in(&keys)) {
+            self.report_node(node, Incarnation::default(), NodeCondition::Removed);
+        }
         self.drive(context);
     }
 }

@@ -227,4 +227,7 @@ pub enum NodeCondition {
     /// The node reported that it leaves in order: its silence from now on is no fault, and its
     /// return is an ordinary one.
     Left,
+    /// The robot's roster does not list the node any more: that it cannot be reached is as it should
+    /// be.
+    Removed,
 }

@@ -46,6 +46,8 @@ enum PeerStatus {
     Lost(String),
     /// It ended in order.
     Left,
+    /// The roster does not list it any more.
+    Removed,
 }
 
 impl NodeSeen {
@@ -117,7 +119,8 @@ impl PeerTable {
     }
 
     fn has_left(&self, node: &NodeName) -> bool {
-        self.nodes.get(node).is_some_and(|seen| seen.status == PeerStatus::Left)
+        let status = self.nodes.get(node).map(|seen| &seen.status);
+        matches!(status, Some(PeerStatus::Left | PeerStatus::Removed))
     }
 
     /// The router reports how a node is. The same condition again is no change, a newer incarnation
@@ -130,12 +133,15 @@ impl PeerTable {
         condition: NodeCondition,
         now: Instant,
     ) -> Result<Option<PeerChange>, Incarnation> {
-        use NodeCondition::{Admitted, AtWork, InSafeState, Isolated, Offends};
+        use NodeCondition::{Admitted, AtWork, InSafeState, Isolated, Offends, Removed};
         if let Offends { .. } | Isolated { .. } | Admitted = condition {
             return Ok(self.handle_offences(node, condition));
         }
         if let InSafeState { .. } | AtWork = condition {
             return self.handle_rest(node, incarnation, condition, now);
+        }
+        if let Removed = condition {
+            return Ok(self.handle_removed(node));
         }
         let before = self.nodes.get(&node);
         // Which incarnation is there, those say who can reach it, whatever its number: the clock
@@ -155,11 +161,16 @@ impl PeerTable {
         if left && before.is_some_and(|seen| seen.incarnation == incarnation) {
             return Ok(None);
         }
+        let removed = before.is_some_and(|seen| seen.status == PeerStatus::Removed);
+        if removed && !here {
+            return Ok(None);
+        }
         // The first report of a node is no restart, whatever its number is; nor is an
         // incarnation of which nothing but the loss was ever known, nor one after another that had
-        // left.
+        // left or was not listed.
         let restarted = before.is_some_and(|seen| {
-            incarnation != seen.incarnation && seen.incarnation != Incarnation::default() && !left
+            let is_other = incarnation != seen.incarnation;
+            is_other && seen.incarnation != Incarnation::default() && !left && !removed
         });
         let condition = match condition {
             NodeCondition::Reachable | NodeCondition::Restarted if restarted => {
@@ -192,6 +203,22 @@ impl PeerTable {
             incarnation,
             finding,
         }))
+    }
+
+    /// The roster does not list a node any more, or the node at the other end of a link.
+    fn handle_removed(&mut self, node: NodeName) -> Option<PeerChange> {
+        let is_neighbour =
+            || self.links.values().any(|seen| seen.neighbour.as_ref() == Some(&node));
+        if !self.nodes.contains_key(&node) && !is_neighbour() {
+            return None;
+        }
+        let seen = self.nodes.entry(node.clone()).or_insert_with(NodeSeen::unmet);
+        seen.rest = None;
+        let before = std::mem::replace(&mut seen.status, PeerStatus::Removed);
+        let finding = Finding::Node(NodeCondition::Removed);
+        let (incarnation, location) = (seen.incarnation, FaultLocation::Node(node));
+        let is_change = before != PeerStatus::Removed;
+        is_change.then_some(PeerChange { location, incarnation, finding })
     }
 
     /// What others think of a node, or what it has done: whatever incarnation of it is known.
@@ -272,6 +299,10 @@ impl PeerTable {
                 PeerStatus::Lost(reason) => (Opinion::Failed, Some(reason.clone())),
                 // It is not watched any more.
                 PeerStatus::Left => (Opinion::Stopped, Some("it has left in order".to_owned())),
+                PeerStatus::Removed => {
+                    let note = "the robot's roster does not list it any more";
+                    (Opinion::Stopped, Some(note.to_owned()))
+                }
             };
             let (opinion, note) = match (&seen.status, &seen.rest) {
                 (PeerStatus::Here, Some(reason)) => {
@@ -497,6 +528,31 @@ mod tests {
         assert!(back.is_ok_and(|change| change.is_some()));
 
         assert!(reported(&mut around, &down), "this time it was not announced");
+    }
+
+    #[test]
+    fn a_node_that_the_roster_lists_no_more_is_missed_by_none_until_it_is_listed_again() {
+        let mut around = PeerTable::default();
+        let [up, _, down, _] = conditions();
+        let link = |around: &mut PeerTable, condition: &LinkCondition| {
+            let (here, there) = (node("a"), Some(node("b")));
+            around.handle_link(here, "eth".into(), there, condition.clone(), at(1)).is_some()
+        };
+        let report = |around: &mut PeerTable, condition: NodeCondition| {
+            let change = around.handle_node(node("b"), Incarnation(7), condition, at(2));
+            change.is_ok_and(|change| change.is_some())
+        };
+        let lost = || NodeCondition::Lost { reason: "no path".into() };
+        assert!(!report(&mut around, NodeCondition::Removed), "it was never heard of");
+        assert!(link(&mut around, &up) && report(&mut around, NodeCondition::Reachable));
+
+        assert!(report(&mut around, NodeCondition::Removed));
+        assert!(!report(&mut around, NodeCondition::Removed));
+        assert!(!link(&mut around, &down) && !report(&mut around, lost()));
+        assert!(around.rows(at(3)).all(|row| row.opinion == Opinion::Stopped));
+
+        assert!(link(&mut around, &up) && report(&mut around, NodeCondition::Reachable));
+        assert!(link(&mut around, &down) && report(&mut around, lost()));
     }
 
     #[test]

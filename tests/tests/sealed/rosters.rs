@@ -7,7 +7,7 @@
 
 use super::{PATIENCE, ask, node, until};
 use blastema::prelude::*;
-use blastema::{LinkState, Network};
+use blastema::{Fault, LinkState, Network};
 use blastema_tests::{RobotKeys, free_addresses};
 use std::fs;
 use std::net::SocketAddr;
@@ -116,6 +116,62 @@ fn a_node_that_is_revoked_at_one_end_loses_its_links_at_the_other() {
         };
         until(is_lost, "the base does not reach it").await;
         assert_eq!(ask(&base, "arm").await, 1);
+        for node in [base, arm, head] {
+            node.shutdown().await;
+        }
+    });
+}
+
+/// The kinds of the faults that stand on a node, of which nothing else is asked.
+async fn standing(node: &Node) -> Vec<FaultKind> {
+    let faults = node.faults().await.entries.into_iter();
+    let standing = faults.filter(|entry| entry.stands());
+    standing.map(|entry| entry.fault.kind).collect()
+}
+
+#[test]
+fn a_node_that_is_revoked_while_it_runs_is_told_why_and_missed_by_none() {
+    blastema::run(async {
+        let robot = Robot::new();
+        let (base, arm) = (robot.start(0).await, robot.start(1).await);
+        let head = robot.start(2).await;
+        assert!(base.connected("head", PATIENCE).await && head.connected("base", PATIENCE).await);
+
+        robot.put(0, &["base", "arm"], 2);
+
+        let is_told = async || {
+            let faults = head.faults().await.entries;
+            faults.iter().any(|entry| {
+                let Fault { kind, detail, .. } = &entry.fault;
+                *kind == FaultKind::CheckFailed && detail.contains("it was revoked")
+            })
+        };
+        until(is_told, "the head hears that it was revoked").await;
+        let is_missed = async || standing(&head).await.contains(&FaultKind::NodeLost);
+        until(is_missed, "the head has lost the others").await;
+        let is_down = async || {
+            let links = arm.links().await;
+            links.iter().any(|link| link.state == LinkState::Down)
+        };
+        until(is_down, "the arm drops its link with the head").await;
+        let removed = async |node: &Node| {
+            let rows = node.table().await;
+            let row = rows.iter().find(|row| row.location.to_string() == "head");
+            row.and_then(|row| row.note.clone()).is_some_and(|note| note.contains("does not list"))
+        };
+        until(async || removed(&base).await, "the base shows that it is listed no more").await;
+        until(async || removed(&arm).await, "the arm shows that it is listed no more").await;
+        for node in [&base, &arm] {
+            assert_eq!(standing(node).await, [], "on {}", node.name());
+        }
+
+        // It was a mistake: the same process is at work again.
+        robot.put(0, &NODES, 3);
+        robot.put(2, &NODES, 3);
+        assert!(base.connected("head", PATIENCE).await);
+        assert_eq!(ask(&base, "head").await, 1);
+        let is_calm = async || standing(&head).await.is_empty();
+        until(is_calm, "no fault stands on the head").await;
         for node in [base, arm, head] {
             node.shutdown().await;
         }

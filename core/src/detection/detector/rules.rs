@@ -350,7 +350,7 @@ impl Detector {
                 self.crash_loops.handle_reachable(&node, scene.at);
                 self.end_kind(&scene, &FaultKind::NodeLost);
             }
-            NodeCondition::Left => {
+            NodeCondition::Left | NodeCondition::Removed => {
                 self.crash_loops.forget(&node);
                 self.end_kind(&scene, &FaultKind::CrashLoop);
                 self.end_kind(&scene, &FaultKind::NodeLost);
