@@ -62,6 +62,8 @@ pub(crate) struct GlobalNamesActor {
     wake: WakeTimer,
     channel: PeerChannel,
     own: SortedMap<ObjectName, Own>,
+    /// Claims of components that the roster refuses: made again when there is another.
+    forbidden: SortedMap<ObjectName, Own>,
     /// Nodes that a session is open with.
     peers: SortedMap<NodeId, (NodeName, Incarnation)>,
     complaints: RefusalAlarms<NodeName>,
@@ -99,6 +101,7 @@ impl GlobalNamesActor {
                 wake: WakeTimer::default(),
                 channel: PeerChannel::at(crate::net::named("claims"), &setup.registry, reader),
                 own: SortedMap::new(),
+                forbidden: SortedMap::new(),
                 peers: SortedMap::new(),
                 complaints: RefusalAlarms::default(),
                 faults: FaultReporter::of("claims", setup.faults.clone(), setup.cleared.clone()),
@@ -187,7 +190,25 @@ impl GlobalNamesActor {
             self.without.handle_refused((name.clone(), own.number), object, &refused);
             self.say_who_goes_without();
         }
-        self.end(name, ClaimState::Refused(refused.into()));
+        let is_forbidden = matches!(refused, ClaimRefused::Forbidden { .. });
+        self.tell(name, ClaimState::Refused(refused.into()));
+        if let Some(own) = self.own.remove(name).filter(|own| own.unattended && is_forbidden) {
+            self.forbidden.insert(name.clone(), own);
+        }
+    }
+
+    fn forget_forbidden(&mut self, name: &ObjectName, number: u64) {
+        if self.forbidden.get(name).is_some_and(|own| own.number == number) {
+            self.forbidden.remove(name);
+        }
+    }
+
+    fn claim(&mut self, own: Own) {
+        let (name, wanted) = (own.wanted.name.clone(), own.wanted.clone());
+        self.own.insert(name.clone(), own);
+        if let Err(refused) = self.machine.handle_claim(wanted, platform::now()) {
+            self.refused(&name, refused);
+        }
     }
 
     /// Raises an alarm for a node whose messages are refused for seconds, and clears it when none
@@ -335,13 +356,11 @@ impl Handler<ClaimCommand> for GlobalNamesActor {
                     }
                     None => {}
                 }
-                let own = Own { wanted: wanted.clone(), number, state_sender, unattended };
-                self.own.insert(name.clone(), own);
-                if let Err(refused) = self.machine.handle_claim(wanted, platform::now()) {
-                    self.refused(&name, refused);
-                }
+                self.forget_forbidden(&name, number);
+                self.claim(Own { wanted, number, state_sender, unattended });
             }
             ClaimCommand::Withdraw { name, number } => {
+                self.forget_forbidden(&name, number);
                 if self.own.get(&name).is_some_and(|own| own.number == number) {
                     self.own.remove(&name);
                     self.machine.handle_withdrawn(&name);
@@ -379,6 +398,14 @@ impl Handler<RosterChanged> for GlobalNamesActor {
 
     fn handle(&mut self, message: RosterChanged, context: &mut Context<Self>) {
         self.machine.handle_access(message.0.access_policy(), platform::now());
+        self.drive(context);
+        for (name, own) in std::mem::take(&mut self.forbidden) {
+            match self.own.contains_key(&name) {
+                // Another component has it by now.
+                true => drop(self.forbidden.insert(name, own)),
+                false => self.claim(own),
+            }
+        }
         self.drive(context);
     }
 }

@@ -347,6 +347,38 @@ fn a_name_is_had_only_by_a_node_that_may_claim_it_and_until_it_may_no_more() {
 }
 
 #[test]
+fn a_component_has_its_name_as_soon_as_the_roster_lets_it() {
+    blastema::run(async {
+        let open: Vec<_> = NODES.map(|node| (node, Role::Node)).into();
+        let robot = Robot::new(&open, &["only arm may claim on map".to_owned()]);
+        let with_mapper = |own, builder: NodeBuilder| match own {
+            2 => {
+                let mapper = ChildSpec::new("mapper", || Ear(Log::default()));
+                builder.child(mapper.claim("map", ClaimPolicy::Refuse))
+            }
+            _ => builder,
+        };
+        let [base, arm, head] = robot.start_all_with(with_mapper).await;
+        let goes_without = async || {
+            let faults = head.faults().await.entries;
+            let kinds = faults.iter().filter(|entry| entry.stands());
+            kinds.map(|entry| entry.fault.kind.clone()).any(|kind| kind == FaultKind::NameTaken)
+        };
+        until(goes_without, "that the mapper goes without its name is a fault").await;
+        for (serial, may) in [(2, true), (3, false), (4, true)] {
+            let line = format!("only arm {} may claim on map", if may { "head" } else { "base" });
+            robot.put(&open, &[line], serial);
+            let is_held = async || base.holder("map").is_some() == may;
+            until(is_held, &format!("by roster {serial} it is held: {may}")).await;
+            until(async || goes_without().await != may, "the fault tells the same").await;
+        }
+        for node in [base, arm, head] {
+            node.shutdown().await;
+        }
+    });
+}
+
+#[test]
 fn the_word_of_a_warden_of_the_roster_isolates_and_that_of_another_node_does_not() {
     blastema::run(async {
         let nodes = [("base", Role::Node), ("arm", Role::Node), ("head", Role::Warden)];
