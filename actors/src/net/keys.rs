@@ -170,12 +170,15 @@ impl NodeKeys {
         self.roster.node(node).map(|listed| listed.role)
     }
 
-    /// Whose word isolates a node: the wardens of the roster, or more than half of all.
+    /// Whose word isolates a node: the wardens of the roster, or more than half of all but guests.
     pub(crate) fn judges(&self) -> IsolationAuthority {
-        let wardens = self.roster.nodes().iter().filter(|node| node.role == Role::Warden);
-        let wardens: SortedSet<_> = wardens.map(|node| node.name.clone()).collect();
+        let of_role = |role| {
+            let nodes = self.roster.nodes().iter().filter(move |node| node.role == role);
+            nodes.map(|node| node.name.clone()).collect::<SortedSet<_>>()
+        };
+        let wardens = of_role(Role::Warden);
         match wardens.is_empty() {
-            true => IsolationAuthority::Majority,
+            true => IsolationAuthority::MajorityWithout(of_role(Role::Guest)),
             false => IsolationAuthority::Named(wardens),
         }
     }

@@ -212,7 +212,7 @@ impl Robot {
             nodes: Some(nodes.recipient()),
             faults: Some(declared.recipient()),
             cleared: Some(cleared.recipient()),
-            judges: IsolationAuthority::Majority,
+            judges: IsolationAuthority::default(),
             session_timeout: IDLE_TIMEOUT,
             observers: Vec::new(),
             roster_observers: Vec::new(),

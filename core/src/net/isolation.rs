@@ -34,13 +34,19 @@ const MESSAGE_MAX: usize = 64 * 1024;
 const CAUSE_MAX: usize = 200;
 
 /// Whose votes count.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum IsolationAuthority {
-    /// More than half of the nodes that are there, without the accused.
-    #[default]
-    Majority,
+    /// More than half of the nodes that are there, without the accused and these, which have no
+    /// vote.
+    MajorityWithout(SortedSet<NodeName>),
     /// The newest word of any of these, whatever the others think.
     Named(SortedSet<NodeName>),
+}
+
+impl Default for IsolationAuthority {
+    fn default() -> Self {
+        IsolationAuthority::MajorityWithout(SortedSet::new())
+    }
 }
 
 /// What this node thinks of another.
@@ -344,12 +350,13 @@ impl Isolation {
                 let last = own.into_iter().chain(newest).max_by_key(|vote| vote.heard);
                 last.is_some_and(|vote| vote.isolated)
             }
-            IsolationAuthority::Majority => {
+            IsolationAuthority::MajorityWithout(guests) => {
                 let here = self.peers.iter().chain([&self.own]).chain(votes.keys());
-                let here: SortedSet<_> =
-                    here.filter(|voter| *voter != node && !self.is_isolated(voter)).collect();
+                let here = here.filter(|voter| *voter != node && !guests.contains(*voter));
+                let here: SortedSet<_> = here.filter(|voter| !self.is_isolated(voter)).collect();
                 let many = |says: &dyn Fn(&&Vote) -> bool| {
-                    votes.values().filter(says).count() * 2 > here.len()
+                    let votes = votes.iter().filter(|(voter, _)| !guests.contains(*voter));
+                    votes.map(|(_, vote)| vote).filter(says).count() * 2 > here.len()
                 };
                 match votes.get(&self.own) {
                     // What was said of it before does not outdo it.

@@ -95,7 +95,7 @@ impl NetworkDescription {
             .map_err(StartError::name_of("the name of a node that isolates others"))?;
         let Some(keys) = &self.keys else {
             return Ok(match wardens.is_empty() {
-                true => IsolationAuthority::Majority,
+                true => IsolationAuthority::default(),
                 false => IsolationAuthority::Named(wardens),
             });
         };

@@ -125,7 +125,7 @@ fn a_node_that_is_no_warden_uses_up_no_numbers_of_the_votes_of_wardens() {
 #[test]
 fn a_majority_isolates_and_a_single_node_shuts_out_nobody_but_itself() {
     let names = ["a", "b", "c", "d", "e"];
-    let mut robot = Robot::new(&names, &IsolationAuthority::Majority);
+    let mut robot = Robot::new(&names, &IsolationAuthority::default());
     for about in ["a", "b", "c", "d"] {
         robot.decides("e", about, true);
     }
@@ -149,8 +149,23 @@ fn a_majority_isolates_and_a_single_node_shuts_out_nobody_but_itself() {
 }
 
 #[test]
+fn guests_have_no_vote_and_are_no_part_of_the_majority() {
+    let guests = IsolationAuthority::MajorityWithout(["g", "h", "i"].map(node).into());
+    let mut robot = Robot::new(&["a", "b", "e", "g", "h", "i"], &guests);
+    for guest in ["g", "h", "i"] {
+        robot.decides(guest, "a", true);
+    }
+    assert_eq!(robot.refuse("a"), "ghi");
+
+    robot.decides("a", "e", true);
+    assert_eq!(robot.refuse("e"), "a");
+    robot.decides("b", "e", true);
+    assert_eq!(robot.refuse("e"), "abghi");
+}
+
+#[test]
 fn what_a_majority_has_isolated_a_majority_lets_in_again() {
-    let mut robot = Robot::new(&["a", "b", "c", "d"], &IsolationAuthority::Majority);
+    let mut robot = Robot::new(&["a", "b", "c", "d"], &IsolationAuthority::default());
     robot.decides("a", "d", true);
     robot.decides("b", "d", true);
     assert_eq!(robot.refuse("d"), "abc");
@@ -163,7 +178,7 @@ fn what_a_majority_has_isolated_a_majority_lets_in_again() {
 
 #[test]
 fn of_two_nodes_each_decides_for_itself() {
-    let mut robot = Robot::new(&["a", "b"], &IsolationAuthority::Majority);
+    let mut robot = Robot::new(&["a", "b"], &IsolationAuthority::default());
     robot.decides("b", "a", true);
     assert_eq!(robot.refuse("a"), "b");
     robot.decides("b", "b", true);
@@ -173,7 +188,7 @@ fn of_two_nodes_each_decides_for_itself() {
 
 #[test]
 fn who_has_voted_on_too_many_is_told_that_its_word_does_not_count() {
-    let mut robot = Robot::new(&["a", "b"], &IsolationAuthority::Majority);
+    let mut robot = Robot::new(&["a", "b"], &IsolationAuthority::default());
     for n in 0..VOTES_MAX {
         robot.decides("a", &format!("n{n}"), true);
         assert_eq!(robot.result, Ok(()));
@@ -194,7 +209,7 @@ fn who_has_voted_on_too_many_is_told_that_its_word_does_not_count() {
 
 #[test]
 fn what_others_said_before_does_not_outdo_a_nodes_own_word() {
-    let mut robot = Robot::new(&["a", "b", "c", "d"], &IsolationAuthority::Majority);
+    let mut robot = Robot::new(&["a", "b", "c", "d"], &IsolationAuthority::default());
     for voter in ["b", "c"] {
         robot.decides(voter, "d", false);
     }
@@ -210,7 +225,7 @@ fn what_others_said_before_does_not_outdo_a_nodes_own_word() {
 
 #[test]
 fn known_is_who_is_there_and_whom_somebody_has_voted_on() {
-    let mut robot = Robot::new(&["a", "b", "c"], &IsolationAuthority::Majority);
+    let mut robot = Robot::new(&["a", "b", "c"], &IsolationAuthority::default());
     robot.decides("b", "d", true);
 
     let known = |name| robot.nodes[&node("a")].knows(&node(name));
@@ -242,7 +257,7 @@ fn a_warden_that_was_restarted_can_take_back_what_its_earlier_incarnation_has_sa
 
 #[test]
 fn nobody_is_believed_about_another_ones_vote_and_nobody_floods_the_table() {
-    let mut victim = Isolation::new(node("a"), Incarnation(1), IsolationAuthority::Majority);
+    let mut victim = Isolation::new(node("a"), Incarnation(1), IsolationAuthority::default());
     for name in ["b", "c", "hostile"] {
         victim.handle_opened(node(name));
     }
