@@ -343,8 +343,12 @@ impl Handler<RosterChanged> for RouterActor {
         let RosterChanged(keys) = message;
         self.machine.handle_roster(keys.roster(), platform::now());
         let before = self.keys.replace(keys.clone());
-        for node in before.iter().flat_map(|before| before.missing_in(&keys)) {
+        let Some(before) = before else { return self.drive(context) };
+        for node in before.missing_in(&keys) {
             self.report_node(node, Incarnation::default(), NodeCondition::Removed);
+        }
+        for node in keys.missing_in(&before) {
+            self.report_node(node, Incarnation::default(), NodeCondition::Listed);
         }
         self.drive(context);
     }

@@ -230,4 +230,6 @@ pub enum NodeCondition {
     /// The robot's roster does not list the node any more: that it cannot be reached is as it should
     /// be.
     Removed,
+    /// The roster lists the node again.
+    Listed,
 }

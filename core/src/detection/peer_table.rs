@@ -133,7 +133,7 @@ impl PeerTable {
         condition: NodeCondition,
         now: Instant,
     ) -> Result<Option<PeerChange>, Incarnation> {
-        use NodeCondition::{Admitted, AtWork, InSafeState, Isolated, Offends, Removed};
+        use NodeCondition::{Admitted, AtWork, InSafeState, Isolated, Listed, Offends, Removed};
         if let Offends { .. } | Isolated { .. } | Admitted = condition {
             return Ok(self.handle_offences(node, condition));
         }
@@ -142,6 +142,10 @@ impl PeerTable {
         }
         if let Removed = condition {
             return Ok(self.handle_removed(node));
+        }
+        if let Listed = condition {
+            self.handle_listed(&node);
+            return Ok(None);
         }
         let before = self.nodes.get(&node);
         // Which incarnation is there, those say who can reach it, whatever its number: the clock
@@ -219,6 +223,17 @@ impl PeerTable {
         let (incarnation, location) = (seen.incarnation, FaultLocation::Node(node));
         let is_change = before != PeerStatus::Removed;
         is_change.then_some(PeerChange { location, incarnation, finding })
+    }
+
+    /// The roster lists a node again. It is on its way back, or off.
+    fn handle_listed(&mut self, node: &NodeName) {
+        let removed = self.nodes.get_mut(node).filter(|seen| seen.status == PeerStatus::Removed);
+        if let Some(seen) = removed {
+            let reason = "it was not heard since the roster lists it again";
+            seen.status = PeerStatus::Lost(reason.to_owned());
+            // Whichever incarnation comes up is no restart.
+            seen.incarnation = Incarnation::default();
+        }
     }
 
     /// What others think of a node, or what it has done: whatever incarnation of it is known.
@@ -551,6 +566,8 @@ mod tests {
         assert!(!link(&mut around, &down) && !report(&mut around, lost()));
         assert!(around.rows(at(3)).all(|row| row.opinion == Opinion::Stopped));
 
+        assert!(!report(&mut around, NodeCondition::Listed));
+        assert!(around.rows(at(3)).all(|row| row.opinion == Opinion::Failed));
         assert!(link(&mut around, &up) && report(&mut around, NodeCondition::Reachable));
         assert!(link(&mut around, &down) && report(&mut around, lost()));
     }
