@@ -39,8 +39,17 @@ pub(crate) struct SealTerms {
 #[derive(Debug)]
 pub(super) struct RosterRefusal {
     pub(super) reason: String,
-    /// The robot has signed it.
-    pub(super) is_signed: bool,
+    pub(super) kind: RefusalKind,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum RefusalKind {
+    /// The file cannot be read. The node needs it when it starts again.
+    Unreadable,
+    /// The robot has not signed it.
+    Unsigned,
+    /// The robot has signed it, and this node cannot use it.
+    Unusable,
 }
 
 impl NodeKeys {
@@ -102,7 +111,7 @@ impl NodeKeys {
             reason: format!(
                 "{error}: copy the newest one there, without which this node does not start again"
             ),
-            is_signed: false,
+            kind: RefusalKind::Unreadable,
         })?;
         self.newer(&text, &self.path.display().to_string())
     }
@@ -113,10 +122,10 @@ impl NodeKeys {
     /// It is refused, and why. `place` says where it was found.
     pub(super) fn newer(&self, text: &str, place: &str) -> Result<Option<NodeKeys>, RosterRefusal> {
         let roster = NodeRoster::parse_signed(text, &self.own.signer).map_err(|error| {
-            RosterRefusal { reason: format!("{place}: {error}"), is_signed: false }
+            RosterRefusal { reason: format!("{place}: {error}"), kind: RefusalKind::Unsigned }
         })?;
         let judged = self.judge(roster, text, place);
-        judged.map_err(|reason| RosterRefusal { reason, is_signed: true })
+        judged.map_err(|reason| RosterRefusal { reason, kind: RefusalKind::Unusable })
     }
 
     fn judge(
