@@ -160,7 +160,7 @@ impl<M: Contract> MessageSink<M> for Outside<M> {
         self.pass(message, None)
     }
 
-    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
         // An actix mailbox does not report that it has capacity again.
         Box::pin(tokio::time::sleep(heartbeat::HEARTBEAT_INTERVAL))
     }

@@ -49,8 +49,10 @@ pub use contract::previous_version::PreviousVersion;
 pub use contract::{
     Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request, Variable,
 };
+pub use delivery::credit::{Credit, CreditPool};
 pub use delivery::quarantine::MessageId;
 pub use delivery::retry::RetryPolicy;
+pub use delivery::traffic_class::TrafficClass;
 pub use delivery::{Delivery, DeliveryError, Outcome};
 pub use fault::{Fault, FaultId, FaultKind, FaultLocation, Severity};
 pub use incarnation::Incarnation;

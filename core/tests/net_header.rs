@@ -1,10 +1,11 @@
 //! How many bytes stand before a small message on the wire. The page on networks and the module
 //! `net` state these numbers.
 
+use blastema_core::TrafficClass;
 use blastema_core::net::wire::frame::Frame;
 use blastema_core::net::wire::message::PeerMessage;
 use blastema_core::net::wire::packet::{Packet, Payload};
-use blastema_core::net::wire::segment::{Ack, Data, Datagram, DelayTicks, Segment, Stream};
+use blastema_core::net::wire::segment::{Ack, Data, Datagram, DelayTicks, Segment};
 use blastema_core::net::{NodeId, PacketPriority};
 use bytes::{BufMut, Bytes, BytesMut};
 
@@ -39,7 +40,7 @@ fn who_passes_a_packet_on_adds_five_bytes_and_then_four() {
 }
 
 /// The overhead of one message alone in its part, without and with an acknowledgement on board.
-fn reliable(message: &PeerMessage, stream: Stream, sequence: u64) -> [usize; 2] {
+fn reliable(message: &PeerMessage, stream: TrafficClass, sequence: u64) -> [usize; 2] {
     let message = message.encode().into_bytes();
     let mut payload = BytesMut::new();
     payload.put_u8(u8::try_from(message.len()).unwrap());
@@ -90,11 +91,11 @@ fn a_small_message_has_the_overhead_that_the_documentation_states() {
 
     let [fresh, late] = TIMES.map(|(count, us)| {
         [
-            reliable(&tell(us), Stream::Data, count),
-            reliable(&event(us), Stream::Data, count),
-            reliable(&event(us), Stream::Redundant, count),
-            reliable(&request(count, us), Stream::Data, count),
-            reliable(&reply(count), Stream::Data, count),
+            reliable(&tell(us), TrafficClass::Request, count),
+            reliable(&event(us), TrafficClass::Event, count),
+            reliable(&event(us), TrafficClass::Redundant, count),
+            reliable(&request(count, us), TrafficClass::Request, count),
+            reliable(&reply(count), TrafficClass::Request, count),
         ]
     });
 

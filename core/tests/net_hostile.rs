@@ -14,13 +14,13 @@ use blastema_core::net::wire::hello_state::HelloState;
 use blastema_core::net::wire::message::PeerMessage;
 use blastema_core::net::wire::packet::{Packet, Payload};
 use blastema_core::net::wire::segment::{
-    Ack, Data, Datagram, DelayTicks, Fragment, OpenSegment, Segment, Stream,
+    Ack, Data, Datagram, DelayTicks, Fragment, OpenSegment, Segment,
 };
 use blastema_core::net::{
     Link, LinkId, Neighbour, NodeId, PacketPriority, PeerProtocol, Router, RouterConfig, Session,
     SessionConfig, SessionOutput,
 };
-use blastema_core::{Incarnation, Instant, Machine, NodeName};
+use blastema_core::{Incarnation, Instant, Machine, NodeName, TrafficClass};
 use bytes::Bytes;
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -59,7 +59,7 @@ fn genuine() -> Vec<Bytes> {
     let payload = Bytes::from_static(b"\x05hello");
     let data = Data {
         tag: 1,
-        stream: Stream::Data,
+        stream: TrafficClass::Request,
         sequence: 0,
         first: true,
         last: true,
@@ -110,14 +110,8 @@ fn genuine() -> Vec<Bytes> {
         segment,
         Segment::Open(open).encode(),
         Segment::Datagram(datagram).encode(),
-        Segment::Acknowledge {
-            tag: 1,
-            control: None,
-            data: Some(ack),
-            redundant: None,
-            datagrams: None,
-        }
-        .encode(),
+        Segment::Acknowledge { tag: 1, streams: [None, Some(ack), None, None], datagrams: None }
+            .encode(),
         Segment::Reset { tag: 1 }.encode(),
         PeerMessage::Request {
             binding: 1,
@@ -316,29 +310,18 @@ fn a_peer_that_never_finishes_a_message_costs_no_more_than_its_bound() {
 fn an_acknowledgement_of_what_was_never_sent_is_refused_and_an_absurd_window_bounded() {
     let (mut session, tag) = session();
     let ack = Ack { next: 5, window: u32::MAX, arrived: DelayTicks::default(), ranges: vec![] };
-    let lie = Segment::Acknowledge {
-        tag,
-        control: None,
-        data: Some(ack),
-        redundant: None,
-        datagrams: None,
-    };
+    let lie = Segment::Acknowledge { tag, streams: [None, Some(ack), None, None], datagrams: None };
     session.handle_segment(lie.encode(), Instant::ORIGIN);
     assert_eq!(session.refusals().malformed, 1);
 
     let ack = Ack { next: 0, window: u32::MAX, arrived: DelayTicks::default(), ranges: vec![] };
-    let greedy = Segment::Acknowledge {
-        tag,
-        control: None,
-        data: Some(ack),
-        redundant: None,
-        datagrams: None,
-    };
+    let greedy =
+        Segment::Acknowledge { tag, streams: [None, Some(ack), None, None], datagrams: None };
     session.handle_segment(greedy.encode(), Instant::ORIGIN);
     for _ in 0..8000 {
         let (along, bytes) =
-            ((Stream::Data, OrderingKey::default()), Bytes::from_static(&[0; 1000]));
-        let _ = session.handle_send_along(along, bytes, Instant::ORIGIN);
+            ((TrafficClass::Request, OrderingKey::default()), Bytes::from_static(&[0; 1000]));
+        let _ = session.handle_send_along(along, bytes, None, Instant::ORIGIN);
     }
     // No more than the congestion window is on its way.
     assert!(drain(&mut session).len() <= 64);
@@ -349,7 +332,7 @@ fn a_message_longer_than_its_limit_ends_the_session_that_announces_it() {
     let (mut session, tag) = session();
     let data = Data {
         tag,
-        stream: Stream::Data,
+        stream: TrafficClass::Request,
         sequence: 0,
         first: true,
         last: false,

@@ -13,7 +13,7 @@ const IMAGES: u32 = 40;
 
 /// Bytes that are shared, behind which nothing stands.
 #[derive(Clone, Debug, Event)]
-#[contract(name = "large/image", max_size = 2 << 20)]
+#[contract(name = "large/image", max_size = 2 << 20, bulk)]
 struct Image {
     number: u32,
     pixels: Blob,

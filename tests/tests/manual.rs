@@ -90,7 +90,11 @@ fn the_limits_are_those_of_the_code() {
     check(&page, "hops", router.hops.to_string());
     check(&page, "nodes that carry one service", MEMBERS_MAX.to_string());
     let says = format!("{}, or {}", session.buffer_messages, mebibytes(session.buffer_bytes));
-    check(&page, "messages that wait for one peer", says);
+    check(
+        &page,
+        "replies and messages of the middleware of one class that wait for one peer",
+        says,
+    );
 }
 
 /// Ends itself.

@@ -190,7 +190,7 @@ fn pump(from: &TcpStream, to: &TcpStream, counters: Arc<Fifo>) {
 }
 
 #[derive(Clone, Debug, Event)]
-#[contract(name = "slow/image", max_size = 1 << 20)]
+#[contract(name = "slow/image", max_size = 1 << 20, bulk)]
 struct Image {
     number: u32,
     pixels: Blob,
@@ -202,7 +202,7 @@ struct Image {
 struct Live(Image);
 
 #[derive(Clone, Debug, Request)]
-#[contract(name = "slow/map", reply = u32, max_size = 1 << 20)]
+#[contract(name = "slow/map", reply = u32, max_size = 1 << 20, bulk)]
 struct Map(Blob);
 
 #[derive(Clone, Debug, Request)]

@@ -6,9 +6,8 @@ use crate::reopen_backoff::ReopenBackoff;
 use crate::transmit_queues::TransmitQueues;
 use crate::upstream::Upstream;
 use actix::Context;
-use blastema_contract::transport::{
-    MediumAddress, TrafficClass, Transmit, TransmitBacklog, TransportReport,
-};
+use blastema_contract::transport::{MediumAddress, Transmit, TransmitBacklog, TransportReport};
+use blastema_core::medium::lane::FrameLane;
 use bytes::Bytes;
 use std::io;
 use std::task::{self, Poll};
@@ -29,7 +28,7 @@ pub struct FrameTransport {
 }
 
 struct Going {
-    lane: TrafficClass,
+    lane: FrameLane,
     to: MediumAddress,
     frame: Bytes,
 }
@@ -101,10 +100,10 @@ impl FrameTransport {
             }
             let Some(Going { lane, to, frame }) = &self.going else { return true };
             let sent = match lane {
-                TrafficClass::Hello | TrafficClass::Urgent => {
+                FrameLane::Hello | FrameLane::Urgent => {
                     self.medium.poll_send_urgent(task, to, frame)
                 }
-                TrafficClass::Usual => self.medium.poll_send(task, to, frame),
+                FrameLane::Usual => self.medium.poll_send(task, to, frame),
             };
             match sent {
                 Poll::Pending => return true,

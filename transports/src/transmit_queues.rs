@@ -1,8 +1,9 @@
 //! What waits for a medium, hellos first and the usual last.
 
 use crate::frame_medium::QueueLimits;
-use blastema_contract::transport::{TrafficClass, TransmitBacklog};
+use blastema_contract::transport::TransmitBacklog;
 use blastema_core::Instant;
+use blastema_core::medium::lane::FrameLane;
 use std::collections::VecDeque;
 
 /// So many urgent frames go first in a row while a usual one waits: a flood of them does not keep
@@ -46,15 +47,15 @@ impl<T> TransmitQueues<T> {
     #[must_use = "what is not taken is to be counted"]
     pub(crate) fn push(
         &mut self,
-        lane: TrafficClass,
+        lane: FrameLane,
         (one, since): (T, Option<Instant>),
         bytes: usize,
         limits: QueueLimits,
     ) -> bool {
         let queue = match lane {
-            TrafficClass::Hello => &mut self.hellos,
-            TrafficClass::Urgent => &mut self.urgent,
-            TrafficClass::Usual => &mut self.usual,
+            FrameLane::Hello => &mut self.hellos,
+            FrameLane::Urgent => &mut self.urgent,
+            FrameLane::Usual => &mut self.usual,
         };
         if queue.waiting.len() >= limits.frames || queue.bytes + bytes > limits.bytes {
             return false;
@@ -65,23 +66,23 @@ impl<T> TransmitQueues<T> {
     }
 
     /// Takes out the one that is to go next.
-    pub(crate) fn pop(&mut self) -> Option<(TrafficClass, T)> {
+    pub(crate) fn pop(&mut self) -> Option<(FrameLane, T)> {
         let (lane, (one, since)) = self.pop_next()?;
         self.taken = since;
         Some((lane, one))
     }
 
-    fn pop_next(&mut self) -> Option<(TrafficClass, (T, Option<Instant>))> {
+    fn pop_next(&mut self) -> Option<(FrameLane, (T, Option<Instant>))> {
         if let Some(one) = self.hellos.pop() {
-            return Some((TrafficClass::Hello, one));
+            return Some((FrameLane::Hello, one));
         }
         let has_turn = self.in_a_row >= IN_A_ROW && !self.usual.waiting.is_empty();
         if !has_turn && let Some(one) = self.urgent.pop() {
             self.in_a_row += 1;
-            return Some((TrafficClass::Urgent, one));
+            return Some((FrameLane::Urgent, one));
         }
         self.in_a_row = 0;
-        Some((TrafficClass::Usual, self.usual.pop()?))
+        Some((FrameLane::Usual, self.usual.pop()?))
     }
 
     /// What waits, with the one that was taken out last if the medium has not taken it yet.
@@ -130,8 +131,7 @@ mod tests {
     fn hellos_go_before_the_urgent_and_the_urgent_before_the_usual_each_in_its_order() {
         let mut lanes = TransmitQueues::default();
         for one in 1..=6 {
-            let lane =
-                [TrafficClass::Usual, TrafficClass::Urgent, TrafficClass::Hello][one as usize % 3];
+            let lane = [FrameLane::Usual, FrameLane::Urgent, FrameLane::Hello][one as usize % 3];
             assert!(lanes.push(lane, (one, None), 10, LIMITS));
         }
 
@@ -144,15 +144,14 @@ mod tests {
         let mut lanes = TransmitQueues::default();
 
         let usual =
-            (0..30).filter(|one| lanes.push(TrafficClass::Usual, (*one, None), 0, LIMITS)).count();
-        let urgent = (0..30)
-            .filter(|one| lanes.push(TrafficClass::Urgent, (*one, None), 400, LIMITS))
-            .count();
+            (0..30).filter(|one| lanes.push(FrameLane::Usual, (*one, None), 0, LIMITS)).count();
+        let urgent =
+            (0..30).filter(|one| lanes.push(FrameLane::Urgent, (*one, None), 400, LIMITS)).count();
 
         assert_eq!((usual, urgent), (20, 2));
-        assert!(lanes.push(TrafficClass::Hello, (0, None), 1_000, LIMITS));
+        assert!(lanes.push(FrameLane::Hello, (0, None), 1_000, LIMITS));
         assert_eq!(lanes.clear(), 23);
-        assert!(lanes.is_empty() && lanes.push(TrafficClass::Urgent, (1, None), 1_000, LIMITS));
+        assert!(lanes.is_empty() && lanes.push(FrameLane::Urgent, (1, None), 1_000, LIMITS));
     }
 
     #[test]
@@ -164,8 +163,8 @@ mod tests {
             TransmitBacklog { frames, oldest }
         };
         assert_eq!(lanes.backlog(false, at(0)), backlog(0, 0));
-        assert!(lanes.push(TrafficClass::Usual, (1, at(0)), 10, LIMITS));
-        assert!(lanes.push(TrafficClass::Hello, (2, at(30)), 10, LIMITS));
+        assert!(lanes.push(FrameLane::Usual, (1, at(0)), 10, LIMITS));
+        assert!(lanes.push(FrameLane::Hello, (2, at(30)), 10, LIMITS));
 
         assert_eq!(lanes.backlog(false, at(40)), backlog(2, 40));
         assert_eq!(lanes.pop().map(|(_, one)| one), Some(2));
@@ -177,8 +176,8 @@ mod tests {
     #[test]
     fn a_flood_of_the_urgent_leaves_the_usual_one_place_in_nine() {
         let mut lanes = TransmitQueues::default();
-        (0..18).for_each(|one| assert!(lanes.push(TrafficClass::Urgent, (one, None), 1, LIMITS)));
-        (100..103).for_each(|one| assert!(lanes.push(TrafficClass::Usual, (one, None), 1, LIMITS)));
+        (0..18).for_each(|one| assert!(lanes.push(FrameLane::Urgent, (one, None), 1, LIMITS)));
+        (100..103).for_each(|one| assert!(lanes.push(FrameLane::Usual, (one, None), 1, LIMITS)));
 
         let order = drain(&mut lanes);
 

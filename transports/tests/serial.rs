@@ -2,9 +2,10 @@
 
 use actix::prelude::*;
 use blastema_contract::transport::{
-    Attach, MediumAddress, ReadCounters, Received, TrafficClass, Transmit, TransmitBacklog,
-    TransportCounters, TransportReport,
+    Attach, MediumAddress, ReadCounters, Received, Transmit, TransmitBacklog, TransportCounters,
+    TransportReport,
 };
+use blastema_core::medium::lane::FrameLane;
 use blastema_doubles::{PATIENCE, Probe, advance, now, paused};
 use blastema_ptys::Cable;
 use blastema_transports::serial::framing::encode;
@@ -328,9 +329,7 @@ fn what_is_urgent_waits_for_one_frame_of_a_full_line_and_no_more() {
         (0..20).for_each(|number| left.transport.do_send(bulk(number)));
         let TransportCounters { dropped, .. } = left.counters().await;
         assert!(dropped >= 11, "{dropped} dropped");
-        for (lane, frame) in
-            [(TrafficClass::Urgent, "acknowledged"), (TrafficClass::Hello, "hello")]
-        {
+        for (lane, frame) in [(FrameLane::Urgent, "acknowledged"), (FrameLane::Hello, "hello")] {
             let to = MediumAddress::Line;
             left.transport.do_send(Transmit { to, frame: frame.into(), lane });
         }

@@ -2,16 +2,16 @@
 
 use actix::Actor;
 use blastema_contract::transport::{
-    Attach, MediumAddress, Received, TrafficClass, Transmit, Transport, TransportReport,
+    Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
+use blastema_core::medium::lane::FrameLane;
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
 use blastema_core::net::session::ordering_key::OrderingKey;
 use blastema_core::net::session::{Session, SessionConfig, SessionOutput};
 use blastema_core::net::wire::frame::{FRAME_HEADER, Frame, is_hello, is_urgent};
 use blastema_core::net::wire::packet::{PACKET_HEADER, Packet, Payload};
-use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{Link, LinkId, LinkSet, LinkSetOutput, NodeId, PacketPriority};
-use blastema_core::{GatherBuffer, Incarnation, Machine, NodeName};
+use blastema_core::{GatherBuffer, Incarnation, Machine, NodeName, TrafficClass};
 use blastema_doubles::{Probe, advance, now, paused};
 use blastema_transports::frame_medium::{MediumEvent, OpenedMedium, QueueLimits, SendResult};
 use blastema_transports::serial::framing::encoded_length;
@@ -138,16 +138,16 @@ impl End {
 
     fn send(&self, frame: GatherBuffer) {
         let lane = match &frame {
-            frame if is_hello(frame) => TrafficClass::Hello,
-            frame if is_urgent(frame) => TrafficClass::Urgent,
-            _ => TrafficClass::Usual,
+            frame if is_hello(frame) => FrameLane::Hello,
+            frame if is_urgent(frame) => FrameLane::Urgent,
+            _ => FrameLane::Usual,
         };
         self.transport.transmit.do_send(Transmit { to: MediumAddress::Line, frame, lane });
     }
 
-    fn say(&self, stream: Stream, message: Bytes) {
+    fn say(&self, stream: TrafficClass, message: Bytes) {
         let along = (stream, OrderingKey::default());
-        self.session.borrow_mut().handle_send_along(along, message, now()).unwrap();
+        self.session.borrow_mut().handle_send_along(along, message, None, now()).unwrap();
         self.carry_on();
     }
 
@@ -267,14 +267,14 @@ fn bulk_both_ways(baud: u32, bound: Duration) {
         }
         let wire = SerialConfig::new("/dev/null").time_of(30_000) * 115_200 / baud;
         let began = now();
-        ends.iter().for_each(|end| end.say(Stream::Data, vec![7; 30_000].into()));
+        ends.iter().for_each(|end| end.say(TrafficClass::Request, vec![7; 30_000].into()));
 
         let (mut longest, mut asked) = (Duration::ZERO, began);
         let mut waits = false;
         while ends.iter().any(|end| !end.came.borrow().iter().any(|came| came.len() == 30_000)) {
             if !waits && now() - asked >= Duration::from_millis(500) {
                 (waits, asked) = (true, now());
-                ends[0].say(Stream::Redundant, Bytes::from_static(b"stop"));
+                ends[0].say(TrafficClass::Redundant, Bytes::from_static(b"stop"));
             }
             ends.iter().for_each(End::carry_on);
             if ends[1].takes(b"stop") {

@@ -474,7 +474,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
         self.offer_at(message, enqueue_time::<M>())
     }
 
-    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
         Box::pin(self.queue.space())
     }
 

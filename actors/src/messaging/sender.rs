@@ -168,21 +168,16 @@ pub(crate) async fn deliver<M: Contract>(
 ) -> Result<(), SendError<M>> {
     let mut message = message;
     loop {
-        let refused = match inlet.offer(message) {
+        match inlet.offer(message) {
             Err(SendError {
                 kind:
-                    why @ (DeliveryError::Full
-                    | DeliveryError::WayFull { .. }
-                    | DeliveryError::Restarting),
+                    DeliveryError::Full | DeliveryError::WayFull { .. } | DeliveryError::Restarting,
                 message: back,
                 ..
-            }) => {
-                message = back;
-                why
-            }
+            }) => message = back,
             other => return other,
-        };
-        inlet.space(&refused).await;
+        }
+        inlet.space().await;
     }
 }
 
@@ -208,11 +203,8 @@ impl<M: Contract> MessageSink<M> for DetachedSender<M> {
         }
     }
 
-    fn space<'a>(
-        &'a self,
-        refused: &DeliveryError,
-    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        self.inner.0.space(refused)
+    fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+        self.inner.0.space()
     }
 
     fn ask(

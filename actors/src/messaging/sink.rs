@@ -2,7 +2,7 @@
 
 use crate::messaging::error::{Receiver, RequestError, SendError};
 use crate::messaging::reply::ReplyFuture;
-use blastema_core::{Contract, DeliveryError, MessageId};
+use blastema_core::{Contract, MessageId};
 use std::future::Future;
 use std::pin::Pin;
 use std::time::Duration;
@@ -16,10 +16,7 @@ pub(crate) trait MessageSink<M: Contract>: Send + Sync {
     fn offer(&self, message: M) -> Result<(), SendError<M>>;
 
     /// Completes when there may be room for what was refused so.
-    fn space<'a>(
-        &'a self,
-        refused: &DeliveryError,
-    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
+    fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>>;
 
     /// Hands a request over. It is not begun when `within` has passed; the caller observes it as
     /// well.

@@ -25,16 +25,15 @@ use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::router::SetIsolation;
 use blastema_contract::session::{
-    CloseSessions, Credit, PeerStatusChanged, ResetSession, SendLatest, SendReliable,
+    CloseSessions, PeerStatusChanged, ResetSession, SendLatest, SendReliable,
 };
 use blastema_core::detection::NodeCondition;
+use blastema_core::net::NodeId;
 use blastema_core::net::isolation::Isolation;
 use blastema_core::net::peer_protocol::naming::NodeDirectory;
 use blastema_core::net::peer_protocol::{
     PeerProtocol, PeerProtocolOutput, SessionEpoch, TopicContract,
 };
-use blastema_core::net::wire::segment::Stream;
-use blastema_core::net::{NodeId, OrderingKey};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, FaultKind, FaultLocation, GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
@@ -98,8 +97,6 @@ pub(super) struct GatewayActor {
     /// Messages of isolated nodes.
     of_isolated: u64,
     forbidden: ForbiddenAlarm,
-    /// Room that what is being served takes, until it is passed on.
-    credit: Option<Credit>,
     /// The node ends; the sessions follow once nothing waits here.
     leaving: bool,
     /// As of which revision of the registry the peers know our names.
@@ -173,7 +170,6 @@ impl GatewayActor {
             next: 0,
             of_isolated: 0,
             forbidden: ForbiddenAlarm::default(),
-            credit: None,
             leaving: false,
             revision: None,
         }
@@ -201,42 +197,15 @@ impl GatewayActor {
             self.carry_out(output, context);
         }
         if self.leaving && !self.exchange.is_waiting() {
-            self.leave();
+            self.leave(context);
         }
     }
 
-    fn say(
-        &mut self,
-        peer: NodeId,
-        (stream, strand): (Stream, OrderingKey),
-        message: GatherBuffer,
-    ) {
-        let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
-        let credit = self.credit.take();
-        self.wiring.sessions.say.do_send(SendReliable {
-            peer,
-            session,
-            stream,
-            strand,
-            message,
-            credit,
-        });
-    }
-
-    fn say_newest(&mut self, peer: NodeId, channel: u32, message: GatherBuffer) {
-        let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
-        let credit = self.credit.take();
-        let say = SendLatest { peer, session, channel, message, credit };
-        self.wiring.sessions.say_newest.do_send(say);
-    }
-
-    fn leave(&mut self) {
+    fn leave(&mut self, context: &mut Context<Self>) {
         if std::mem::take(&mut self.leaving) {
             self.exchange.handle_leave();
-            while let Some(PeerProtocolOutput::Send { peer, stream, strand, message }) =
-                self.exchange.poll_output()
-            {
-                self.say(peer, (stream, strand), message);
+            while let Some(output @ PeerProtocolOutput::Send { .. }) = self.exchange.poll_output() {
+                self.carry_out(output, context);
             }
             self.wiring.sessions.leave.do_send(CloseSessions);
         }
@@ -244,11 +213,15 @@ impl GatewayActor {
 
     fn carry_out(&mut self, output: PeerProtocolOutput, context: &mut Context<Self>) {
         match output {
-            PeerProtocolOutput::Send { peer, stream, strand, message } => {
-                self.say(peer, (stream, strand), message);
+            PeerProtocolOutput::Send { peer, stream, strand, message, credit } => {
+                let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
+                let send = SendReliable { peer, session, stream, strand, message, credit };
+                self.wiring.sessions.say.do_send(send);
             }
-            PeerProtocolOutput::SendNewest { peer, channel, message } => {
-                self.say_newest(peer, channel, message);
+            PeerProtocolOutput::SendNewest { peer, channel, message, credit } => {
+                let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
+                let send = SendLatest { peer, session, channel, message, credit };
+                self.wiring.sessions.say_newest.do_send(send);
             }
             PeerProtocolOutput::Bind { peer, epoch, binding, object, identity } => {
                 self.bind(peer, epoch, binding, &object, &identity);
@@ -265,12 +238,6 @@ impl GatewayActor {
                 }
             }
             PeerProtocolOutput::Lost { peer, to, why } => self.record_undelivered(peer, to, &why),
-            PeerProtocolOutput::Full { peer, load } => {
-                self.with_send_state(peer, |send_state| send_state.budget_is_full(load))
-            }
-            PeerProtocolOutput::Ready { peer, load } => {
-                self.with_send_state(peer, |send_state| send_state.handle_budget_ready(load))
-            }
             PeerProtocolOutput::ObjectFull { peer, object } => {
                 self.with_send_state(peer, |send_state| send_state.object_is_full(object))
             }
@@ -517,7 +484,6 @@ impl Supervised for GatewayActor {
         self.peers.values().for_each(|peer| peer.send_state.forget_backlog());
         self.skeletons.clear();
         self.notices.clear();
-        self.credit = None;
         self.exchange = self.exchange.restarted(&why);
         self.naming = NodeDirectory::default();
         self.revision = None;

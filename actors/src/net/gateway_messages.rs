@@ -4,11 +4,10 @@ use crate::registry::ReplyTo;
 use crate::topic::TopicKey;
 use actix::Message;
 use blastema_contract::Confirmed;
-use blastema_contract::session::Credit;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::SessionEpoch;
 use blastema_core::{
-    ContractIdentity, DeliveryError, GatherBuffer, Instant, MessageId, ObjectAddress,
+    ContractIdentity, Credit, DeliveryError, GatherBuffer, Instant, MessageId, ObjectAddress,
 };
 use bytes::Bytes;
 use tokio::sync::oneshot;

@@ -24,8 +24,7 @@ use blastema_contract::monitor::LinkReported;
 use blastema_contract::reports::LivenessReported;
 use blastema_contract::router::InjectPanic;
 use blastema_contract::transport::{
-    Adopt, Attach, ConnectionTrust, MediumAddress, Received, TrafficClass, Transmit, Transport,
-    TransportReport,
+    Adopt, Attach, ConnectionTrust, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
 use blastema_core::detection::LinkCondition;
 use blastema_core::net::refusal_alarms::RefusalAlarms;
@@ -298,11 +297,6 @@ impl LinksActor {
     }
 
     fn transmit(&self, to: MediumAddress, frame: GatherBuffer, lane: FrameLane) {
-        let lane = match lane {
-            FrameLane::Hello => TrafficClass::Hello,
-            FrameLane::Urgent => TrafficClass::Urgent,
-            FrameLane::Usual => TrafficClass::Usual,
-        };
         self.wiring.transport.transmit.do_send(Transmit { to, frame, lane });
     }
 }

@@ -13,10 +13,9 @@ use blastema_contract::session::{
 };
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::refusal_alarms::{MANY, RefusalAlarms};
-use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{MachineSet, NodeId, Refusals, Session, SessionConfig, SessionOutput};
 use blastema_core::sorted::SortedMap;
-use blastema_core::{DeliveryError, FaultKind, Incarnation, NodeName};
+use blastema_core::{DeliveryError, FaultKind, Incarnation, NodeName, TrafficClass};
 use bytes::Bytes;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
@@ -133,7 +132,12 @@ impl SessionsActor {
     }
 
     /// A session's machine goes with all that it held.
-    fn give_all_back(&self, peer: NodeId, held: Vec<(Stream, Bytes, bool)>, why: &DeliveryError) {
+    fn give_all_back(
+        &self,
+        peer: NodeId,
+        held: Vec<(TrafficClass, Bytes, bool)>,
+        why: &DeliveryError,
+    ) {
         for (_, message, sent) in held {
             let why = why.clone();
             self.report(SessionReported::Returned { peer, message, why, sent });
@@ -247,12 +251,6 @@ impl MachineActor for SessionsActor {
                 info!(%peer, %incarnation, %why, "session ended");
                 self.report(SessionReported::Ended { peer, why });
             }
-            SessionOutput::Full { stream, load } => {
-                self.report(SessionReported::Full { peer, stream, load });
-            }
-            SessionOutput::Ready { stream, load } => {
-                self.report(SessionReported::Ready { peer, stream, load });
-            }
             SessionOutput::Incompatible { theirs } => {
                 error!(%peer, theirs, "the peer's sessions speak another version: update one node");
             }
@@ -340,10 +338,9 @@ impl Handler<SendReliable> for SessionsActor {
 
     fn handle(&mut self, say: SendReliable, context: &mut Context<Self>) {
         let SendReliable { peer, session, stream, strand, message, credit } = say;
-        // The session has it from here on.
-        drop(credit);
+        let now = platform::now();
         let sent = match self.present(peer, session) {
-            Some(session) => session.handle_send_along((stream, strand), message, platform::now()),
+            Some(session) => session.handle_send_along((stream, strand), message, credit, now),
             None => Err((self.unreachable(peer), message.into_bytes())),
         };
         self.give_back(peer, sent);
@@ -356,6 +353,7 @@ impl Handler<SendLatest> for SessionsActor {
 
     fn handle(&mut self, say: SendLatest, context: &mut Context<Self>) {
         let SendLatest { peer, session, channel, message, credit } = say;
+        // The session has it from here on, and keeps one of each channel.
         drop(credit);
         let sent = match self.present(peer, session) {
             Some(session) => session.handle_send_newest(channel, message, platform::now()),

@@ -1,20 +1,17 @@
 //! The credits out of this node: what stands behind a `Sender` of a remote object.
 
-use super::credit::{CreditClass, SendCredits};
+use super::credit::SendCredits;
 use super::gateway::SendToPeer;
 use super::own_isolation::OwnIsolation;
 use crate::platform;
 use crate::registry::remote::{OutgoingRequest, RemoteStub, StubFactory};
 use actix::Recipient;
-use blastema_contract::session::Credit;
 use blastema_core::delivery::dead_letters::DeadReason;
-use blastema_core::net::SizeClass;
-use blastema_core::net::peer_protocol::stream_of;
 use blastema_core::net::session::PAYLOAD_MAX;
-use blastema_core::net::wire::segment::Stream;
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{
-    ContractIdentity, DeliveryError, GatherBuffer, NodeName, ObjectAddress, ObjectName,
+    ContractIdentity, Credit, Delivery, DeliveryError, GatherBuffer, NodeName, ObjectAddress,
+    ObjectName, TrafficClass,
 };
 use std::future::Future;
 use std::pin::Pin;
@@ -46,11 +43,6 @@ pub(super) struct PeerSendState {
     /// There was a session, or a path, at some time.
     met: AtomicBool,
     isolated: AtomicBool,
-    /// Of what the session holds all that it should: a bit for each stream and load.
-    full_streams: AtomicU8,
-    /// Of what as much waits for bindings there as should, a bit for each load. It has nothing to
-    /// do with what the session holds.
-    full_budget: AtomicU8,
     credits: SendCredits,
     /// Its objects that have no room: as many as this node sends to at most.
     full: Mutex<SortedSet<ObjectName>>,
@@ -59,11 +51,6 @@ pub(super) struct PeerSendState {
     /// In this session the peer has told what it listens to, and which objects it has.
     told: AtomicBool,
     changed: Arc<Notify>,
-}
-
-/// The bit of what a stream carries of this load.
-fn bit(stream: Stream, load: SizeClass) -> u8 {
-    1 << (2 * stream as u8 + load as u8)
 }
 
 /// How sending to a peer stands.
@@ -99,8 +86,6 @@ impl PeerSendState {
     pub(super) fn begin(&self) {
         self.own_isolation.let_in();
         self.met.store(true, Relaxed);
-        self.full_budget.store(0, Relaxed);
-        self.full_streams.store(0, Relaxed);
         self.told.store(false, Relaxed);
         self.set(PeerCondition::Open);
     }
@@ -108,45 +93,6 @@ impl PeerSendState {
     /// The peer has told its topics, and then its objects.
     pub(super) fn handle_announced(&self) {
         self.told.store(true, Relaxed);
-        self.changed.notify_waiters();
-    }
-
-    /// The session holds all that it should of this stream and load.
-    pub(super) fn stream_is_full(&self, stream: Stream, load: SizeClass) {
-        self.full_streams.fetch_or(bit(stream, load), Relaxed);
-    }
-
-    pub(super) fn handle_stream_ready(&self, stream: Stream, load: SizeClass) {
-        self.full_streams.fetch_and(!bit(stream, load), Relaxed);
-        self.changed.notify_waiters();
-    }
-
-    /// Whether this has to wait. Data does not go where the words that keep the session together do
-    /// not: they are small, and control. Otherwise one stream does not hold up another, so that a
-    /// stop goes however many commands wait; and what waits for bindings holds up data alone.
-    /// Where there is no room for what is small, bulk waits too: what is bulk here may be small to
-    /// the session.
-    fn is_held(&self, class: CreditClass) -> bool {
-        // Of which only the newest counts, nothing waits behind what does.
-        let CreditClass { stream: Some(stream), load } = class else { return false };
-        let full = self.full_streams.load(Relaxed);
-        let mine = bit(stream, SizeClass::Small) | bit(stream, load);
-        let words = match stream {
-            Stream::Data => bit(Stream::Control, SizeClass::Small),
-            Stream::Control | Stream::Redundant => 0,
-        };
-        let waits = 1 << SizeClass::Small as u8 | 1 << load as u8;
-        let budget = stream == Stream::Data && self.full_budget.load(Relaxed) & waits != 0;
-        full & (words | mine) != 0 || budget
-    }
-
-    /// What waits for bindings is as much as should, of this load.
-    pub(super) fn budget_is_full(&self, load: SizeClass) {
-        self.full_budget.fetch_or(1 << load as u8, Relaxed);
-    }
-
-    pub(super) fn handle_budget_ready(&self, load: SizeClass) {
-        self.full_budget.fetch_and(!(1 << load as u8), Relaxed);
         self.changed.notify_waiters();
     }
 
@@ -159,10 +105,6 @@ impl PeerSendState {
     pub(super) fn path_lost(&self) {
         self.path.store(false, Relaxed);
         self.changed.notify_waiters();
-    }
-
-    pub(super) fn is_open(&self, class: CreditClass) -> bool {
-        self.has_session() && !self.is_held(class) && !self.is_isolated()
     }
 
     /// Nothing is sent there and nothing taken from there.
@@ -217,12 +159,18 @@ impl PeerSendState {
         self.any_full.load(Relaxed) && self.lock_full().contains(object)
     }
 
-    /// Takes room for an event, which never waits.
-    pub(super) fn take_for_event(&self, bytes: usize, class: CreditClass) -> Option<Credit> {
-        self.credits.take_for_event(bytes, class)
+    /// Takes credit for an event, which never waits.
+    pub(super) fn take_for_event(
+        &self,
+        bytes: usize,
+        class: Option<TrafficClass>,
+    ) -> Option<Credit> {
+        let is_open = self.has_session() && !self.is_isolated();
+        is_open.then(|| self.credits.take_for_event(bytes, class)).flatten()
     }
 
-    fn check(&self, object: &ObjectName, class: CreditClass) -> Result<(), DeliveryError> {
+    /// Whether a message may go to this object, credit apart.
+    fn check(&self, object: &ObjectName) -> Result<(), DeliveryError> {
         if self.ended.load(Relaxed) {
             return Err(DeliveryError::Stopped);
         }
@@ -236,9 +184,6 @@ impl PeerSendState {
             PeerCondition::Opening => Err(self.own_isolation.why()),
             PeerCondition::Left => Err(DeliveryError::Left { node: self.node.to_string() }),
             PeerCondition::Open if self.is_full(object) => Err(DeliveryError::Full),
-            PeerCondition::Open if self.is_held(class) || !self.credits.have_capacity(class) => {
-                Err(self.way_full(class))
-            }
             PeerCondition::Open => Ok(()),
         }
     }
@@ -252,10 +197,6 @@ impl PeerSendState {
             PeerCondition::Unreachable => DeadReason::Unreachable,
             PeerCondition::Left => DeadReason::Left,
         }
-    }
-
-    fn way_full(&self, CreditClass { load, .. }: CreditClass) -> DeliveryError {
-        DeliveryError::WayFull { node: self.node.to_string(), bulk: load == SizeClass::Bulk }
     }
 
     /// A session is open, a path leads there, and the peer has told what it listens to.
@@ -274,29 +215,27 @@ impl PeerSendState {
         }
     }
 
-    /// Takes room for so many bytes as soon as there is some; `None` where nothing can be sent to
+    /// Takes credit for so many bytes as soon as there is some; `None` where nothing can be sent to
     /// the peer at all.
-    pub(super) async fn credit(&self, bytes: usize, class: CreditClass) -> Option<Credit> {
+    pub(super) async fn credit(&self, bytes: usize, class: Option<TrafficClass>) -> Option<Credit> {
         loop {
             let changed = self.changed.notified();
             if !self.has_session() || self.is_isolated() || self.ended.load(Relaxed) {
                 return None;
             }
-            let taken = (!self.is_held(class)).then(|| self.credits.take_credit(bytes, class));
-            if let Some(credit) = taken.flatten() {
+            if let Some(credit) = self.credits.take(bytes, class) {
                 return Some(credit);
             }
             changed.await;
         }
     }
 
-    async fn space(&self, object: &ObjectName, class: CreditClass) {
+    async fn space(&self, object: &ObjectName, class: Option<TrafficClass>) {
         loop {
             let changed = self.changed.notified();
-            match self.check(object, class) {
-                Err(
-                    DeliveryError::Full | DeliveryError::WayFull { .. } | DeliveryError::Restarting,
-                ) => changed.await,
+            match self.check(object) {
+                Err(DeliveryError::Full | DeliveryError::Restarting) => changed.await,
+                Ok(()) if !self.credits.is_open(class) => changed.await,
                 // Whatever else stands in the way is told by the next attempt.
                 _ => return,
             }
@@ -365,8 +304,6 @@ impl PeerStubs {
                 path: AtomicBool::new(false),
                 met: AtomicBool::new(false),
                 isolated: AtomicBool::new(false),
-                full_streams: AtomicU8::new(0),
-                full_budget: AtomicU8::new(0),
                 credits: SendCredits::new(&changed),
                 full: Mutex::default(),
                 any_full: AtomicBool::new(false),
@@ -395,8 +332,10 @@ struct PeerStub {
 }
 
 impl PeerStub {
-    fn stream(&self) -> Option<Stream> {
-        stream_of(self.contract.name, self.contract.delivery)
+    /// What it shares credit with; `None` if only the newest counts.
+    fn class(&self) -> Option<TrafficClass> {
+        let is_ordered = self.contract.delivery != Delivery::Newest;
+        is_ordered.then(|| self.contract.message_class())
     }
 }
 
@@ -409,11 +348,13 @@ impl RemoteStub for PeerStub {
         if message.len() > PAYLOAD_MAX {
             return Err(DeliveryError::TooLargeForSession { limit: PAYLOAD_MAX });
         }
-        let class = CreditClass::of(self.stream(), message.len());
-        self.send_state.check(&self.to.object, class)?;
+        self.send_state.check(&self.to.object)?;
         let gateway = self.gateway.as_ref().ok_or(DeliveryError::Stopped)?;
-        let taken = self.send_state.credits.take_credit(message.len(), class);
-        let credit = taken.ok_or_else(|| self.send_state.way_full(class))?;
+        let taken = self.send_state.credits.take(message.len(), self.class());
+        let credit = taken.ok_or_else(|| {
+            let (node, class) = (self.to.node.to_string(), self.contract.message_class());
+            DeliveryError::WayFull { node, class }
+        })?;
         let sent = platform::now();
         let (id, within, reply_to) = match asked {
             None => (None, None, None),
@@ -432,16 +373,8 @@ impl RemoteStub for PeerStub {
         Ok(())
     }
 
-    fn space<'a>(
-        &'a self,
-        refused: &DeliveryError,
-    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        let load = match refused {
-            DeliveryError::WayFull { bulk: true, .. } => SizeClass::Bulk,
-            _ => SizeClass::Small,
-        };
-        let class = CreditClass { stream: self.stream(), load };
-        Box::pin(self.send_state.space(&self.to.object, class))
+    fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+        Box::pin(self.send_state.space(&self.to.object, self.class()))
     }
 }
 
@@ -450,11 +383,8 @@ mod tests {
     use super::*;
     use blastema_doubles::{paused, settle};
 
-    const SMALL: CreditClass = CreditClass { stream: Some(Stream::Data), load: SizeClass::Small };
-    const BULK: CreditClass = CreditClass { load: SizeClass::Bulk, ..SMALL };
-    const COMMAND: CreditClass = CreditClass { stream: Some(Stream::Control), ..SMALL };
-    const STOP: CreditClass = CreditClass { stream: Some(Stream::Redundant), ..SMALL };
-    const NEWEST: CreditClass = CreditClass { stream: None, ..SMALL };
+    const REQUEST: Option<TrafficClass> = Some(TrafficClass::Request);
+    const BULK: Option<TrafficClass> = Some(TrafficClass::Bulk);
 
     fn send_state() -> (Arc<PeerSendState>, ObjectName) {
         let name = |name| NodeName::new(name).unwrap();
@@ -464,101 +394,20 @@ mod tests {
         (send_state, ObjectName::new("arm").unwrap())
     }
 
-    /// What finds room, of a small message, bulk, a stop, and a reading of which the newest counts.
-    fn space(send_state: &PeerSendState) -> [bool; 4] {
-        let object = ObjectName::new("arm").unwrap();
-        [SMALL, BULK, STOP, NEWEST].map(|class| {
-            let checked = send_state.check(&object, class);
-            assert!(matches!(checked, Ok(()) | Err(DeliveryError::WayFull { .. })), "{checked:?}");
-            checked.is_ok()
-        })
+    /// All credit of a class.
+    fn exhaust(send_state: &PeerSendState, class: Option<TrafficClass>) -> Vec<Credit> {
+        std::iter::from_fn(|| send_state.credits.take(64, class)).collect()
     }
 
     #[test]
-    fn a_gate_is_open_when_neither_the_session_nor_what_waits_for_bindings_is_full() {
-        let (send_state, _) = send_state();
-        assert_eq!(space(&send_state), [true; 4]);
-
-        send_state.stream_is_full(Stream::Data, SizeClass::Small);
-        send_state.budget_is_full(SizeClass::Small);
-        send_state.handle_budget_ready(SizeClass::Small);
-        assert_eq!(space(&send_state), [false, false, true, true], "the session is full");
-
-        send_state.budget_is_full(SizeClass::Small);
-        send_state.handle_stream_ready(Stream::Data, SizeClass::Small);
-        assert_eq!(
-            space(&send_state),
-            [false, false, true, true],
-            "what waits is as much as should"
-        );
-        assert!(!send_state.is_open(SMALL));
-
-        send_state.begin();
-        assert_eq!(space(&send_state), [true; 4]);
-    }
-
-    #[test]
-    fn what_fills_the_way_to_a_node_leaves_redundant_messages_theirs_and_the_other_way_round() {
-        let (send_state, _) = send_state();
-        send_state.stream_is_full(Stream::Data, SizeClass::Small);
-        assert_eq!(space(&send_state), [false, false, true, true], "a stop goes");
-        send_state.stream_is_full(Stream::Redundant, SizeClass::Small);
-        send_state.handle_stream_ready(Stream::Data, SizeClass::Small);
-        assert_eq!(space(&send_state), [true, true, false, true]);
-        send_state.stream_is_full(Stream::Control, SizeClass::Bulk);
-        assert_eq!(space(&send_state), [true, true, false, true], "the state of a service");
-        send_state.stream_is_full(Stream::Control, SizeClass::Small);
-        assert_eq!(space(&send_state), [false, false, false, true], "it is full itself");
-        send_state.handle_stream_ready(Stream::Redundant, SizeClass::Small);
-        assert_eq!(space(&send_state), [false, false, true, true], "a stop goes");
-    }
-
-    #[test]
-    fn bulk_that_fills_its_room_leaves_what_is_small_its_own() {
-        let (send_state, _) = send_state();
-        let taken = send_state.credits.take_credit(1 << 20, BULK);
-        assert_eq!(
-            space(&send_state),
-            [true, false, true, true],
-            "it is on its way to the session"
-        );
-        drop(taken);
-        assert_eq!(space(&send_state), [true; 4]);
-
-        send_state.stream_is_full(Stream::Data, SizeClass::Bulk);
-        assert_eq!(space(&send_state), [true, false, true, true], "the session holds it");
-        send_state.handle_stream_ready(Stream::Data, SizeClass::Bulk);
-        send_state.budget_is_full(SizeClass::Bulk);
-        assert_eq!(space(&send_state), [true, false, true, true], "it waits for bindings");
-        send_state.handle_budget_ready(SizeClass::Bulk);
-        assert_eq!(space(&send_state), [true; 4]);
-    }
-
-    #[test]
-    fn commands_have_room_however_much_data_waits_anywhere() {
+    fn a_full_object_holds_up_no_other() {
         let (send_state, object) = send_state();
-        let _small = send_state.credits.take_credit(1 << 20, SMALL);
-        for load in SizeClass::ALL {
-            send_state.stream_is_full(Stream::Data, load);
-            send_state.budget_is_full(load);
-        }
-        assert!(send_state.check(&object, SMALL).is_err());
-        assert_eq!(send_state.check(&object, COMMAND), Ok(()));
-    }
-
-    #[test]
-    fn a_full_object_and_a_full_way_are_told_apart() {
-        let (send_state, object) = send_state();
-        send_state.stream_is_full(Stream::Data, SizeClass::Bulk);
-        let node = || "module2".to_owned();
-        let full = DeliveryError::WayFull { node: node(), bulk: true };
-        assert_eq!(send_state.check(&object, BULK), Err(full));
+        assert_eq!(send_state.check(&object), Ok(()));
         send_state.object_is_full(object.clone());
-        assert_eq!(send_state.check(&object, BULK), Err(DeliveryError::Full));
+        assert_eq!(send_state.check(&object), Err(DeliveryError::Full));
+        assert_eq!(send_state.check(&"leg".parse().unwrap()), Ok(()));
         send_state.handle_object_ready(&object);
-        send_state.stream_is_full(Stream::Data, SizeClass::Small);
-        let full = DeliveryError::WayFull { node: node(), bulk: false };
-        assert_eq!(send_state.check(&object, SMALL), Err(full));
+        assert_eq!(send_state.check(&object), Ok(()));
     }
 
     #[test]
@@ -578,23 +427,26 @@ mod tests {
     }
 
     #[test]
-    fn whoever_waits_with_bulk_is_not_woken_by_room_for_what_is_small() {
+    fn a_sender_that_waits_goes_on_when_there_is_credit_of_its_class_and_its_object_has_room() {
         paused(async {
             let (send_state, object) = send_state();
-            send_state.stream_is_full(Stream::Data, SizeClass::Small);
-            send_state.stream_is_full(Stream::Data, SizeClass::Bulk);
-            let [small, bulk] = [SMALL, BULK].map(|class| {
+            let (requests, bulk) = (exhaust(&send_state, REQUEST), exhaust(&send_state, BULK));
+            let [request, image] = [REQUEST, BULK].map(|class| {
                 let (send_state, object) = (send_state.clone(), object.clone());
                 actix_rt::spawn(async move { send_state.space(&object, class).await })
             });
             settle().await;
 
-            send_state.handle_stream_ready(Stream::Data, SizeClass::Small);
+            send_state.object_is_full(object.clone());
+            drop(requests);
             settle().await;
-            assert!(small.is_finished() && !bulk.is_finished());
-            send_state.handle_stream_ready(Stream::Data, SizeClass::Bulk);
+            assert!(!request.is_finished(), "the object has no room");
+            send_state.handle_object_ready(&object);
             settle().await;
-            assert!(bulk.is_finished());
+            assert!(request.is_finished() && !image.is_finished());
+            drop(bulk);
+            settle().await;
+            assert!(image.is_finished());
         });
     }
 }

@@ -67,17 +67,13 @@ impl<M: Contract> MessageSink<M> for GlobalNameSender<M> {
         }
     }
 
-    fn space<'a>(
-        &'a self,
-        refused: &DeliveryError,
-    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        let refused = refused.clone();
+    fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
         Box::pin(async move {
             let mut revision = self.names.revision();
             // The next message may go to another holder than the one that is full now.
             if let Ok(sender) = self.present() {
                 tokio::select! {
-                    () = sender.0.space(&refused) => {}
+                    () = sender.0.space() => {}
                     _ = revision.changed() => {}
                 }
             }

@@ -50,10 +50,7 @@ pub(crate) trait RemoteStub: Send + Sync {
     ) -> Result<(), DeliveryError>;
 
     /// Completes when there may be space for a message that was refused so.
-    fn space<'a>(
-        &'a self,
-        refused: &DeliveryError,
-    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
+    fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>>;
 }
 
 /// The ways to what this node does not have itself.
@@ -155,11 +152,8 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
         Some(Receiver { node, object, contract, queue: None, unavailable: None, deadline: None })
     }
 
-    fn space<'a>(
-        &'a self,
-        refused: &DeliveryError,
-    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        self.stub.space(refused)
+    fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+        self.stub.space()
     }
 
     fn ask(

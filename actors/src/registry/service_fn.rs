@@ -47,7 +47,7 @@ impl<M: Contract> MessageSink<M> for ServiceFn<M> {
         Ok(())
     }
 
-    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
         Box::pin(future::ready(()))
     }
 

@@ -6,45 +6,9 @@
 
 use actix::{Message, Recipient};
 use blastema_core::net::session::SessionStatus;
-use blastema_core::net::wire::segment::Stream;
-use blastema_core::net::{NodeId, OrderingKey, SizeClass};
-use blastema_core::{DeliveryError, GatherBuffer, Incarnation, NodeName};
+use blastema_core::net::{NodeId, OrderingKey};
+use blastema_core::{Credit, DeliveryError, GatherBuffer, Incarnation, NodeName, TrafficClass};
 use bytes::Bytes;
-use std::fmt;
-use std::sync::Arc;
-
-/// Grants a bounded amount of send credit.
-pub trait CreditPool: Send + Sync {
-    /// So many bytes are not under way any more.
-    fn give_back(&self, bytes: usize);
-}
-
-/// The room that a message takes until the sessions have it; dropping gives it back.
-///
-/// actix mailboxes have no bound. A sender holds itself to the credit that it has taken.
-pub struct Credit {
-    pool: Arc<dyn CreditPool>,
-    bytes: usize,
-}
-
-impl Credit {
-    /// Room for so many bytes, that has been taken.
-    pub fn new(pool: Arc<dyn CreditPool>, bytes: usize) -> Self {
-        Credit { pool, bytes }
-    }
-}
-
-impl Drop for Credit {
-    fn drop(&mut self) {
-        self.pool.give_back(self.bytes);
-    }
-}
-
-impl fmt::Debug for Credit {
-    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
-        to.debug_struct("Credit").field("bytes", &self.bytes).finish_non_exhaustive()
-    }
-}
 
 /// Sends a message, exactly once and in the order of its stream. If it cannot be, it comes back as
 /// [`SessionReported::Returned`].
@@ -56,12 +20,12 @@ pub struct SendReliable {
     /// In which session: what was meant for one is never said in the next.
     pub session: u32,
     /// In which stream.
-    pub stream: Stream,
+    pub stream: TrafficClass,
     /// With what it stays in order there.
     pub strand: OrderingKey,
     /// What.
     pub message: GatherBuffer,
-    /// The credit that it holds with its sender.
+    /// The credit that it holds until the peer has acknowledged it.
     pub credit: Option<Credit>,
 }
 
@@ -77,7 +41,7 @@ pub struct SendLatest {
     pub channel: u32,
     /// What.
     pub message: GatherBuffer,
-    /// The credit that it holds with its sender.
+    /// The credit that it holds until the session has it.
     pub credit: Option<Credit>,
 }
 
@@ -130,24 +94,6 @@ pub enum SessionReported {
         peer: NodeId,
         /// Why.
         why: DeliveryError,
-    },
-    /// Stop sending to this peer in this stream, or messages will soon be returned.
-    Full {
-        /// Whom.
-        peer: NodeId,
-        /// In which stream.
-        stream: Stream,
-        /// With what: bulk alone, or what is small, and then with everything.
-        load: SizeClass,
-    },
-    /// Sending may go on.
-    Ready {
-        /// Whom.
-        peer: NodeId,
-        /// In which stream.
-        stream: Stream,
-        /// With what.
-        load: SizeClass,
     },
 }
 

@@ -7,6 +7,7 @@
 use actix::dev::ToEnvelope;
 use actix::{Actor, Addr, Handler, Message, Recipient};
 use blastema_core::medium::impairment::{Impairable, Impairment, Injected};
+use blastema_core::medium::lane::FrameLane;
 use blastema_core::{GatherBuffer, Instant};
 use bytes::Bytes;
 use std::collections::BTreeSet;
@@ -95,26 +96,14 @@ pub struct Transmit {
     /// The frame, whole, in one piece or two.
     pub frame: GatherBuffer,
     /// What it may overtake.
-    pub lane: TrafficClass,
+    pub lane: FrameLane,
 }
 
 impl Transmit {
     /// The usual, which overtakes nothing.
     pub fn new(to: MediumAddress, frame: GatherBuffer) -> Self {
-        Transmit { to, frame, lane: TrafficClass::Usual }
+        Transmit { to, frame, lane: FrameLane::Usual }
     }
-}
-
-/// Of what waits for a medium, hellos go first, then the urgent, then the usual.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub enum TrafficClass {
-    /// Signs of life, without which the link falls. Links see that they are few.
-    Hello,
-    /// Acknowledgements, what routers tell each other, what keeps the robot together.
-    Urgent,
-    /// What its objects say to each other.
-    #[default]
-    Usual,
 }
 
 /// One frame arrived.

@@ -19,6 +19,7 @@ const TYPE_KEYS: &[&str] = &[
     "delivery",
     "idempotent",
     "latched",
+    "bulk",
     "reply",
     "crate",
 ];
@@ -49,6 +50,7 @@ pub(crate) struct TypeAttributes {
     pub(crate) delivery: Option<Ident>,
     pub(crate) idempotent: bool,
     pub(crate) latched: bool,
+    pub(crate) bulk: bool,
     /// Where the facade is to be found.
     pub(crate) facade: Path,
 }
@@ -73,6 +75,7 @@ impl TypeAttributes {
             delivery: None,
             idempotent: false,
             latched: false,
+            bulk: false,
             facade: parse_quote!(::blastema),
         };
         let mut seen = Vec::new();
@@ -90,6 +93,7 @@ impl TypeAttributes {
                 "delivery" => parsed.delivery = Some(parse_delivery(&meta, derive)?),
                 "idempotent" => parsed.idempotent = true,
                 "latched" => parsed.latched = true,
+                "bulk" => parsed.bulk = true,
                 "reply" => parsed.reply = Some(meta.value()?.parse()?),
                 "crate" => parsed.facade = meta.value()?.parse::<LitStr>()?.parse()?,
                 _ => return Err(unknown(&meta, key, TYPE_KEYS)),
@@ -181,6 +185,9 @@ fn misplaced(key: &str, derive: Derive) -> Option<String> {
         ),
         ("latched", Derive::Variable) => {
             Some("a variable gives its value to each reader: remove `latched`".into())
+        }
+        ("bulk", Derive::Variable) => {
+            Some("a variable travels in messages of the middleware: remove `bulk`".into())
         }
         (key, Derive::Structure) if TYPE_KEYS.contains(&key) => Some(format!(
             "a structure is part of contracts and has none of its own: derive `Event` or `Request` \

@@ -108,6 +108,11 @@ fn contract(
             const LATCHED: bool = true;
         )
     });
+    let bulk = attributes.bulk.then(|| {
+        quote!(
+            const BULK: bool = true;
+        )
+    });
     let former = from.as_ref().map(|from| {
         // At the earlier version's name, so that a missing conversion is reported there.
         let chain =
@@ -131,6 +136,7 @@ fn contract(
             #delivery
             #idempotent
             #latched
+            #bulk
             #former
         }
     })

@@ -46,6 +46,7 @@ pub fn structure(input: TokenStream) -> TokenStream {
 /// | `from = PoseV1` | the version before, which a receiver converts by `From`; a request's reply is converted back | none |
 /// | `delivery = "redundant"` | how it travels between nodes: `reliable`, `newest`, `redundant` | `reliable` |
 /// | `max_age = "100ms"` | older ones are not delivered but counted | no limit |
+/// | `bulk` | messages are large, and may wait for others on their way to other nodes | they do not |
 /// | `latched` | the last event of a topic is kept, and given to each listener that joins | not kept |
 ///
 /// ```text

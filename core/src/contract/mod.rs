@@ -9,7 +9,7 @@ pub mod layout;
 pub mod previous_version;
 
 use crate::sorted::SortedMap;
-use crate::{Delivery, LayoutDescription, ObjectName, PreviousVersion, hash};
+use crate::{Delivery, LayoutDescription, ObjectName, PreviousVersion, TrafficClass, hash};
 use codec::DecodeError;
 use layout::difference::{ContractPart, Difference, compare};
 use layout::{Described, LayoutOf};
@@ -43,6 +43,9 @@ pub trait Contract: Described + Send + 'static {
     const MAX_AGE: Option<Duration> = None;
     /// How messages travel between nodes.
     const DELIVERY: Delivery = Delivery::Reliable;
+    /// Its messages are large, and may wait for others on their way to other nodes. They are kept
+    /// in order among themselves, not with others.
+    const BULK: bool = false;
     /// A request that may take effect twice without harm: it is sent again, within its deadline,
     /// where it is not known whether it took effect.
     const IDEMPOTENT: bool = false;
@@ -137,6 +140,9 @@ pub struct ContractIdentity {
     pub version: u16,
     /// How its messages travel.
     pub delivery: Delivery,
+    /// They are large, and may wait for others on their way. Each node goes by its own declaration:
+    /// this is not compared.
+    pub bulk: bool,
     /// The asker may send it again. This does not concern the other party, and is not compared.
     pub idempotent: bool,
     /// The hash of its structure and of its reply's: FNV-1a, 64 bits, over their descriptions. It
@@ -158,6 +164,8 @@ pub struct PeerIdentity {
     pub version: u16,
     /// How its messages travel: who counts on every message is not served by who sends the newest.
     pub delivery: Delivery,
+    /// Its messages, and the replies to them, may wait for others on their way.
+    pub bulk: bool,
     /// The hash of its structure and of its reply's.
     pub fingerprint: u64,
     /// The structures of message and reply, to say what differs. Left out where only the verdict is
@@ -181,11 +189,22 @@ impl ContractIdentity {
             name: M::NAME,
             version: M::VERSION,
             delivery: M::DELIVERY,
+            bulk: M::BULK,
             idempotent: M::IDEMPOTENT,
             fingerprint: remembered_fingerprint(TypeId::of::<M>(), M::layout, M::Reply::layout),
             message: M::layout,
             reply: M::Reply::layout,
         }
+    }
+
+    /// The traffic class of messages to an object, and of the replies to them.
+    pub fn message_class(&self) -> TrafficClass {
+        TrafficClass::of_message(self.name, self.delivery, self.bulk)
+    }
+
+    /// The traffic class of events of a topic.
+    pub fn event_class(&self) -> TrafficClass {
+        TrafficClass::of_event(self.delivery, self.bulk)
     }
 
     /// What the peer needs to decide: name, version, delivery and fingerprint.
@@ -194,6 +213,7 @@ impl ContractIdentity {
             name: self.name.into(),
             version: self.version,
             delivery: self.delivery,
+            bulk: self.bulk,
             fingerprint: self.fingerprint,
             structure: None,
         }

@@ -298,7 +298,10 @@ mod tests {
         let whys = [
             (DeliveryError::Full, DeadReason::Full),
             (DeliveryError::Restarting, DeadReason::Restarting),
-            (DeliveryError::WayFull { node: node(), bulk: true }, DeadReason::WayFull),
+            (
+                DeliveryError::WayFull { node: node(), class: crate::TrafficClass::Bulk },
+                DeadReason::WayFull,
+            ),
             (DeliveryError::Unreachable { node: node() }, DeadReason::Unreachable),
             (
                 DeliveryError::Undelivered { node: node(), reason: reason() },

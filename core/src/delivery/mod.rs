@@ -1,9 +1,12 @@
 //! How a message travels, and what can become of it.
 
+pub mod credit;
 pub mod dead_letters;
 pub mod quarantine;
 pub mod retry;
+pub mod traffic_class;
 
+use self::traffic_class::TrafficClass;
 use crate::Incarnation;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -215,14 +218,15 @@ pub enum DeliveryError {
         /// The limit in bytes.
         limit: usize,
     },
-    /// As much is in flight to the receiver's node as may be, for all its objects: `deliver`
-    /// waits. Bulk, messages of more than 16 KiB, has room of its own.
-    #[error("the way to node {node} is full{}", of_what(.bulk))]
+    /// As much of this class is in flight to the receiver's node as may be, for all its objects:
+    /// `deliver` waits. Contracts of large messages declare `class = "bulk"`, which has capacity of
+    /// its own.
+    #[error("the way to node {node} is full of {class}")]
     WayFull {
         /// The node that the message is for.
         node: String,
-        /// The message is bulk: what is small may find room.
-        bulk: bool,
+        /// The class of the message.
+        class: TrafficClass,
     },
     /// The object is there, and does not serve this contract. Declare it in the object's `ports`,
     /// or send to another object.
@@ -329,10 +333,6 @@ fn listed(verb: &str, known: &[String]) -> String {
         "" => format!("it {verb} none"),
         known => format!("it {verb} {known}"),
     }
-}
-
-fn of_what(bulk: &bool) -> &'static str {
-    if *bulk { " of messages that are as large as this one" } else { "" }
 }
 
 /// Whether a request without a reply took effect.

@@ -64,7 +64,6 @@ pub use peer_protocol::{PeerProtocol, PeerProtocolOutput};
 pub use routing::topology::Route;
 pub use routing::{Router, RouterConfig, RouterOutput};
 pub use session::ordering_key::OrderingKey;
-pub use session::size_class::SizeClass;
 pub use session::{Session, SessionConfig, SessionOutput};
 pub use wire::link_id::LinkId;
 pub use wire::node_id::NodeId;

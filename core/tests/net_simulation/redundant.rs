@@ -1,9 +1,9 @@
 //! Messages sent over several paths at once: a single fault is not noticed by the receiver.
 
 use crate::world::{CALM, MS, World, for_seeds, name};
+use blastema_core::TrafficClass;
 use blastema_core::net::link::LinkState;
 use blastema_core::net::session::SessionCounters;
-use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{NodeId, Session};
 use blastema_core::random::Random;
 use std::cell::Cell;
@@ -22,7 +22,7 @@ impl World {
     }
 
     fn publish(&mut self) {
-        assert!(self.send_on(Stream::Redundant, 0, 1, 32));
+        assert!(self.send_on(TrafficClass::Redundant, 0, 1, 32));
         // Other traffic, which has one way only, and waits when that fails.
         self.send(0, 1, 100);
     }

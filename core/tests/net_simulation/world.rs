@@ -8,12 +8,11 @@ use blastema_core::net::seal::SealerConfig;
 use blastema_core::net::trust::crypto::Seed;
 use blastema_core::net::trust::policy::Role;
 use blastema_core::net::trust::roster::{NodeRoster, RosterNode};
-use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{
     Link, LinkId, NodeId, Router, RouterConfig, RouterOutput, Session, SessionConfig, SessionOutput,
 };
 use blastema_core::random::Random;
-use blastema_core::{Incarnation, Instant, Machine, NodeName};
+use blastema_core::{Incarnation, Instant, Machine, NodeName, TrafficClass};
 use bytes::{BufMut, Bytes, BytesMut};
 use std::collections::{BTreeMap, BTreeSet};
 use std::hash::{DefaultHasher, Hash};
@@ -85,7 +84,7 @@ pub(crate) struct World {
     pub(crate) sent: BTreeMap<(usize, u64, usize), u64>,
     /// What arrived, and in which incarnation of the receiver.
     pub(crate) delivered: BTreeMap<Key, u64>,
-    pub(crate) last: BTreeMap<(usize, u64, usize, u64, Stream), u64>,
+    pub(crate) last: BTreeMap<(usize, u64, usize, u64, TrafficClass), u64>,
     /// When a message of the redundant stream came last, and the longest time between two.
     pub(crate) arrival: Option<Instant>,
     pub(crate) gap: Duration,
@@ -204,12 +203,12 @@ impl World {
     }
 
     pub(crate) fn send(&mut self, from: usize, to: usize, length: usize) -> bool {
-        self.send_on(Stream::Data, from, to, length)
+        self.send_on(TrafficClass::Request, from, to, length)
     }
 
     pub(crate) fn send_on(
         &mut self,
-        stream: Stream,
+        stream: TrafficClass,
         from: usize,
         to: usize,
         length: usize,
@@ -226,7 +225,7 @@ impl World {
         message.resize(32 + length, 0xee);
         let session = node.sessions.get_mut(&NodeId::of(&name(to))).unwrap();
         let accepted = session
-            .handle_send_along((stream, OrderingKey::default()), message.freeze(), now)
+            .handle_send_along((stream, OrderingKey::default()), message.freeze(), None, now)
             .is_ok();
         *number += u64::from(accepted);
         self.settle(from);
@@ -407,7 +406,7 @@ impl World {
                         }
                     }
                     SessionOutput::Message { stream, message } => {
-                        if stream == Stream::Redundant {
+                        if stream == TrafficClass::Redundant {
                             let before = self.arrival.replace(self.now).unwrap_or(self.now);
                             self.gap = self.gap.max(self.now - before);
                         }
@@ -431,8 +430,6 @@ impl World {
                     SessionOutput::Incompatible { .. } => panic!("one version only"),
                     SessionOutput::Opened { .. }
                     | SessionOutput::Ended { .. }
-                    | SessionOutput::Full { .. }
-                    | SessionOutput::Ready { .. }
                     | SessionOutput::Newest { .. } => {}
                 }
             }

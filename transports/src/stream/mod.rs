@@ -37,10 +37,10 @@ use crate::medium::PollBudget;
 use crate::reopen_backoff::ReopenBackoff;
 use crate::upstream::Upstream;
 use blastema_contract::transport::{
-    Adopt, Attach, ConnectionTrust, MediumAddress, TrafficClass, Transmit, TransmitBacklog,
-    TransportReport,
+    Adopt, Attach, ConnectionTrust, MediumAddress, Transmit, TransmitBacklog, TransportReport,
 };
 use blastema_core::GatherBuffer;
+use blastema_core::medium::lane::FrameLane;
 use bytes::BytesMut;
 use bytes::buf::Limit;
 use std::collections::{BTreeSet, VecDeque};
@@ -514,7 +514,7 @@ impl<F: StreamFamily> Streams<F> {
     }
 
     /// Says whether the connection, adopted since or not, takes the frame.
-    fn transmit_on(&mut self, number: u32, lane: TrafficClass, frame: GatherBuffer) -> bool {
+    fn transmit_on(&mut self, number: u32, lane: FrameLane, frame: GatherBuffer) -> bool {
         if let Some(unproven) = self.strangers.iter_mut().find_map(|one| one.numbered(number)) {
             return unproven.push((lane, frame, self.outlet.now()));
         }

@@ -2,7 +2,8 @@
 
 use super::ByteStream;
 use super::framing::{HEADER, encode_header};
-use blastema_contract::transport::{TrafficClass, TransmitBacklog};
+use blastema_contract::transport::TransmitBacklog;
+use blastema_core::medium::lane::FrameLane;
 use blastema_core::{GatherBuffer, Instant};
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
@@ -16,7 +17,7 @@ const SLICES: usize = 3;
 const OVERHEAD: usize = 64;
 
 /// A frame with its lane, and since when it waits, where that is known.
-pub(super) type WaitingFrame = (TrafficClass, GatherBuffer, Option<Instant>);
+pub(super) type WaitingFrame = (FrameLane, GatherBuffer, Option<Instant>);
 
 /// A bounded queue of frames before one peer, the urgent before the usual.
 #[derive(Default)]
@@ -39,8 +40,8 @@ impl StreamSendQueue {
         }
         *cost = more;
         match lane {
-            TrafficClass::Usual => self.frames.push_back((lane, frame, since)),
-            TrafficClass::Hello | TrafficClass::Urgent => {
+            FrameLane::Usual => self.frames.push_back((lane, frame, since)),
+            FrameLane::Hello | FrameLane::Urgent => {
                 // Behind the one that has begun, and behind those that wait and are as urgent.
                 let begun = usize::from(self.written > 0);
                 let waiting = self.frames.iter().skip(begun);
@@ -145,7 +146,7 @@ mod tests {
     fn frames_are_complete_when_their_last_byte_is_written() {
         let mut outgoing = StreamSendQueue::default();
         for frame in ["", "abc", "", "de"] {
-            assert!(outgoing.push((TrafficClass::Usual, frame.into(), None), 1 << 20));
+            assert!(outgoing.push((FrameLane::Usual, frame.into(), None), 1 << 20));
         }
 
         let completed = [3, 1, 6, 1, 4, 6].map(|bytes| outgoing.advance(bytes));
@@ -159,14 +160,12 @@ mod tests {
         let mut outgoing = StreamSendQueue::default();
 
         let taken = (0..10_000)
-            .filter(|_| {
-                outgoing.push((TrafficClass::Usual, GatherBuffer::default(), None), 64 * 100)
-            })
+            .filter(|_| outgoing.push((FrameLane::Usual, GatherBuffer::default(), None), 64 * 100))
             .count();
 
         assert_eq!(taken, 100);
         assert!(
-            outgoing.push((TrafficClass::Urgent, GatherBuffer::default(), None), 64),
+            outgoing.push((FrameLane::Urgent, GatherBuffer::default(), None), 64),
             "the urgent has a place of its own"
         );
         assert_eq!(outgoing.clear(), 101);
@@ -174,7 +173,7 @@ mod tests {
 
     #[test]
     fn what_waits_follows_the_frame_that_another_connection_has_begun() {
-        let queue = |frames: [(TrafficClass, &'static str); 2], written| {
+        let queue = |frames: [(FrameLane, &'static str); 2], written| {
             let mut queue = StreamSendQueue::default();
             for (lane, frame) in frames {
                 assert!(queue.push((lane, frame.into(), None), 1 << 20));
@@ -182,9 +181,9 @@ mod tests {
             assert_eq!(queue.advance(written), 0);
             queue
         };
-        let mut waiting = queue([(TrafficClass::Hello, "h"), (TrafficClass::Usual, "b")], 3);
+        let mut waiting = queue([(FrameLane::Hello, "h"), (FrameLane::Usual, "b")], 3);
 
-        waiting.follow(queue([(TrafficClass::Usual, "begun"), (TrafficClass::Usual, "a")], 7));
+        waiting.follow(queue([(FrameLane::Usual, "begun"), (FrameLane::Usual, "a")], 7));
 
         let order: Vec<_> = waiting.frames.iter().map(|(_, frame, _)| frame.pieces()[0]).collect();
         assert_eq!(order, [&b"begun"[..], b"h", b"a", b"b"]);
@@ -197,14 +196,14 @@ mod tests {
         let push = |outgoing: &mut StreamSendQueue, lane, frame: &'static str| {
             assert!(outgoing.push((lane, frame.into(), None), 1 << 20));
         };
-        push(&mut outgoing, TrafficClass::Usual, "a");
-        push(&mut outgoing, TrafficClass::Usual, "b");
+        push(&mut outgoing, FrameLane::Usual, "a");
+        push(&mut outgoing, FrameLane::Usual, "b");
         assert_eq!(outgoing.advance(1), 0);
 
         for frame in ["x", "y"] {
-            push(&mut outgoing, TrafficClass::Urgent, frame);
+            push(&mut outgoing, FrameLane::Urgent, frame);
         }
-        push(&mut outgoing, TrafficClass::Hello, "h");
+        push(&mut outgoing, FrameLane::Hello, "h");
 
         let order: Vec<_> = outgoing.frames.iter().map(|(_, frame, _)| frame.pieces()[0]).collect();
         assert_eq!(order, [b"a", b"h", b"x", b"y", b"b"]);

@@ -31,7 +31,7 @@ impl RemoteStub for MirrorDoor {
         let id = asked.as_ref().and_then(|asked| asked.id);
         self.0.deliver(&message.into_bytes(), metadata(id), asked.map(|asked| asked.reply_to))
     }
-    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
         Box::pin(std::future::ready(()))
     }
 }
@@ -84,7 +84,7 @@ impl RemoteStub for Narrow {
         *self.taken.lock().unwrap() = Some(message);
         Ok(())
     }
-    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
         Box::pin(std::future::ready(()))
     }
 }

@@ -62,11 +62,6 @@ impl Handler<SessionReported> for GatewayActor {
                 self.exchange.handle_returned(peer, message, why, sent);
             }
             SessionReported::Ended { peer, why } => self.session_ended(peer, why),
-            SessionReported::Full { peer, stream, load } => {
-                self.with_send_state(peer, |send_state| send_state.stream_is_full(stream, load))
-            }
-            SessionReported::Ready { peer, stream, load } => self
-                .with_send_state(peer, |send_state| send_state.handle_stream_ready(stream, load)),
         }
         self.drive(context);
     }
@@ -148,17 +143,16 @@ impl Handler<SendToPeer> for GatewayActor {
 
     fn handle(&mut self, message: SendToPeer, context: &mut Context<Self>) {
         let SendToPeer { to, contract, id, sent, until, payload, reply_to, credit } = message;
-        self.credit = Some(credit);
         let reply_as = reply_to.map(|reply_to| {
             let number = self.number();
             self.replies.insert(number, (to.node.clone(), reply_to));
             number
         });
         let ObjectAddress { node, object } = to;
-        let call = Call { node, object, contract, id, sent, until, payload, reply_as };
+        let credit = Some(credit);
+        let call = Call { node, object, contract, id, sent, until, payload, reply_as, credit };
         self.exchange.handle_call(call);
         self.drive(context);
-        self.credit = None;
     }
 }
 
@@ -177,13 +171,11 @@ impl Handler<LocalEvent> for GatewayActor {
 
     fn handle(&mut self, message: LocalEvent, context: &mut Context<Self>) {
         let LocalEvent { peer, subscription, event, sent, credit } = message;
-        self.credit = Some(credit);
         match self.forwards.get(&(peer, subscription)).map(|known| known.by) {
-            Some(by) => self.exchange.handle_event(peer, by, event, sent),
+            Some(by) => self.exchange.handle_event(peer, by, event, sent, Some(credit)),
             None => self.record_late((peer, subscription)),
         }
         self.drive(context);
-        self.credit = None;
     }
 }
 
@@ -226,7 +218,7 @@ impl Handler<CloseSessions> for GatewayActor {
 
     fn handle(&mut self, _: CloseSessions, context: &mut Context<Self>) {
         self.leaving = true;
-        context.run_later(LEAVE_TIMEOUT, |gateway, _| gateway.leave());
+        context.run_later(LEAVE_TIMEOUT, |gateway, context| gateway.leave(context));
         self.drive(context);
     }
 }

@@ -2,17 +2,15 @@
 
 use super::GatewayActor;
 use super::undelivered::UndeliveredEvents;
-use crate::net::credit::CreditClass;
 use crate::net::gateway_messages::LocalEvent;
 use crate::net::stub::PeerSendState;
 use crate::topic::{EventCapacity, EventForward, ForwardId, RemoteForward, TopicKey, described};
 use actix::prelude::*;
-use blastema_contract::session::Credit;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::TopicContract;
-use blastema_core::net::peer_protocol::stream_of;
 use blastema_core::{
-    ContractIdentity, Delivery, DeliveryError, GatherBuffer, Instant, PeerIdentity,
+    ContractIdentity, Credit, Delivery, DeliveryError, GatherBuffer, Instant, PeerIdentity,
+    TrafficClass,
 };
 use std::future;
 use std::pin::Pin;
@@ -24,8 +22,8 @@ pub(super) struct Forwarded {
     pub(super) key: TopicKey,
     /// What the peer takes the events for, until an object here names the topic.
     pub(super) unverified: Option<Vec<PeerIdentity>>,
-    /// Under which number they go, and how.
-    pub(super) by: (u32, Delivery),
+    /// Under which number they go, and in which stream; `None` if only the newest counts.
+    pub(super) by: (u32, Option<TrafficClass>),
     pub(super) losses: Arc<UndeliveredEvents>,
 }
 
@@ -33,9 +31,8 @@ pub(super) struct Forwarded {
 struct PeerForward {
     target: ForwardTarget,
     send_state: Arc<PeerSendState>,
-    delivery: Delivery,
-    /// Of which only the newest counts.
-    newest: bool,
+    /// What they share credit with; `None` if only the newest counts.
+    class: Option<TrafficClass>,
     unsent: Arc<UndeliveredEvents>,
 }
 
@@ -54,28 +51,24 @@ impl ForwardTarget {
     }
 }
 
-impl PeerForward {
-    fn class(&self, bytes: usize) -> CreditClass {
-        CreditClass::of(stream_of("", self.delivery), bytes)
-    }
+/// In which stream events go; `None` if only the newest counts.
+fn event_stream(delivery: Delivery, bulk: bool) -> Option<TrafficClass> {
+    (delivery != Delivery::Newest).then(|| TrafficClass::of_event(delivery, bulk))
 }
 
 impl EventForward for PeerForward {
     fn forward(&self, event: &GatherBuffer, sent: Instant) {
-        let (class, state) = (self.class(event.len()), &self.send_state);
-        // Nothing waits behind what does, of which only the newest counts.
-        let open = if self.newest { state.has_session() } else { state.is_open(class) };
-        match open.then(|| state.take_for_event(event.len(), class)).flatten() {
+        match self.send_state.take_for_event(event.len(), self.class) {
             Some(credit) => self.target.send(event, sent, credit),
-            None => self.unsent.take(state.why_not()),
+            None => self.unsent.take(self.send_state.why_not()),
         }
     }
 
     fn reserve(&self, bytes: usize) -> Pin<Box<dyn Future<Output = Option<EventCapacity>> + Send>> {
-        if self.newest {
+        if self.class.is_none() {
             return Box::pin(future::ready(None));
         }
-        let (class, state) = (self.class(bytes), self.send_state.clone());
+        let (class, state) = (self.class, self.send_state.clone());
         let target = self.target.clone();
         Box::pin(async move {
             let credit = state.credit(bytes, class).await?;
@@ -99,12 +92,12 @@ impl GatewayActor {
             Err(why) => return self.exchange.handle_subscribe_refused(peer, subscription, why),
         };
         // Whether it wants the newest only must be known before the first event.
-        let newest = theirs.first().is_some_and(|theirs| theirs.delivery == Delivery::Newest);
+        let class = theirs.first().and_then(|theirs| event_stream(theirs.delivery, theirs.bulk));
         let wanted = theirs.clone();
         let (by, unverified) = match self.wiring.topics.identities(&key.topic).first() {
-            None => ((subscription, Delivery::default()), Some(theirs)),
+            None => ((subscription, class), Some(theirs)),
             Some(ours) => match version_of(ours, &theirs) {
-                Ok(form) => ((subscription + form, ours.delivery), None),
+                Ok(form) => ((subscription + form, event_stream(ours.delivery, ours.bulk)), None),
                 Err(difference) => {
                     let difference = self.topic_differs(peer, &key, ours, &theirs, &difference);
                     self.differs(peer, &difference);
@@ -116,9 +109,9 @@ impl GatewayActor {
         };
         let Some(known) = self.peers.get(&peer) else { return };
         let (send_state, gateway) = (known.send_state.clone(), context.address().recipient());
-        let (delivery, losses, node) = (by.1, self.losses(known, &key), known.node.clone());
+        let (losses, node) = (self.losses(known, &key), known.node.clone());
         let (target, unsent) = (ForwardTarget { gateway, peer, subscription }, losses.clone());
-        let forward = PeerForward { target, send_state, delivery, newest, unsent };
+        let forward = PeerForward { target, send_state, class: by.1, unsent };
         let forward: RemoteForward = Arc::new(forward);
         self.end_forward((peer, subscription));
         let id = self.wiring.topics.forward(&key, (node, wanted), forward);
@@ -145,7 +138,7 @@ impl GatewayActor {
             let same = known.key.topic == key.topic;
             let Some(theirs) = known.unverified.take_if(|_| same) else { continue };
             match version_of(ours, &theirs) {
-                Ok(form) => known.by = (forward.1 + form, ours.delivery),
+                Ok(form) => known.by = (forward.1 + form, event_stream(ours.delivery, ours.bulk)),
                 Err(difference) => differing.push((*forward, theirs, difference)),
             }
         }

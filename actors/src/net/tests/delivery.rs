@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::{Event, WhenFull};
+use blastema_core::TrafficClass;
 
 /// A reading of which only the newest counts.
 #[derive(Clone, Debug, PartialEq, Event)]
@@ -15,7 +16,7 @@ struct Stop(u64);
 
 /// Much at once, all of which counts.
 #[derive(Clone, Debug, PartialEq, Event)]
-#[contract(max_size = 1_100_000)]
+#[contract(max_size = 1_100_000, bulk)]
 struct Bulk(u64, Vec<u8>);
 
 /// The same as a question.
@@ -117,7 +118,7 @@ fn readings_do_not_wait_behind_what_waits_in_order() {
         advance(5 * MS).await;
         assert!(matches!(
             notes.tell(Note(1)).unwrap_err().kind,
-            DeliveryError::WayFull { bulk: false, .. }
+            DeliveryError::WayFull { class: TrafficClass::Request, .. }
         ));
 
         assert_eq!(readings.tell(Reading(1, vec![])), Ok(()));
@@ -218,7 +219,7 @@ fn a_burst_of_what_is_large_waits_for_room_and_arrives_whole() {
 }
 
 #[test]
-fn what_is_small_is_never_refused_beside_bulk_and_the_order_of_one_sender_is_kept() {
+fn requests_are_never_refused_beside_bulk_and_the_order_of_one_sender_is_kept() {
     paused(async {
         let (_robot, left, right) = pair().await;
         let (_ear, log) = ear(&right).await;
@@ -227,7 +228,7 @@ fn what_is_small_is_never_refused_beside_bulk_and_the_order_of_one_sender_is_kep
             for n in 0..40 {
                 // A small one of the same contract behind each.
                 bulk.deliver(Bulk(2 * n, vec![7; 1 << 20])).await.unwrap();
-                bulk.tell(Bulk(2 * n + 1, vec![])).unwrap();
+                bulk.deliver(Bulk(2 * n + 1, vec![])).await.unwrap();
             }
         };
         let orders = async {
@@ -264,10 +265,11 @@ fn who_tells_bulk_without_waiting_is_told_that_the_way_is_full_and_not_the_recei
             }
         };
 
-        assert_eq!(error.kind, DeliveryError::WayFull { node: "right".into(), bulk: true });
-        assert!(error.to_string().contains("the way to node right is full"), "{error}");
-        assert_eq!(bulk.tell(Bulk(taken, vec![])), Ok(()), "there is room for what is small");
+        let class = TrafficClass::Bulk;
+        assert_eq!(error.kind, DeliveryError::WayFull { node: "right".into(), class });
+        assert!(error.to_string().contains("the way to node right is full of bulk"), "{error}");
+        assert_eq!(left.sender::<Note>("right:acc").tell(Note(1)), Ok(()), "requests go");
         advance(1000 * MS).await;
-        assert_eq!(log.take(), (0..=taken).collect::<Vec<_>>());
+        assert_eq!(log.take(), (0..taken).collect::<Vec<_>>());
     });
 }

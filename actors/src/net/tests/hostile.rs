@@ -55,7 +55,8 @@ fn stale(tag: u32) -> Vec<Segment> {
         Segment::Open(OpenSegment { version: VERSION, tag, echo: 0, incarnation, number })
     };
     vec![
-        Segment::Acknowledge { tag, control: ack(), data: ack(), redundant: None, datagrams: None },
+        Segment::Acknowledge { tag, streams: [ack(), ack(), ack(), ack()], datagrams: None },
+        Segment::AcknowledgeRedundant { tag, ack: ack().expect("one") },
         Segment::Reset { tag },
         Segment::Close { tag },
         // Sessions of a past incarnation, of one to come, and of more sessions than there ever

@@ -100,7 +100,10 @@ fn a_flood_is_refused_when_full_and_nothing_accepted_is_lost() {
                 Err(error) => {
                     assert_eq!(
                         error.kind,
-                        DeliveryError::WayFull { node: "right".into(), bulk: false }
+                        DeliveryError::WayFull {
+                            node: "right".into(),
+                            class: blastema_core::TrafficClass::Request
+                        }
                     );
                     break;
                 }

@@ -3,10 +3,10 @@
 use super::*;
 use crate::{Event, Outcome, WhenFull};
 use blastema_contract::session::SendReliable;
+use blastema_core::TrafficClass;
 use blastema_core::contract::codec;
 use blastema_core::net::peer_protocol::receive_backlog::MESSAGES_MAX;
 use blastema_core::net::wire::message::PeerMessage;
-use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{NodeId, OrderingKey};
 use bytes::Bytes;
 
@@ -306,7 +306,8 @@ fn blurt(left: &Module, count: usize) {
             .encode();
     let peer = NodeId::of(&NodeName::new("right").unwrap());
     for _ in 0..count {
-        let (stream, strand, message) = (Stream::Data, OrderingKey::default(), message.clone());
+        let (stream, strand, message) =
+            (TrafficClass::Request, OrderingKey::default(), message.clone());
         let (session, credit) = (1, None);
         left.net.sessions.do_send(SendReliable { peer, session, stream, strand, message, credit });
     }

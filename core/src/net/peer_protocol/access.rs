@@ -10,8 +10,7 @@ use crate::net::trust::access::{AccessDenied, AccessPolicy, BindingNeeds, needs}
 use crate::net::trust::policy::Verb;
 use crate::net::wire::message::PeerMessage;
 use crate::net::wire::node_id::NodeId;
-use crate::net::wire::segment::Stream;
-use crate::{DeliveryError, ObjectName};
+use crate::{DeliveryError, ObjectName, TrafficClass};
 use bytes::Bytes;
 
 /// What the component of a service is called after the service's name.
@@ -29,7 +28,7 @@ pub(super) struct PeerBound {
     pub(super) contract: String,
     pub(super) access: BindingAccess,
     /// The stream of the replies.
-    pub(super) replies: Stream,
+    pub(super) replies: TrafficClass,
 }
 
 /// What a peer listens to here. What the policy refuses is remembered: the peer is to ask again

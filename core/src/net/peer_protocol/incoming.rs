@@ -5,13 +5,12 @@ use super::peer::{Binding, PendingCall, QueuedMessage};
 use super::reply_cache::RequestVerdict;
 use super::{
     BINDINGS_MAX, CALLS_MAX, PeerProtocol, PeerProtocolOutput, RemoteTopic, TopicContract, control,
-    refuse, stream_of,
+    refuse,
 };
 use crate::net::peer_protocol::naming::DirectoryUpdate;
 use crate::net::wire::message::{PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
-use crate::net::wire::segment::Stream;
-use crate::{DeliveryError, GatherBuffer, Instant, ObjectName, PeerIdentity};
+use crate::{DeliveryError, GatherBuffer, Instant, ObjectName, PeerIdentity, TrafficClass};
 use bytes::Bytes;
 use std::time::Duration;
 
@@ -44,7 +43,7 @@ impl PeerProtocol {
                 let within = Duration::from_micros(within.saturating_mul(TICK_US));
                 let bound = session.bound.get(&binding);
                 if let Some(replies) = bound.map(|bound| bound.replies)
-                    && replies != Stream::Data
+                    && replies != TrafficClass::Request
                     && session.reply_streams.len() < CALLS_MAX
                 {
                     session.reply_streams.insert(call, replies);
@@ -190,7 +189,8 @@ impl PeerProtocol {
             Err(why) => return self.handle_bound(peer, epoch, binding, Err((why, None))),
         };
         if let Some(session) = self.session(peer, epoch) {
-            let replies = stream_of(&identity.name, identity.delivery).unwrap_or(Stream::Data);
+            let replies =
+                TrafficClass::of_message(&identity.name, identity.delivery, identity.bulk);
             let (object, contract) = (object.clone(), identity.name.clone());
             session.bound.insert(binding, PeerBound { object, contract, access, replies });
         }
@@ -259,7 +259,6 @@ impl PeerProtocol {
         if let Some((object, true)) = session.handle_ready(number) {
             self.outputs.push_back(PeerProtocolOutput::ObjectReady { peer, object });
         }
-        let stream = binding.stream();
         let Binding { contract, waiting, .. } = binding;
         // Seen from our side, where the peer has sent its own.
         let theirs = PeerIdentity::decode(identity).ok();
@@ -274,8 +273,6 @@ impl PeerProtocol {
             self.outputs.push_back(PeerProtocolOutput::Differs { peer, difference });
         }
         let waiting = waiting.unwrap_or_default();
-        let backlogs = session.let_out(peer, stream, &waiting);
-        self.outputs.extend(backlogs);
         for QueuedMessage { pending, .. } in waiting {
             let (to, reply_as) = ((object.clone(), name), pending.map(|pending| pending.reply_as));
             self.outputs.push_back(refuse(peer, to, reply_as, why.clone()));

@@ -10,35 +10,30 @@
 
 mod access;
 mod age;
-mod budget;
 mod incoming;
 mod peer;
 mod reply_cache;
-mod stream_choice;
 mod types;
 
 pub mod naming;
 pub mod receive_backlog;
 
-pub use self::stream_choice::stream_of;
 pub use self::types::{
     Call, MessageTarget, PeerProtocolOutput, SessionEpoch, TopicContract, TransmitState,
 };
 
-use self::budget::BudgetVerdict;
 use self::peer::{Binding, BindingTable, PeerSession, PendingCall, QueuedMessage, carry};
 use self::reply_cache::ReplyCache;
 
 use super::session::ordering_key::OrderingKey;
-use super::session::size_class::SizeClass;
 use super::trust::access::AccessPolicy;
 use super::wire::Refusals;
 use super::wire::message::{FORMS_MAX, PeerMessage};
 use super::wire::node_id::NodeId;
-use super::wire::segment::Stream;
 use crate::sorted::SortedMap;
 use crate::{
-    ContractIdentity, Delivery, DeliveryError, GatherBuffer, Incarnation, Instant, ObjectName,
+    ContractIdentity, Credit, DeliveryError, GatherBuffer, Incarnation, Instant, ObjectName,
+    TrafficClass,
 };
 use bytes::Bytes;
 use naming::DirectoryUpdate;
@@ -196,8 +191,8 @@ impl PeerProtocol {
     /// An object here wants to send.
     pub fn handle_call(&mut self, call: Call) {
         let again = (call.contract.idempotent && call.id.is_some() && call.reply_as.is_some())
-            .then(|| Box::new(call.clone()));
-        let Call { node, object, contract, id, sent, until, payload, reply_as } = call;
+            .then(|| Box::new(call.without_credit()));
+        let Call { node, object, contract, id, sent, until, payload, reply_as, credit } = call;
         let peer = NodeId::of(&node);
         let known = self.peers.get_mut(&peer);
         let reachable = known.as_ref().is_some_and(|peer| peer.reachable);
@@ -209,28 +204,11 @@ impl PeerProtocol {
         };
         let key = (object, contract.name, contract.fingerprint);
         let pending = reply_as.map(|reply_as| PendingCall { reply_as, until, again });
-        let waiting = QueuedMessage { id, sent, payload, pending };
+        let waiting = QueuedMessage { id, sent, payload, pending, credit };
         if let Some(binding @ Binding { waiting: None, .. }) = session.bindings.get(&key) {
             let bound = binding.way();
             let sent = session.send(peer, bound, waiting, &mut self.next_call);
             return self.outputs.push_back(sent);
-        }
-        let stream = stream_of(key.1, contract.delivery);
-        match session.budget(stream).enter(waiting.payload.len()) {
-            BudgetVerdict::Open => {}
-            // What is control has room of its own, and waits for no word of this.
-            BudgetVerdict::Closing(_) if stream == Some(Stream::Control) => {}
-            BudgetVerdict::Closing(load) => {
-                self.outputs.push_back(PeerProtocolOutput::Full { peer, load });
-            }
-            BudgetVerdict::Shut(load) => {
-                let why = DeliveryError::WayFull {
-                    node: node.to_string(),
-                    bulk: load == SizeClass::Bulk,
-                };
-                let refused = refuse(peer, (key.0, key.1), reply_as, why);
-                return self.outputs.push_back(refused);
-            }
         }
         match session.bindings.get_mut(&key).and_then(|binding| binding.waiting.as_mut()) {
             Some(queue) => queue.push(waiting),
@@ -316,10 +294,11 @@ impl PeerProtocol {
         result: Result<GatherBuffer, DeliveryError>,
     ) {
         let Some(session) = self.session(peer, epoch) else { return };
-        let stream = session.reply_streams.remove(&call).unwrap_or(Stream::Data);
+        let stream = session.reply_streams.remove(&call).unwrap_or(TrafficClass::Request);
         let (strand, message) =
             (OrderingKey::Call(call), PeerMessage::Reply { call, result }.encode());
-        self.outputs.push_back(PeerProtocolOutput::Send { peer, stream, strand, message });
+        let credit = None;
+        self.outputs.push_back(PeerProtocolOutput::Send { peer, stream, strand, message, credit });
     }
 
     /// Time passes: what was to be answered by now is given up.
@@ -378,21 +357,21 @@ impl PeerProtocol {
         }
     }
 
-    /// An event was published here, at `sent`, for a peer's subscription.
+    /// An event was published here, at `sent`, for a peer's subscription. It goes in this stream;
+    /// `None` if only the newest counts.
     pub fn handle_event(
         &mut self,
         peer: NodeId,
-        (subscription, delivery): (u32, Delivery),
+        (subscription, stream): (u32, Option<TrafficClass>),
         payload: GatherBuffer,
         sent: Instant,
+        credit: Option<Credit>,
     ) {
         if let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) {
             let timestamp_us = session.timestamp_us(sent);
             let message = PeerMessage::Event { subscription, timestamp_us, payload };
-            // Events are what users send: no contract makes them control.
-            let stream = stream_of("", delivery);
             let way = (subscription << 1, stream, OrderingKey::Subscription(subscription));
-            self.outputs.push_back(carry(peer, way, &message));
+            self.outputs.push_back(carry(peer, way, &message, credit));
         }
     }
 
@@ -517,9 +496,10 @@ impl PeerProtocol {
                     };
                     self.outputs.push_back(PeerProtocolOutput::Send {
                         peer,
-                        stream: Stream::Data,
+                        stream: TrafficClass::Request,
                         strand: OrderingKey::Call(call),
                         message: message.encode(),
+                        credit: None,
                     });
                 }
             }
@@ -561,8 +541,8 @@ fn give_up(
 }
 
 fn control(peer: NodeId, message: &PeerMessage) -> PeerProtocolOutput {
-    let (stream, strand) = (Stream::Control, OrderingKey::default());
-    PeerProtocolOutput::Send { peer, stream, strand, message: message.encode() }
+    let (stream, strand) = (TrafficClass::Control, OrderingKey::default());
+    PeerProtocolOutput::Send { peer, stream, strand, message: message.encode(), credit: None }
 }
 
 fn subscribe(topic: &TopicContract, interest: &RemoteTopic) -> PeerMessage {

@@ -2,16 +2,16 @@
 
 use super::BINDINGS_MAX;
 use super::access::{PeerBound, PeerSubscription};
-use super::budget::PendingBudget;
-use super::stream_choice::stream_of;
 use super::types::{Call, PeerProtocolOutput, SessionEpoch};
 use crate::net::peer_protocol::age::AgeEstimator;
 use crate::net::session::ordering_key::OrderingKey;
 use crate::net::wire::message::{PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
-use crate::net::wire::segment::Stream;
 use crate::sorted::{SortedMap, SortedSet};
-use crate::{ContractIdentity, GatherBuffer, Incarnation, Instant, MessageId, ObjectName};
+use crate::{
+    ContractIdentity, Credit, Delivery, GatherBuffer, Incarnation, Instant, MessageId, ObjectName,
+    TrafficClass,
+};
 use std::time::Duration;
 
 /// A binding: the object, the contract's name and fingerprint.
@@ -43,15 +43,13 @@ pub(super) struct PeerSession {
     /// Subscriptions of this node that the peer refuses by its policy.
     pub(super) forbidden: SortedSet<u32>,
     /// The peer's requests that are not answered and whose replies take another stream than data.
-    pub(super) reply_streams: SortedMap<u64, Stream>,
+    pub(super) reply_streams: SortedMap<u64, TrafficClass>,
     /// The peer's objects that have no room, and by which of our bindings it has said so.
     pub(super) full: SortedMap<ObjectName, SortedSet<u32>>,
-    /// How much waits for bindings: of what is control, and of everything else.
-    budgets: [PendingBudget; 2],
 }
 
 /// Its number, its stream unless only the newest counts, and with what it stays in order.
-pub(super) type BindingRoute = (u32, Option<Stream>, OrderingKey);
+pub(super) type BindingRoute = (u32, Option<TrafficClass>, OrderingKey);
 
 #[derive(Debug)]
 pub(super) struct Binding {
@@ -68,8 +66,9 @@ impl Binding {
         (self.number, self.stream(), self.strand)
     }
 
-    pub(super) fn stream(&self) -> Option<Stream> {
-        stream_of(self.contract.name, self.contract.delivery)
+    pub(super) fn stream(&self) -> Option<TrafficClass> {
+        let is_ordered = self.contract.delivery != Delivery::Newest;
+        is_ordered.then(|| self.contract.message_class())
     }
 }
 
@@ -79,6 +78,7 @@ pub(super) struct QueuedMessage {
     pub(super) sent: Instant,
     pub(super) payload: GatherBuffer,
     pub(super) pending: Option<PendingCall>,
+    pub(super) credit: Option<Credit>,
 }
 
 /// A request of ours.
@@ -108,7 +108,6 @@ impl PeerSession {
             forbidden: SortedSet::new(),
             reply_streams: SortedMap::new(),
             full: SortedMap::new(),
-            budgets: [(); 2].map(|()| PendingBudget::default()),
         }
     }
 
@@ -167,7 +166,7 @@ impl PeerSession {
         waiting: QueuedMessage,
         next_call: &mut u64,
     ) -> PeerProtocolOutput {
-        let QueuedMessage { id, sent, payload, pending } = waiting;
+        let QueuedMessage { id, sent, payload, pending, credit } = waiting;
         let timestamp_us = self.timestamp_us(sent);
         let message = match pending {
             None => PeerMessage::Tell { binding, timestamp_us, id, payload },
@@ -181,28 +180,7 @@ impl PeerSession {
                 PeerMessage::Request { binding, call, timestamp, within, id, payload }
             }
         };
-        carry(peer, ((binding << 1) | 1, stream, strand), &message)
-    }
-
-    /// What counts messages of this stream that wait for bindings.
-    pub(super) fn budget(&mut self, stream: Option<Stream>) -> &mut PendingBudget {
-        &mut self.budgets[usize::from(stream != Some(Stream::Control))]
-    }
-
-    /// These wait no longer. Answers with what is to be told to senders that were told to stop.
-    pub(super) fn let_out(
-        &mut self,
-        peer: NodeId,
-        stream: Option<Stream>,
-        waiting: &[QueuedMessage],
-    ) -> impl Iterator<Item = PeerProtocolOutput> + use<> {
-        let lengths = waiting.iter().map(|waiting| waiting.payload.len());
-        let mut again = self.budget(stream).leave(lengths);
-        // Senders of control were never told to stop.
-        if stream == Some(Stream::Control) {
-            again.clear();
-        }
-        again.into_iter().map(move |load| PeerProtocolOutput::Ready { peer, load })
+        carry(peer, ((binding << 1) | 1, stream, strand), &message, credit)
     }
 
     /// The peer has agreed: what waited goes out. `None` if nothing was asked.
@@ -215,10 +193,7 @@ impl PeerSession {
         let key = self.numbers.get(&number)?;
         let binding = self.bindings.get_mut(key)?;
         let (waiting, way) = (binding.waiting.take()?, binding.way());
-        let ready = self.let_out(peer, way.1, &waiting);
-        let sent = waiting.into_iter().map(|waiting| self.send(peer, way, waiting, next_call));
-        // Room first: the session may find itself full, and must have the last word.
-        Some(ready.chain(sent).collect())
+        Some(waiting.into_iter().map(|waiting| self.send(peer, way, waiting, next_call)).collect())
     }
 }
 
@@ -232,10 +207,11 @@ pub(super) fn carry(
     peer: NodeId,
     (channel, stream, strand): BindingRoute,
     message: &PeerMessage,
+    credit: Option<Credit>,
 ) -> PeerProtocolOutput {
     let message = message.encode();
     match stream {
-        Some(stream) => PeerProtocolOutput::Send { peer, stream, strand, message },
-        None => PeerProtocolOutput::SendNewest { peer, channel, message },
+        Some(stream) => PeerProtocolOutput::Send { peer, stream, strand, message, credit },
+        None => PeerProtocolOutput::SendNewest { peer, channel, message, credit },
     }
 }

@@ -1,9 +1,12 @@
 //! Two exchanges that hear each other.
 
 use super::*;
+use crate::CreditPool;
 use crate::contract::layout::{Described, Layout};
 use crate::net::peer_protocol::naming::DirectoryUpdate;
 use crate::{Delivery, Incarnation, NodeName};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 fn layout_of_number() -> &'static Layout {
     u64::layout()
@@ -20,6 +23,7 @@ fn contract(message: crate::contract::layout::LayoutOf) -> ContractIdentity {
         name: "count",
         version: 1,
         delivery: Delivery::Reliable,
+        bulk: false,
         idempotent: false,
         fingerprint,
         message,
@@ -117,6 +121,7 @@ impl Pair {
             until: None,
             payload: payload().into(),
             reply_as,
+            credit: None,
         };
         self.ends[0].handle_call(call);
         self.run();
@@ -243,41 +248,62 @@ fn without_a_session_a_call_is_refused_with_the_reason() {
     );
 }
 
-#[test]
-fn too_many_messages_for_one_binding_are_told_and_then_refused() {
-    let mut pair = Pair::open();
-    for _ in 0..budget::TIMES * budget::MESSAGES + 1 {
-        let (node, object) = (node("right"), arm());
-        let (id, reply_as, contract) = (None, None, count());
-        let (sent, until, payload) = (at(0), None, payload());
-        let call =
-            Call { node, object, contract, id, sent, until, payload: payload.into(), reply_as };
-        pair.ends[0].handle_call(call);
+/// In which stream events go.
+const EVENTS: Option<TrafficClass> = Some(TrafficClass::Event);
+
+/// How many of its credits are held.
+#[derive(Default)]
+struct CountedPool(AtomicUsize);
+
+impl CreditPool for CountedPool {
+    fn give_back(&self, _: usize) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
     }
-    pair.run();
-    let peer = pair.ids[1];
-    let (load, why) =
-        (SizeClass::Small, DeliveryError::WayFull { node: "right".into(), bulk: false });
-    let lost = PeerProtocolOutput::Lost { peer, to: MessageTarget::Object(arm(), "count"), why };
-    assert_eq!(pair.take(0), [PeerProtocolOutput::Full { peer, load }, lost]);
-
-    pair.agree();
-
-    assert_eq!(pair.take(0), [PeerProtocolOutput::Ready { peer, load }]);
-    assert_eq!(pair.take(1).len(), budget::TIMES * budget::MESSAGES);
 }
 
 #[test]
-fn commands_and_their_replies_are_control_and_wait_for_bindings_in_room_of_their_own() {
+fn a_message_holds_its_credit_while_it_waits_for_its_binding_and_on_to_the_session() {
     let mut pair = Pair::open();
-    for _ in 0..budget::TIMES * budget::MESSAGES + 1 {
-        pair.call(count(), None);
+    let pool = Arc::new(CountedPool::default());
+    let held = || pool.0.load(Ordering::Relaxed);
+    let call = |contract| {
+        pool.0.fetch_add(1, Ordering::Relaxed);
+        let credit = Some(Credit::new(pool.clone(), 8));
+        let (node, object, payload) = (node("right"), arm(), payload().into());
+        let (id, sent, until, reply_as) = (None, at(0), None, None);
+        Call { node, object, contract, id, sent, until, payload, reply_as, credit }
+    };
+    for _ in 0..1000 {
+        pair.ends[0].handle_call(call(count()));
     }
-    pair.take(0);
-    pair.take(1);
+    pair.run();
+    assert_eq!(held(), 1000, "they wait for their binding");
+    let (peer, epoch, binding) = match &pair.take(1)[..] {
+        [PeerProtocolOutput::Bind { peer, epoch, binding, .. }] => (*peer, *epoch, *binding),
+        other => panic!("{other:?}"),
+    };
+    pair.ends[1].handle_bound(peer, epoch, binding, Ok(()));
+    while let Some(output) = pair.ends[1].poll_output() {
+        let PeerProtocolOutput::Send { message, .. } = output else { continue };
+        pair.ends[0].handle_message(pair.ids[1], message.into_bytes(), at(0));
+    }
+    let sent: Vec<_> = std::iter::from_fn(|| pair.ends[0].poll_output()).collect();
+    assert_eq!((sent.len(), held()), (1000, 1000), "the session gets the credit with them");
+    drop(sent);
+    assert_eq!(held(), 0);
 
+    pair.call(contract(layout_of_text), None);
+    pair.take(1);
+    pair.ends[0].handle_call(call(contract(layout_of_text)));
+    assert_eq!(held(), 1);
+    pair.ends[0].handle_ended(pair.ids[1], &DeliveryError::Restarting);
+    assert_eq!(held(), 0, "what does not go holds nothing");
+}
+
+#[test]
+fn commands_and_their_replies_are_control() {
+    let mut pair = Pair::open();
     pair.call(ContractIdentity { name: "blastema/command", ..count() }, Some(10));
-    assert_eq!(pair.take(0), [], "it is not refused");
     let (peer, epoch, binding) = match &pair.take(1)[..] {
         [PeerProtocolOutput::Bind { peer, epoch, binding, .. }] => (*peer, *epoch, *binding),
         other => panic!("{other:?}"),
@@ -291,7 +317,7 @@ fn commands_and_their_replies_are_control_and_wait_for_bindings_in_room_of_their
     };
     pair.ends[1].handle_answer(peer, epoch, call, Ok(payload().into()), at(0));
     let reply = pair.ends[1].poll_output();
-    let Some(PeerProtocolOutput::Send { stream: Stream::Control, .. }) = reply else {
+    let Some(PeerProtocolOutput::Send { stream: TrafficClass::Control, .. }) = reply else {
         panic!("{reply:?}");
     };
 }
@@ -311,7 +337,7 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     };
     assert_eq!(*wanted, topic());
 
-    pair.ends[1].handle_event(*peer, (*subscription, Delivery::Reliable), payload().into(), at(0));
+    pair.ends[1].handle_event(*peer, (*subscription, EVENTS), payload().into(), at(0), None);
     pair.run();
     let event = PeerProtocolOutput::Event {
         peer: NodeId::of(&node("right")),
@@ -329,7 +355,7 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     pair.run();
     let (peer, subscription) = (*peer, *subscription);
     assert_eq!(pair.take(1), [PeerProtocolOutput::Unsubscribe { peer, subscription }]);
-    pair.ends[1].handle_event(peer, (subscription, Delivery::Reliable), payload().into(), at(0));
+    pair.ends[1].handle_event(peer, (subscription, EVENTS), payload().into(), at(0), None);
     pair.run();
     assert_eq!(pair.take(0), []);
     assert_eq!(pair.ends[0].refusals().stale, 1);
@@ -367,8 +393,9 @@ fn a_returned_message_resolves_its_request() {
         until: None,
         payload: payload().into(),
         reply_as,
+        credit: None,
     };
-    let full = DeliveryError::WayFull { node: "right".into(), bulk: false };
+    let full = DeliveryError::WayFull { node: "right".into(), class: TrafficClass::Request };
     let mut outputs = vec![];
     for reply_as in [Some(10), None] {
         pair.ends[0].handle_call(call(reply_as));
@@ -498,6 +525,7 @@ fn what_waited_in_a_machine_that_failed_is_told_as_lost_and_what_comes_back_of_i
         until: None,
         payload: payload().into(),
         reply_as: None,
+        credit: None,
     };
     pair.ends[0].handle_call(call(count()));
     let Some(PeerProtocolOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {

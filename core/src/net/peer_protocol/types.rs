@@ -2,13 +2,11 @@
 
 use crate::net::peer_protocol::naming::DirectoryUpdate;
 use crate::net::session::ordering_key::OrderingKey;
-use crate::net::session::size_class::SizeClass;
 use crate::net::trust::access::AccessDenied;
 use crate::net::wire::node_id::NodeId;
-use crate::net::wire::segment::Stream;
 use crate::{
-    ContractIdentity, DeliveryError, GatherBuffer, Instant, MessageId, NodeName, ObjectName,
-    PeerIdentity,
+    ContractIdentity, Credit, DeliveryError, GatherBuffer, Instant, MessageId, NodeName,
+    ObjectName, PeerIdentity, TrafficClass,
 };
 use bytes::Bytes;
 use std::time::Duration;
@@ -27,7 +25,7 @@ pub struct TopicContract {
 pub struct SessionEpoch(pub u64);
 
 /// What an object wants sent to one of another node.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Call {
     /// To which node.
     pub node: NodeName,
@@ -45,6 +43,25 @@ pub struct Call {
     pub payload: GatherBuffer,
     /// The number by which the caller knows the request; `None` if it wants no reply.
     pub reply_as: Option<u64>,
+    /// The credit that the message holds until the peer's session has acknowledged it.
+    pub credit: Option<Credit>,
+}
+
+impl Call {
+    /// The same, to be sent again in another session.
+    pub(super) fn without_credit(&self) -> Call {
+        Call {
+            node: self.node.clone(),
+            object: self.object.clone(),
+            contract: self.contract.clone(),
+            id: self.id,
+            sent: self.sent,
+            until: self.until,
+            payload: self.payload.clone(),
+            reply_as: self.reply_as,
+            credit: None,
+        }
+    }
 }
 
 /// How much of a message that came back was on its way.
@@ -68,18 +85,20 @@ pub enum MessageTarget {
 }
 
 /// What an exchange wants done.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Debug, PartialEq, Eq)]
 pub enum PeerProtocolOutput {
     /// Give this to the session with the peer.
     Send {
         /// Whom.
         peer: NodeId,
         /// In which stream.
-        stream: Stream,
+        stream: TrafficClass,
         /// With what it stays in order there.
         strand: OrderingKey,
         /// What.
         message: GatherBuffer,
+        /// The credit that it holds until the peer's session has acknowledged it.
+        credit: Option<Credit>,
     },
     /// Give this to the session with the peer, to be sent once: of the channel the newest counts.
     SendNewest {
@@ -89,6 +108,8 @@ pub enum PeerProtocolOutput {
         channel: u32,
         /// What.
         message: GatherBuffer,
+        /// The credit that it holds until the session has it.
+        credit: Option<Credit>,
     },
     /// Does this object take this contract? Answer with
     /// [`Exchange::handle_bound`](super::PeerProtocol::handle_bound).
@@ -139,20 +160,6 @@ pub enum PeerProtocolOutput {
         to: MessageTarget,
         /// Why.
         why: DeliveryError,
-    },
-    /// Too much waits for the peer to agree to a contract: senders should stop.
-    Full {
-        /// Whom.
-        peer: NodeId,
-        /// What there is no room for: bulk alone, or what is small, and then nothing goes.
-        load: SizeClass,
-    },
-    /// They may go on.
-    Ready {
-        /// Whom.
-        peer: NodeId,
-        /// With what.
-        load: SizeClass,
     },
     /// The peer's object has no room: senders should stop, for this object.
     ObjectFull {

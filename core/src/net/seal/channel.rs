@@ -12,8 +12,9 @@
 use super::cipher::{ChannelKeys, CipherSuite, FrameCipher};
 use super::compact::CompactCipher;
 use super::handshake_frame::HandshakePayload;
-use super::header::{COUNTER_END, FrameLane, SealHeader, SealProfile};
+use super::header::{COUNTER_END, SealHeader, SealProfile};
 use super::window::ReplayWindow;
+use crate::medium::lane::FrameLane;
 use crate::net::wire::WireError;
 use crate::{Incarnation, Instant};
 use bytes::{Buf, Bytes, BytesMut};

@@ -5,10 +5,10 @@ use super::cipher::{ChannelKeys, CipherSuite, HandshakeTerms, SealCrypto};
 use super::handshake_frame::{
     AnswerFrame, CookieFrame, HandshakeFrame, HandshakePayload, InitFrame, mac2,
 };
-use super::header::FrameLane;
 use super::noise::MacKey;
 use super::sealed_peer::{Approach, SealedPeer};
 use super::{Sealer, SealerOutput};
+use crate::medium::lane::FrameLane;
 use crate::net::wire::node_id::NodeId;
 use crate::{Incarnation, Instant};
 use bytes::Bytes;

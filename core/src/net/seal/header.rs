@@ -19,6 +19,7 @@
 //! channel, and lane and counter are the nonce.
 
 use super::cipher::CipherSuite;
+use crate::medium::lane::FrameLane;
 use bytes::{BufMut, BytesMut};
 
 /// The high half of the first byte of a sealed frame.
@@ -69,22 +70,9 @@ impl SealProfile {
     }
 }
 
-/// Frames of one lane stay in order. Each lane has counters of its own, since frames of one
-/// overtake those of another on their way to the medium.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum FrameLane {
-    /// Hellos, which overtake everything.
-    Hello,
-    /// What must not wait behind data.
-    Urgent,
-    /// Everything else.
-    Usual,
-}
-
+/// Each lane has counters of its own, since frames of one overtake those of another on their way to
+/// the medium.
 impl FrameLane {
-    /// All of them, by their numbers.
-    pub const ALL: [FrameLane; 3] = [FrameLane::Hello, FrameLane::Urgent, FrameLane::Usual];
-
     pub(super) const fn number(self) -> usize {
         self as usize
     }

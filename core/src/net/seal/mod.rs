@@ -56,11 +56,12 @@ pub mod cipher;
 pub mod noise;
 pub mod window;
 
+pub use crate::medium::lane::FrameLane;
 pub use channel::{KeyLimits, OpenError};
 pub use cipher::{CipherSuite, SealCrypto};
 pub use handshake_frame::HandshakePayload;
 pub(crate) use handshake_frame::{INIT_LENGTH, is_handshake};
-pub use header::{FrameLane, SealProfile};
+pub use header::SealProfile;
 pub use noise::NoiseCrypto;
 
 use self::admission::{CookieJar, HandshakeBudget, RepeatMemory};

@@ -9,7 +9,7 @@ pub const IDLE_TIMEOUT: Duration = Duration::from_secs(2);
 /// A mebibyte of the application's, and what says whose it is.
 const MESSAGE_MAX: usize = (1 << 20) + 4096;
 /// What an exchange puts before a message at most: its kind, four numbers and an identity.
-pub(super) const HEADER_MAX: usize = 64;
+const HEADER_MAX: usize = 64;
 
 /// The most bytes of a message of the application's that a session carries.
 pub const PAYLOAD_MAX: usize = MESSAGE_MAX - HEADER_MAX;
@@ -35,12 +35,10 @@ pub struct SessionConfig {
     pub idle_timeout: Duration,
     /// The most bytes of one message. Bounds what a peer can make us collect.
     pub message_max: usize,
-    /// The bytes of small messages that should wait or be unacknowledged in one stream at most; of
-    /// bulk half as many beside them. Beyond, senders are told to stop. Of small ones, and of bulk,
-    /// twice as many as this are taken all the same: for bulk that is four times what should be
-    /// there, for one message may be a quarter of it.
+    /// The bytes of messages that may wait or be unacknowledged in one stream. Beyond, those without
+    /// credit are refused.
     pub buffer_bytes: usize,
-    /// The number of messages of both together, likewise: twice as many are taken.
+    /// The number of messages, likewise.
     pub buffer_messages: usize,
     /// How many parts of a stream may be on their way, and may arrive ahead of their turn.
     pub window: u32,
@@ -71,9 +69,9 @@ impl SessionConfig {
             seed: 0,
             idle_timeout: IDLE_TIMEOUT,
             message_max: MESSAGE_MAX,
-            // Four of the largest messages, or a second of 1 kB at 4 kHz.
-            buffer_bytes: 4 << 20,
-            buffer_messages: 4096,
+            // Eight of the largest messages, or a second of 1 kB at 8 kHz.
+            buffer_bytes: 8 << 20,
+            buffer_messages: 8192,
             window: 256,
             window_bytes: 1024 * 1024,
             chunk_max: 64 * 1024,

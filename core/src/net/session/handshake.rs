@@ -3,8 +3,8 @@
 use super::{RemoteEnd, Session, SessionOutput, State, VERSION, tag};
 use crate::net::wire::WireError;
 use crate::net::wire::packet::PacketPriority;
-use crate::net::wire::segment::{OpenSegment, Segment, Stream};
-use crate::{DeliveryError, Incarnation};
+use crate::net::wire::segment::{OpenSegment, Segment};
+use crate::{DeliveryError, Incarnation, TrafficClass};
 
 impl Session {
     pub(super) fn open(&mut self, peer: Option<RemoteEnd>) {
@@ -143,7 +143,7 @@ impl Session {
         if let State::Closing { peer, again_at: None, tries: 0 } = self.state
             && self.streams.iter().all(|stream| stream.outbound.is_empty())
         {
-            let again_at = Some(self.now + self.retransmit_timeout(Stream::Control));
+            let again_at = Some(self.now + self.retransmit_timeout(TrafficClass::Control));
             self.state = State::Closing { peer, again_at, tries: 1 };
             self.transmit(PacketPriority::Control, Segment::Close { tag: peer.tag });
         }
@@ -154,8 +154,8 @@ impl Session {
         if tries > Self::CLOSE_TRIES {
             return self.end(DeliveryError::Stopped);
         }
-        self.rtt[Stream::Control as usize].back_off();
-        let again_at = Some(self.now + self.retransmit_timeout(Stream::Control));
+        self.rtt[TrafficClass::Control as usize].back_off();
+        let again_at = Some(self.now + self.retransmit_timeout(TrafficClass::Control));
         self.state = State::Closing { peer, again_at, tries: tries + 1 };
         self.transmit(PacketPriority::Control, Segment::Close { tag: peer.tag });
     }

@@ -12,7 +12,8 @@
 //! * A peer's session is identified by the peer's incarnation and a number that rises within it. A
 //!   greater number ends the old session; a smaller one is refused. The router reports which
 //!   incarnation is the present one. Tags tell the segments of different sessions apart.
-//! * Within a session each message of the ordered streams is delivered exactly once and in order. A
+//! * Each traffic class has an ordered stream, in which each message is delivered exactly once and in
+//!   order. Control goes first; requests, events and bulk share the path by their weights. A
 //!   message that fits into one chunk may be sent between the chunks of a larger one with another
 //!   ordering key. When a session ends, every message that was not acknowledged is returned with
 //!   the reason: it was delivered at most once.
@@ -40,9 +41,9 @@ mod status;
 mod tag;
 mod timers;
 mod transmission;
+mod turns;
 
 pub mod ordering_key;
-pub mod size_class;
 
 pub use self::config::{IDLE_TIMEOUT, PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
@@ -52,23 +53,25 @@ use self::best_effort::{BestEffortInbound, BestEffortOutbound};
 use self::congestion::CongestionControl;
 use self::duplicates::DuplicateDiscard;
 use self::inbound::Inbound;
-use self::outbound::{Outbound, load_of};
+use self::outbound::Outbound;
+use self::queue::OutboundMessage;
 use self::reassembly::Reassembly;
 use self::round_trip::RttEstimator;
+use self::turns::WeightedTurns;
 use super::wire::Refusals;
 use super::wire::packet::{PacketPriority, UndeliveredReason};
-use super::wire::segment::{Data, Datagram, Segment, Stream};
+use super::wire::segment::{ACKNOWLEDGED_TOGETHER, Data, Datagram, Segment};
 use crate::timer::Timers;
-use crate::{DeliveryError, GatherBuffer, Incarnation, Instant, Machine};
+use crate::{Credit, DeliveryError, GatherBuffer, Incarnation, Instant, Machine, TrafficClass};
 use bytes::Bytes;
 use ordering_key::OrderingKey;
-use size_class::SizeClass;
 use std::collections::VecDeque;
 use std::time::Duration;
 
 /// The version of what sessions say to each other. From 2 on whole messages come between the parts
-/// of a large one; from 3 on acknowledgements tell when the last part arrived.
-pub const VERSION: u8 = 3;
+/// of a large one; from 3 on acknowledgements tell when the last part arrived; from 4 on each class
+/// has a stream of its own.
+pub const VERSION: u8 = 4;
 
 /// The machine of one peer node's sessions, one after the other.
 #[derive(Debug)]
@@ -84,20 +87,23 @@ pub struct Session {
     known: Option<Incarnation>,
     /// The largest segment that the path carries; `None` while there is no path.
     path: Option<usize>,
-    streams: [StreamState; 3],
-    /// Of each stream, for control overtakes data on its way.
-    rtt: [RttEstimator; 3],
-    retransmit_at: [Option<Instant>; 3],
+    /// By class, as all arrays here.
+    streams: [StreamState; TrafficClass::COUNT],
+    /// Of each stream, for control overtakes the others on its way.
+    rtt: [RttEstimator; TrafficClass::COUNT],
+    retransmit_at: [Option<Instant>; TrafficClass::COUNT],
     /// Of what travels by one path.
     congestion: CongestionControl,
-    /// Parts of control since the last one of data.
+    /// Parts of control since the last one that shares what it leaves.
     control_run: usize,
+    /// Of those that share it.
+    turns: WeightedTurns,
     /// Since when the peer owes an answer, or has no path.
     waiting_since: Option<Instant>,
-    pieces: Reassembly<(Stream, u64)>,
+    pieces: Reassembly<(TrafficClass, u64)>,
     datagrams_out: BestEffortOutbound,
     datagrams_in: BestEffortInbound,
-    /// Of data and datagrams, these go next.
+    /// Of events and datagrams, which share their turns, datagrams go next.
     is_datagrams_turn: bool,
     /// When datagrams are taken for lost of which the peer has told nothing.
     datagrams_lost_at: Option<Instant>,
@@ -136,16 +142,11 @@ struct RemoteEnd {
 struct StreamState {
     outbound: Outbound,
     inbound: Inbound,
-    /// Its senders were told to stop: with everything, and with bulk.
-    full: [bool; 2],
 }
 
-/// In the order of their places.
-const STREAMS: [Stream; 3] = [Stream::Control, Stream::Data, Stream::Redundant];
-
 impl Session {
-    /// Parts of control that go before one of data that waits: control goes first, and takes no more
-    /// than eight parts of nine.
+    /// Parts of control that go before one of the others that waits: control goes first, and takes
+    /// no more than eight parts of nine.
     const CONTROL_RUN: usize = 8;
     /// How long an unfinished message is kept.
     const REASSEMBLY_TIMEOUT: Duration = Duration::from_secs(5);
@@ -154,9 +155,9 @@ impl Session {
 
     /// A machine without a session; it opens one when there is a path.
     pub fn new(config: SessionConfig, now: Instant) -> Self {
-        let streams = [(); 3].map(|()| StreamState::new(&config));
+        let streams = [(); TrafficClass::COUNT].map(|()| StreamState::new(&config));
         let trip = |()| RttEstimator::new(config.retransmit_min, config.retransmit_max);
-        let rtt = [(); 3].map(trip);
+        let rtt = [(); TrafficClass::COUNT].map(trip);
         // Pieces of two of the largest messages.
         let assembly = config.message_max.saturating_mul(2);
         Session {
@@ -168,9 +169,10 @@ impl Session {
             path: None,
             streams,
             rtt,
-            retransmit_at: [None; 3],
+            retransmit_at: [None; TrafficClass::COUNT],
             congestion: CongestionControl::new(config.window_bytes),
             control_run: 0,
+            turns: WeightedTurns::default(),
             waiting_since: None,
             pieces: Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT),
             datagrams_out: BestEffortOutbound::default(),
@@ -195,39 +197,30 @@ impl Session {
         self.number
     }
 
-    /// Sends a message, exactly once and in the order of its strand.
+    /// Sends a message, exactly once and in the order of its strand. Its credit is given back when
+    /// the peer has acknowledged it, or when it comes back.
     ///
     /// # Errors
-    /// [`DeliveryError::WayFull`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Ready`]
-    /// tells when the stream takes more. [`DeliveryError::TooLargeForSession`],
-    /// [`DeliveryError::Unreachable`], [`DeliveryError::Stopped`] after
-    /// [`handle_close`](Session::handle_close). The message comes back.
+    /// [`DeliveryError::WayFull`] for a message without credit where the stream holds as much as it
+    /// may. [`DeliveryError::TooLargeForSession`], [`DeliveryError::Unreachable`],
+    /// [`DeliveryError::Stopped`] after [`handle_close`](Session::handle_close). The message comes
+    /// back.
     pub fn handle_send_along(
         &mut self,
-        (stream, strand): (Stream, OrderingKey),
+        (stream, strand): (TrafficClass, OrderingKey),
         message: impl Into<GatherBuffer>,
+        credit: Option<Credit>,
         now: Instant,
     ) -> Result<(), Refused> {
         self.now = now;
-        let message = self.check(message.into())?;
-        let load = load_of(&message);
-        let buffer_messages = self.config.buffer_messages;
-        let buffer_bytes = self.buffer_bytes(load);
-        let state = &mut self.streams[stream as usize];
-        let messages = state.outbound.messages() + 1;
-        let bytes = state.outbound.bytes(load) + message.len();
-        if (messages > buffer_messages || bytes > buffer_bytes) && !state.full[load as usize] {
-            state.full[load as usize] = true;
-            self.outputs.push_back(SessionOutput::Full { stream, load });
+        let bytes = self.check(message.into())?;
+        let outbound = &mut self.streams[stream as usize].outbound;
+        let is_full = outbound.messages() >= self.config.buffer_messages
+            || outbound.bytes() + bytes.len() > self.config.buffer_bytes;
+        if is_full && credit.is_none() {
+            return Err((self.way_full(stream), bytes.into_bytes()));
         }
-        // Messages on their way here when senders are told to stop, or that wait for bindings, are
-        // accepted all the same.
-        if messages > 2 * buffer_messages || bytes > 2 * self.config.buffer_bytes {
-            let node = self.config.peer.to_string();
-            let why = DeliveryError::WayFull { node, bulk: load == SizeClass::Bulk };
-            return Err((why, message.into_bytes()));
-        }
-        state.outbound.push(strand, message);
+        outbound.push(strand, OutboundMessage { bytes, credit });
         self.waiting_since.get_or_insert(now);
         Ok(())
     }
@@ -255,15 +248,17 @@ impl Session {
         if message.len() > limit {
             return Err((DeliveryError::TooLargeForSession { limit }, message.into_bytes()));
         }
-        if self.datagrams_out.bytes() + message.len() > 2 * self.config.buffer_bytes {
-            let node = self.config.peer.to_string();
-            let bulk = load_of(&message) == SizeClass::Bulk;
-            return Err((DeliveryError::WayFull { node, bulk }, message.into_bytes()));
+        if self.datagrams_out.bytes() + message.len() > self.config.buffer_bytes {
+            return Err((self.way_full(TrafficClass::Event), message.into_bytes()));
         }
         self.datagrams_out.push(channel, message);
         // While the path bears it, nothing waits for something newer.
         while self.may_send_data() && self.transmit_datagram(peer.tag) {}
         Ok(())
+    }
+
+    fn way_full(&self, class: TrafficClass) -> DeliveryError {
+        DeliveryError::WayFull { node: self.config.peer.to_string(), class }
     }
 
     fn check(&self, message: GatherBuffer) -> Result<GatherBuffer, Refused> {
@@ -297,7 +292,7 @@ impl Session {
             State::Open { .. } | State::Closing { .. } => {
                 let waits = self.streams.iter().any(|stream| !stream.outbound.is_empty());
                 self.waiting_since = waits.then_some(now);
-                for stream in STREAMS {
+                for stream in TrafficClass::ALL {
                     if self.streams[stream as usize].outbound.lose_all() {
                         let due = now + self.retransmit_timeout(stream);
                         self.retransmit_at[stream as usize] = Some(due);
@@ -314,7 +309,7 @@ impl Session {
         self.path = None;
         self.datagrams_out.handle_no_path();
         self.datagrams_lost_at = None;
-        self.retransmit_at = [None; 3];
+        self.retransmit_at = [None; TrafficClass::COUNT];
         self.waiting_since.get_or_insert(now);
     }
 
@@ -357,8 +352,8 @@ impl Session {
 
     /// Takes out what was not acknowledged, and whether some of it was sent, when this machine is
     /// about to be replaced.
-    pub fn take_unacknowledged(&mut self) -> Vec<(Stream, Bytes, bool)> {
-        STREAMS
+    pub fn take_unacknowledged(&mut self) -> Vec<(TrafficClass, Bytes, bool)> {
+        TrafficClass::ALL
             .into_iter()
             .flat_map(|stream| {
                 let messages = self.streams[stream as usize].outbound.take_all();
@@ -378,17 +373,19 @@ impl Session {
             Ok(Segment::Datagram(datagram)) if self.meant_for_us(datagram.tag) => {
                 self.handle_datagram(datagram);
             }
-            Ok(Segment::Acknowledge { tag, control, data, redundant, datagrams })
-                if self.meant_for_us(tag) =>
-            {
+            Ok(Segment::Acknowledge { tag, streams, datagrams }) if self.meant_for_us(tag) => {
                 if let Some(ack) = datagrams {
                     self.handle_datagram_ack(ack);
                 }
-                for (stream, ack) in STREAMS.into_iter().zip([control, data, redundant]) {
+                for (stream, ack) in ACKNOWLEDGED_TOGETHER.into_iter().zip(streams) {
                     if let Some(ack) = ack {
                         self.handle_ack(stream, &ack);
                     }
                 }
+                self.close_when_done();
+            }
+            Ok(Segment::AcknowledgeRedundant { tag, ack }) if self.meant_for_us(tag) => {
+                self.handle_ack(TrafficClass::Redundant, &ack);
                 self.close_when_done();
             }
             Ok(Segment::Close { tag }) if self.meant_for_us(tag) => self.handle_peers_close(),
@@ -401,7 +398,8 @@ impl Session {
             Ok(
                 Segment::Data(Data { tag, .. })
                 | Segment::Datagram(Datagram { tag, .. })
-                | Segment::Acknowledge { tag, .. },
+                | Segment::Acknowledge { tag, .. }
+                | Segment::AcknowledgeRedundant { tag, .. },
             ) => {
                 self.refusals.stale += 1;
                 self.transmit(PacketPriority::Control, Segment::Reset { tag });
@@ -451,14 +449,11 @@ impl Session {
 
     /// Returns every unacknowledged message and begins from nothing.
     fn return_unacknowledged(&mut self, why: &DeliveryError) {
-        for stream in STREAMS {
+        for stream in TrafficClass::ALL {
             let state = &mut self.streams[stream as usize];
             for (message, sent) in state.outbound.take_all() {
                 let why = why.clone();
                 self.outputs.push_back(SessionOutput::Returned { stream, message, why, sent });
-            }
-            for load in SizeClass::ALL.into_iter().filter(|load| state.full[*load as usize]) {
-                self.outputs.push_back(SessionOutput::Ready { stream, load });
             }
             *state = StreamState::new(&self.config);
         }
@@ -471,7 +466,7 @@ impl Session {
         self.datagrams_lost_at = None;
         self.replicas = DuplicateDiscard::default();
         self.congestion.restart(self.now);
-        self.retransmit_at = [None; 3];
+        self.retransmit_at = [None; TrafficClass::COUNT];
         self.waiting_since = None;
         self.rtt.iter_mut().for_each(RttEstimator::progress);
     }
@@ -507,7 +502,6 @@ impl StreamState {
         StreamState {
             outbound: Outbound::new(config.window),
             inbound: Inbound::new(config.window, config.message_max),
-            full: [false; 2],
         }
     }
 }

@@ -1,9 +1,7 @@
 //! The sending half of an ordered stream.
 
-use super::config::HEADER_MAX;
-use super::queue::SendQueue;
+use super::queue::{OutboundMessage, SendQueue};
 use crate::net::session::ordering_key::OrderingKey;
-use crate::net::session::size_class::SizeClass;
 use crate::net::wire::segment::Ack;
 use crate::net::wire::{WireError, Write, varint_length};
 use crate::sorted::SortedMap;
@@ -24,8 +22,7 @@ pub(crate) struct Outbound {
     overtook: bool,
     /// Of those that may overtake, those that arrived before this have been looked at.
     looked: u64,
-    /// Of what is small, and of bulk.
-    bytes: [usize; 2],
+    bytes: usize,
     /// Parts on their way, by sequence number.
     flight: SortedMap<u64, Chunk>,
     /// The bytes of those that are not known to be lost.
@@ -43,7 +40,7 @@ pub(crate) struct Outbound {
 /// A message on its way.
 #[derive(Debug)]
 struct Held {
-    message: GatherBuffer,
+    message: OutboundMessage,
     /// The part that it ends in.
     last: u64,
 }
@@ -52,7 +49,7 @@ struct Held {
 #[derive(Debug)]
 struct Partial {
     strand: OrderingKey,
-    message: GatherBuffer,
+    message: OutboundMessage,
     /// How many bytes of it have been cut.
     cut: usize,
 }
@@ -88,11 +85,6 @@ pub(crate) struct AckResult {
     pub(crate) latest: Option<SentPart>,
 }
 
-/// A message that is small for its sender is small with the header of the exchange, too.
-pub(crate) fn load_of(message: &GatherBuffer) -> SizeClass {
-    SizeClass::of(message.len().saturating_sub(HEADER_MAX))
-}
-
 /// The length that stands before a message.
 fn length_of(message: usize) -> BytesMut {
     let mut bytes = BytesMut::with_capacity(64);
@@ -118,7 +110,7 @@ impl Outbound {
             waiting: SendQueue::default(),
             overtook: false,
             looked: 0,
-            bytes: [0; 2],
+            bytes: 0,
             flight: SortedMap::new(),
             flying_bytes: 0,
             lost: 0,
@@ -129,9 +121,9 @@ impl Outbound {
         }
     }
 
-    /// The bytes of all messages of this load.
-    pub(crate) fn bytes(&self, load: SizeClass) -> usize {
-        self.bytes[load as usize]
+    /// The bytes of all messages.
+    pub(crate) fn bytes(&self) -> usize {
+        self.bytes
     }
 
     pub(crate) fn messages(&self) -> usize {
@@ -168,8 +160,8 @@ impl Outbound {
         self.flight.len() - self.lost
     }
 
-    pub(crate) fn push(&mut self, strand: OrderingKey, message: GatherBuffer) {
-        self.bytes[load_of(&message) as usize] += message.len();
+    pub(crate) fn push(&mut self, strand: OrderingKey, message: OutboundMessage) {
+        self.bytes += message.bytes.len();
         self.waiting.push(strand, message);
     }
 
@@ -179,8 +171,8 @@ impl Outbound {
         let Outbound { cut, partial, waiting, .. } = std::mem::replace(self, Outbound::new(0));
         let partial = partial.into_iter().map(|partial| partial.message);
         let sent = cut.into_iter().map(|held| held.message).chain(partial);
-        let sent = sent.map(|message| (message.into_bytes(), true));
-        sent.chain(waiting.into_messages().map(|message| (message.into_bytes(), false)))
+        let sent = sent.map(|message| (message.bytes.into_bytes(), true));
+        sent.chain(waiting.into_messages().map(|message| (message.bytes.into_bytes(), false)))
     }
 
     /// The next part to send: what was lost first, then new ones, as large as `capacity` allows.
@@ -229,9 +221,9 @@ impl Outbound {
             if strand == large {
                 continue;
             }
-            if !fits(message, payload.len(), capacity) {
+            if !fits(&message.bytes, payload.len(), capacity) {
                 passed += 1;
-                if fits(message, 0, capacity) {
+                if fits(&message.bytes, 0, capacity) {
                     first_left.get_or_insert(number);
                 }
                 continue;
@@ -246,17 +238,19 @@ impl Outbound {
     /// Cuts a message that waits, as a whole.
     fn cut_whole(&mut self, number: u64, sequence: u64, payload: &mut BytesMut) {
         let (_, message) = self.waiting.take(number).expect("it was just looked at");
-        payload.varint(message.len() as u64);
-        message.put(0..message.len(), payload);
+        let bytes = &message.bytes;
+        payload.varint(bytes.len() as u64);
+        bytes.put(0..bytes.len(), payload);
         self.cut.push_back(Held { message, last: sequence });
     }
 
     /// As many whole messages as fit, or as much of a large one.
     fn cut_part(&mut self, capacity: usize, sequence: u64) -> (bool, bool, GatherBuffer) {
         if let Some(mut partial) = self.partial.take() {
-            let end = partial.message.len().min(partial.cut + capacity);
-            let payload = partial.message.slice(partial.cut..end);
-            let last = end == partial.message.len();
+            let bytes = &partial.message.bytes;
+            let end = bytes.len().min(partial.cut + capacity);
+            let payload = bytes.slice(partial.cut..end);
+            let last = end == bytes.len();
             if last {
                 self.cut.push_back(Held { message: partial.message, last: sequence });
             } else {
@@ -266,12 +260,12 @@ impl Outbound {
             return (false, last, payload);
         }
         let (number, _, first) = self.waiting.first(0..).expect("something waits");
-        let length = first.len();
+        let length = first.bytes.len();
         let needed = varint_length(length as u64) + length;
         if needed <= capacity / 2 {
             let mut payload = BytesMut::with_capacity(needed);
             while let Some((number, _, message)) = self.waiting.first(0..)
-                && fits(message, payload.len(), capacity)
+                && fits(&message.bytes, payload.len(), capacity)
             {
                 self.cut_whole(number, sequence, &mut payload);
             }
@@ -281,7 +275,7 @@ impl Outbound {
         let (strand, message) = self.waiting.take(number).expect("it was just looked at");
         let last = needed <= capacity;
         let cut = if last { length } else { capacity - varint_length(length as u64) };
-        let payload = message.slice(0..cut).behind(length_of(length));
+        let payload = message.bytes.slice(0..cut).behind(length_of(length));
         if last {
             self.cut.push_back(Held { message, last: sequence });
         } else {
@@ -307,7 +301,7 @@ impl Outbound {
         }
         while self.cut.front().is_some_and(|held| held.last < ack.next) {
             let held = self.cut.pop_front().expect("there is a front");
-            self.bytes[load_of(&held.message) as usize] -= held.message.len();
+            self.bytes -= held.message.bytes.len();
         }
         Ok(progress)
     }

@@ -1,9 +1,7 @@
 //! What a session wants done, and what it did.
 
-use crate::net::session::size_class::SizeClass;
 use crate::net::wire::packet::{PacketPriority, UndeliveredReason};
-use crate::net::wire::segment::Stream;
-use crate::{DeliveryError, GatherBuffer, Incarnation};
+use crate::{DeliveryError, GatherBuffer, Incarnation, TrafficClass};
 use bytes::Bytes;
 
 /// What a session wants done.
@@ -26,7 +24,7 @@ pub enum SessionOutput {
     /// A message has arrived, once and in its order.
     Message {
         /// On which stream.
-        stream: Stream,
+        stream: TrafficClass,
         /// The message.
         message: Bytes,
     },
@@ -40,7 +38,7 @@ pub enum SessionOutput {
     /// A message was not acknowledged before its session ended.
     Returned {
         /// The stream that it was for.
-        stream: Stream,
+        stream: TrafficClass,
         /// The message.
         message: Bytes,
         /// Why.
@@ -54,20 +52,6 @@ pub enum SessionOutput {
         incarnation: Incarnation,
         /// Why.
         why: DeliveryError,
-    },
-    /// A stream holds all that it should: stop sending, or messages will soon be refused.
-    Full {
-        /// Which.
-        stream: Stream,
-        /// What there is no room for: bulk alone, or what is small, and then nothing goes.
-        load: SizeClass,
-    },
-    /// A stream that was full takes messages again.
-    Ready {
-        /// Which.
-        stream: Stream,
-        /// What there is room for.
-        load: SizeClass,
     },
     /// The peer speaks another version; the two cannot talk until one is updated.
     Incompatible {

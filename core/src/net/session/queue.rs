@@ -1,16 +1,24 @@
 //! What waits to be cut into parts: each strand in its order.
 
-use crate::GatherBuffer;
 use crate::net::session::ordering_key::OrderingKey;
 use crate::sorted::SortedMap;
+use crate::{Credit, GatherBuffer};
 use std::ops::RangeFrom;
+
+/// A message, with the credit that it holds until the peer has acknowledged it.
+#[derive(Debug)]
+pub(crate) struct OutboundMessage {
+    pub(crate) bytes: GatherBuffer,
+    #[expect(dead_code, reason = "it is held until it is dropped")]
+    pub(crate) credit: Option<Credit>,
+}
 
 /// Messages that wait. Each strand keeps its order; of each only the first is ever looked at, so
 /// that however much waits in one, nothing of another has to be found behind it.
 #[derive(Debug, Default)]
 pub(super) struct SendQueue {
     /// By strand, in the order of arrival there.
-    messages: SortedMap<(OrderingKey, u64), GatherBuffer>,
+    messages: SortedMap<(OrderingKey, u64), OutboundMessage>,
     /// The first of each strand, by arrival.
     heads: SortedMap<u64, OrderingKey>,
     arrivals: u64,
@@ -25,7 +33,7 @@ impl SendQueue {
         self.messages.is_empty()
     }
 
-    pub(super) fn push(&mut self, strand: OrderingKey, message: GatherBuffer) {
+    pub(super) fn push(&mut self, strand: OrderingKey, message: OutboundMessage) {
         let number = self.arrivals;
         self.arrivals += 1;
         if self.head(strand).is_none() {
@@ -35,13 +43,16 @@ impl SendQueue {
     }
 
     /// The first of those that arrived at `from` or later and are the first of their strand.
-    pub(super) fn first(&self, from: RangeFrom<u64>) -> Option<(u64, OrderingKey, &GatherBuffer)> {
+    pub(super) fn first(
+        &self,
+        from: RangeFrom<u64>,
+    ) -> Option<(u64, OrderingKey, &OutboundMessage)> {
         let (&number, &strand) = self.heads.range(from).next()?;
         self.messages.get(&(strand, number)).map(|message| (number, strand, message))
     }
 
     /// Takes out what is the first of its strand: the next of it is so then.
-    pub(super) fn take(&mut self, number: u64) -> Option<(OrderingKey, GatherBuffer)> {
+    pub(super) fn take(&mut self, number: u64) -> Option<(OrderingKey, OutboundMessage)> {
         let strand = self.heads.remove(&number)?;
         let message = self.messages.remove(&(strand, number))?;
         if let Some(next) = self.head(strand) {
@@ -51,7 +62,7 @@ impl SendQueue {
     }
 
     /// All of them, in the order in which they arrived.
-    pub(super) fn into_messages(self) -> impl Iterator<Item = GatherBuffer> {
+    pub(super) fn into_messages(self) -> impl Iterator<Item = OutboundMessage> {
         let by_arrival = self.messages.into_iter().map(|((_, number), message)| (number, message));
         by_arrival.collect::<SortedMap<_, _>>().into_values()
     }
@@ -67,8 +78,8 @@ mod tests {
     use super::*;
     use bytes::Bytes;
 
-    fn parcel(text: &'static str) -> GatherBuffer {
-        Bytes::from_static(text.as_bytes()).into()
+    fn parcel(text: &'static str) -> OutboundMessage {
+        OutboundMessage { bytes: Bytes::from_static(text.as_bytes()).into(), credit: None }
     }
 
     #[test]
@@ -83,13 +94,17 @@ mod tests {
 
         assert_eq!(first(&queue, 0..), Some((0, map)));
         assert_eq!(first(&queue, 1..), Some((2, leg)), "what follows in a strand is not looked at");
-        assert_eq!(queue.take(1), None, "nor taken");
-        assert_eq!(queue.take(2), Some((leg, parcel("l1"))));
+        let take = |queue: &mut SendQueue, number| {
+            queue.take(number).map(|(strand, message)| (strand, message.bytes))
+        };
+        let text = |text: &'static str| Bytes::from_static(text.as_bytes()).into();
+        assert_eq!(take(&mut queue, 1), None, "nor taken");
+        assert_eq!(take(&mut queue, 2), Some((leg, text("l1"))));
         assert_eq!(first(&queue, 1..), Some((4, leg)));
-        assert_eq!(queue.take(0), Some((map, parcel("m1"))));
+        assert_eq!(take(&mut queue, 0), Some((map, text("m1"))));
 
         assert_eq!(first(&queue, 0..), Some((1, map)));
-        let rest = ["m2", "m3", "l2"].map(parcel);
-        assert!(queue.into_messages().eq(rest), "in the order of arrival");
+        let rest = queue.into_messages().map(|message| message.bytes);
+        assert!(rest.eq(["m2", "m3", "l2"].map(text)), "in the order of arrival");
     }
 }

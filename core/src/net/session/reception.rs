@@ -3,9 +3,9 @@
 use super::best_effort::DatagramStatus;
 use super::inbound::ChunkStatus;
 use super::{Session, SessionOutput, State, duplicates};
-use crate::DeliveryError;
 use crate::net::wire::packet::PacketPriority;
-use crate::net::wire::segment::{Data, Datagram, Segment, Stream};
+use crate::net::wire::segment::{Data, Datagram, Segment};
+use crate::{DeliveryError, TrafficClass};
 use std::time::Duration;
 
 impl Session {
@@ -14,7 +14,7 @@ impl Session {
         if let Some(ack) = ack {
             self.handle_ack(stream, &ack);
         }
-        let copied = stream == Stream::Redundant && !again && piece.is_none();
+        let copied = stream == TrafficClass::Redundant && !again && piece.is_none();
         if copied && self.replicas.handle(sequence) == duplicates::CopyStatus::Replica {
             return self.close_when_done();
         }

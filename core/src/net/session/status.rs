@@ -2,7 +2,7 @@
 
 use super::duplicates::DuplicateDiscard;
 use super::round_trip::RttEstimator;
-use super::{STREAMS, Session, SessionCounters, State};
+use super::{Session, SessionCounters, State};
 use crate::Incarnation;
 use crate::net::wire::Refusals;
 use std::fmt;
@@ -108,13 +108,13 @@ impl Session {
             State::Closing { .. } => SessionState::Closing,
             State::Closed => SessionState::Closed,
         };
-        let held = STREAMS.map(|stream| self.streams[stream as usize].outbound.messages());
+        let held = self.streams.iter().map(|stream| stream.outbound.messages());
         let parts = self.streams.iter().map(|stream| stream.outbound.flying());
         SessionStatus {
             state,
             incarnation: self.peer(),
             round_trip: self.round_trip(),
-            unacknowledged: held.iter().sum(),
+            unacknowledged: held.sum(),
             in_flight: parts.sum::<usize>() + self.datagrams_out.flying().0,
             window: self.congestion.window(),
             queueing: self.congestion.queueing(),

@@ -131,7 +131,7 @@ impl Pair {
     }
 
     fn send(&mut self, from: usize, message: Bytes) {
-        self.ends[from].handle_send(Stream::Data, message, at(self.now)).unwrap();
+        self.ends[from].handle_send(TrafficClass::Request, message, at(self.now)).unwrap();
     }
 
     fn take(&mut self, end: usize) -> Vec<SessionOutput> {
@@ -147,11 +147,11 @@ impl Session {
     /// With the default ordering key.
     fn handle_send(
         &mut self,
-        stream: Stream,
+        stream: TrafficClass,
         message: impl Into<GatherBuffer>,
         now: Instant,
     ) -> Result<(), Refused> {
-        self.handle_send_along((stream, OrderingKey::default()), message, now)
+        self.handle_send_along((stream, OrderingKey::default()), message, None, now)
     }
 }
 
@@ -160,11 +160,11 @@ fn opened(incarnation: u64) -> SessionOutput {
 }
 
 fn message(message: Bytes) -> SessionOutput {
-    SessionOutput::Message { stream: Stream::Data, message }
+    SessionOutput::Message { stream: TrafficClass::Request, message }
 }
 
 fn returned(message: Bytes, why: &DeliveryError) -> SessionOutput {
-    SessionOutput::Returned { stream: Stream::Data, message, why: why.clone(), sent: true }
+    SessionOutput::Returned { stream: TrafficClass::Request, message, why: why.clone(), sent: true }
 }
 
 fn unreachable(node: &str) -> DeliveryError {

@@ -2,9 +2,8 @@
 
 use super::round_trip::RttEstimator;
 use super::{Session, State};
-use crate::Instant;
-use crate::net::wire::segment::Stream;
 use crate::timer::Timers;
+use crate::{Instant, TrafficClass};
 
 /// The timers of a session.
 #[derive(Clone, Copy, Debug)]
@@ -13,14 +12,10 @@ pub(crate) enum SessionTimer {
     /// for `idle_timeout`; with a path for three retransmission timeouts at least (QUIC: idle
     /// timeout; TCP: user timeout, RFC 5482).
     Idle,
-    /// Sends again what is control: a retransmission timeout after the first chunk in flight
-    /// (RFC 6298).
-    LossControl,
-    /// The same for data.
-    LossData,
-    /// The same for what travels by all paths.
-    LossRedundant,
-    /// Takes datagrams for lost of which the peer has told nothing: a retransmission timeout of data
+    /// Sends again what is in flight of a stream: a retransmission timeout after its first chunk
+    /// there (RFC 6298).
+    Loss(TrafficClass),
+    /// Takes datagrams for lost of which the peer has told nothing: a retransmission timeout of events
     /// after the first of them.
     LossDatagrams,
     /// Repeats the handshake while there is a path (TCP: SYN timer).
@@ -41,9 +36,11 @@ impl Timers for Session {
         use SessionTimer::*;
         &[
             Idle,
-            LossControl,
-            LossData,
-            LossRedundant,
+            Loss(TrafficClass::Control),
+            Loss(TrafficClass::Redundant),
+            Loss(TrafficClass::Request),
+            Loss(TrafficClass::Event),
+            Loss(TrafficClass::Bulk),
             LossDatagrams,
             OpenRetransmit,
             CloseRetransmit,
@@ -60,9 +57,7 @@ impl Timers for Session {
                 let answers = longest.filter(|_| self.path.is_some()).unwrap_or_default() * 3;
                 Some(self.waiting_since? + self.config.idle_timeout.max(answers))
             }
-            (SessionTimer::LossControl, _) => self.retransmit_at[Stream::Control as usize],
-            (SessionTimer::LossData, _) => self.retransmit_at[Stream::Data as usize],
-            (SessionTimer::LossRedundant, _) => self.retransmit_at[Stream::Redundant as usize],
+            (SessionTimer::Loss(stream), _) => self.retransmit_at[stream as usize],
             (SessionTimer::LossDatagrams, _) => self.datagrams_lost_at,
             (SessionTimer::OpenRetransmit, State::Opening { again_at, .. }) => {
                 self.path.map(|_| again_at)
@@ -77,9 +72,7 @@ impl Timers for Session {
     fn fire(&mut self, timer: SessionTimer, _: Instant) {
         match timer {
             SessionTimer::Idle => self.give_up(),
-            SessionTimer::LossControl => self.detect_loss(Stream::Control),
-            SessionTimer::LossData => self.detect_loss(Stream::Data),
-            SessionTimer::LossRedundant => self.detect_loss(Stream::Redundant),
+            SessionTimer::Loss(stream) => self.detect_loss(stream),
             SessionTimer::LossDatagrams => self.detect_lost_datagrams(),
             SessionTimer::OpenRetransmit => self.say_open(),
             SessionTimer::CloseRetransmit => self.repeat_close(),

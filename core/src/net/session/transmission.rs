@@ -5,20 +5,14 @@ use super::congestion::{CongestionControl, CongestionSignal, DelaySample};
 use super::outbound::{Chunk, SentPart};
 use super::reassembly::pieces_of;
 use super::round_trip::RttEstimator;
-use super::{Session, SessionOutput, State};
+use super::{Session, State};
 use crate::net::is_narrow;
-use crate::net::session::size_class::SizeClass;
 use crate::net::wire::packet::{PacketPriority, UndeliveredReason, WAY_MAX};
 use crate::net::wire::segment::{
-    Ack, Data, DatagramAck, DelayTicks, PIECE_HEADER, Segment, Stream, data_header,
+    ACKNOWLEDGED_TOGETHER, Ack, Data, DatagramAck, DelayTicks, PIECE_HEADER, Segment, data_header,
 };
-use crate::{DeliveryError, Instant};
+use crate::{DeliveryError, Instant, TrafficClass};
 use std::time::Duration;
-
-/// Which stream goes first when several wait.
-const BY_URGENCY: [Stream; 3] = [Stream::Control, Stream::Redundant, Stream::Data];
-/// The same when control has gone first often enough.
-const DATA_FIRST: [Stream; 3] = [Stream::Redundant, Stream::Data, Stream::Control];
 
 impl Session {
     /// Something of ours came back: it is repeated once the routers have had time to find another
@@ -51,7 +45,7 @@ impl Session {
     }
 
     /// Parts on their way of this stream.
-    fn flying(&self, stream: Stream) -> usize {
+    fn flying(&self, stream: TrafficClass) -> usize {
         self.streams[stream as usize].outbound.flying()
     }
 
@@ -62,11 +56,14 @@ impl Session {
             CongestionControl::load(outbound.flying(), outbound.flying_bytes())
         };
         let (datagrams, bytes) = self.datagrams_out.flying();
-        load(Stream::Control) + load(Stream::Data) + CongestionControl::load(datagrams, bytes)
+        // Copies take every path.
+        let streams =
+            TrafficClass::ALL.into_iter().filter(|class| *class != TrafficClass::Redundant);
+        streams.map(load).sum::<usize>() + CongestionControl::load(datagrams, bytes)
     }
 
     /// How long an answer is waited for. Where this stream has measured none, others may have.
-    pub(super) fn retransmit_timeout(&self, stream: Stream) -> Duration {
+    pub(super) fn retransmit_timeout(&self, stream: TrafficClass) -> Duration {
         let own = &self.rtt[stream as usize];
         let measured = self.rtt.iter().filter(|rtt| rtt.smoothed().is_some());
         match own.smoothed() {
@@ -77,85 +74,102 @@ impl Session {
         }
     }
 
-    /// When data may go on, if something of it waits for nothing but that.
+    /// There is something to send of a class that shares the path.
+    fn waits(&self, class: TrafficClass) -> bool {
+        let has_datagrams = class == TrafficClass::Event && self.datagrams_out.has_more();
+        has_datagrams || self.streams[class as usize].outbound.has_more()
+    }
+
+    /// Some of what shares the path is on its way.
+    fn is_shared(&self) -> bool {
+        TrafficClass::WEIGHTED.into_iter().any(|(class, _)| self.flying(class) > 0)
+    }
+
+    /// When what shares the path may go on, if some of it waits for nothing but that.
     pub(super) fn paced_until(&self) -> Option<Instant> {
-        let data = &self.streams[Stream::Data as usize].outbound;
-        let waits = data.has_more() || self.datagrams_out.has_more();
+        let waits = TrafficClass::WEIGHTED.into_iter().any(|(class, _)| self.waits(class));
         let is_open = matches!(self.state, State::Open { .. } | State::Closing { .. });
         let is_held = !is_open || self.path.is_none() || self.congestion.is_full(self.load());
         let at = self.congestion.send_at();
         (waits && !is_held && at > self.now).then_some(at)
     }
 
-    /// The path bears more data at present.
+    /// The path bears more than control at present.
     pub(super) fn may_send_data(&self) -> bool {
         !self.congestion.is_full(self.load()) && self.congestion.send_at() <= self.now
     }
 
-    /// Sends the next part that may be sent: control first, but for every ninth part if data waits,
+    /// Sends the next part that may be sent: control first, but for every ninth part if others wait,
     /// and what was lost before what is new.
     pub(super) fn transmit_part(&mut self) -> bool {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return false };
         let Some(mtu) = self.path else { return false };
         let congested = self.congestion.is_full(self.load());
         let is_paced = self.congestion.send_at() > self.now;
+        let due = self.control_run >= Self::CONTROL_RUN;
+        // Some of it may always be on its way, whatever else is before it.
+        let least = self.congestion.least_parts();
+        let may_control = !congested || self.flying(TrafficClass::Control) < least;
+        // Nor does control keep the others from having one there.
+        let may_share = !(congested || is_paced) || due && !self.is_shared();
+        let control = may_control.then_some(TrafficClass::Control);
+        let shared = may_share.then(|| self.turns.next(|class| self.waits(class))).flatten();
+        // It keeps its time whatever one of the paths is like; the peer's window bounds it.
+        let redundant = Some(TrafficClass::Redundant);
+        let order = if due { [redundant, shared, control] } else { [control, redundant, shared] };
+        order.into_iter().flatten().any(|class| self.transmit_of(class, peer.tag, mtu))
+    }
+
+    /// Sends the next part of this class.
+    fn transmit_of(&mut self, class: TrafficClass, tag: u32, mtu: usize) -> bool {
+        let waited = TrafficClass::WEIGHTED.map(|(class, _)| (class, self.waits(class)));
+        let is_sent = if class == TrafficClass::Event && self.is_datagrams_turn {
+            self.transmit_datagram(tag) || self.transmit_stream(class, tag, mtu)
+        } else {
+            self.transmit_stream(class, tag, mtu)
+                || class == TrafficClass::Event && self.transmit_datagram(tag)
+        };
+        if is_sent && class == TrafficClass::Control {
+            self.control_run += 1;
+        } else if is_sent && class.is_weighted() {
+            self.control_run = 0;
+            self.turns.took(class, |class| waited.contains(&(class, true)));
+        }
+        is_sent
+    }
+
+    /// Sends the next part of the stream of this class.
+    fn transmit_stream(&mut self, stream: TrafficClass, tag: u32, mtu: usize) -> bool {
         // Room for an acknowledgement of a few ranges, or of none in a small frame; a longer one
         // travels alone.
         let ack_capacity = 32.min(mtu / 8);
-        let always = self.congestion.least_parts();
         let part_max = self.config.chunk_max.min(self.congestion.part_max());
-        let due = self.control_run >= Self::CONTROL_RUN;
-        for stream in if due { DATA_FIRST } else { BY_URGENCY } {
-            let state = &mut self.streams[stream as usize];
-            // The way of each copy is written before it.
-            let way = if stream == Stream::Redundant { WAY_MAX } else { 0 };
-            let header = data_header(state.outbound.next()) + way;
-            // Copies that do not fit onto their ways go one way.
-            let least = if stream == Stream::Redundant { 48 } else { 16 };
-            let capacity =
-                mtu.saturating_sub(header + ack_capacity).clamp(least, part_max.max(least));
-            let held = match stream {
-                // Some of it may always be on its way, whatever data is before it.
-                Stream::Control => congested && state.outbound.flying() >= always,
-                // Nor does control keep it from having one there.
-                Stream::Data => (congested || is_paced) && !(due && state.outbound.flying() == 0),
-                // It keeps its time whatever one of the ways is like; the peer's window bounds it.
-                Stream::Redundant => false,
-            };
-            if held {
-                continue;
-            }
-            if stream == Stream::Data && self.is_datagrams_turn && self.transmit_datagram(peer.tag)
-            {
-                return true;
-            }
-            let state = &mut self.streams[stream as usize];
-            if let Some((sequence, part)) = state.outbound.transmit(capacity, self.now) {
-                match stream {
-                    Stream::Control => self.control_run += 1,
-                    Stream::Data => (self.control_run, self.is_datagrams_turn) = (0, true),
-                    Stream::Redundant => {}
-                }
-                let state = &mut self.streams[stream as usize];
-                let owed = state.inbound.owed().is_some();
-                let ack = owed.then(|| state.inbound.acknowledge());
-                // What was cut for a larger path says of each piece which it is.
-                let place = if part.payload.len() > capacity { PIECE_HEADER } else { 0 };
-                let (ack, alone) = match ack {
-                    Some(ack) if ack.length() + place > ack_capacity => (None, Some(ack)),
-                    ack => (ack, None),
-                };
-                if let Some(ack) = alone {
-                    self.transmit_ack(peer.tag, stream, ack);
-                }
-                self.transmit_as(peer.tag, stream, sequence, part, ack, capacity);
-                return true;
-            }
-            if stream == Stream::Data && self.transmit_datagram(peer.tag) {
-                return true;
-            }
+        let state = &mut self.streams[stream as usize];
+        // The path of each copy is written before it.
+        let path = if stream == TrafficClass::Redundant { WAY_MAX } else { 0 };
+        let header = data_header(state.outbound.next()) + path;
+        // Copies that do not fit onto their paths go one way.
+        let least = if stream == TrafficClass::Redundant { 48 } else { 16 };
+        let capacity = mtu.saturating_sub(header + ack_capacity).clamp(least, part_max.max(least));
+        let Some((sequence, part)) = state.outbound.transmit(capacity, self.now) else {
+            return false;
+        };
+        let owed = state.inbound.owed().is_some();
+        let ack = owed.then(|| state.inbound.acknowledge());
+        // What was cut for a larger path says of each piece which it is.
+        let place = if part.payload.len() > capacity { PIECE_HEADER } else { 0 };
+        let (ack, alone) = match ack {
+            Some(ack) if ack.length() + place > ack_capacity => (None, Some(ack)),
+            ack => (ack, None),
+        };
+        if let Some(ack) = alone {
+            self.transmit_ack(tag, stream, ack);
         }
-        false
+        if stream == TrafficClass::Event {
+            self.is_datagrams_turn = true;
+        }
+        self.transmit_as(tag, stream, sequence, part, ack, capacity);
+        true
     }
 
     /// Sends the next datagram, as large as a part of data may be.
@@ -167,33 +181,32 @@ impl Session {
         let capacity = mtu.min(self.config.chunk_max.min(self.congestion.part_max()));
         let way = (capacity, is_numbered);
         let Some(datagram) = self.datagrams_out.transmit(tag, way, self.now) else { return false };
-        (self.control_run, self.is_datagrams_turn) = (0, false);
+        self.is_datagrams_turn = false;
         if is_numbered {
-            let due = self.now + self.retransmit_timeout(Stream::Data);
+            let due = self.now + self.retransmit_timeout(TrafficClass::Event);
             self.datagrams_lost_at.get_or_insert(due);
             let load = CongestionControl::load(1, datagram.payload.len());
-            let round_trip = self.rtt[Stream::Data as usize].smoothed();
+            let round_trip = self.rtt[TrafficClass::Event as usize].smoothed();
             self.congestion.handle_sent(load, round_trip, self.now);
         }
         self.transmit(PacketPriority::Data, Segment::Datagram(datagram));
         true
     }
 
-    fn transmit_ack(&mut self, tag: u32, stream: Stream, ack: Ack) {
-        let mut acks = [None, None, None];
-        acks[stream as usize] = Some(ack);
-        let [control, data, redundant] = acks;
-        let segment = Segment::Acknowledge { tag, control, data, redundant, datagrams: None };
-        match stream {
-            Stream::Redundant => self.transmit_everywhere(PacketPriority::Control, segment),
-            Stream::Control | Stream::Data => self.transmit(PacketPriority::Control, segment),
+    fn transmit_ack(&mut self, tag: u32, stream: TrafficClass, ack: Ack) {
+        if stream == TrafficClass::Redundant {
+            let segment = Segment::AcknowledgeRedundant { tag, ack };
+            return self.transmit_everywhere(PacketPriority::Control, segment);
         }
+        let streams = ACKNOWLEDGED_TOGETHER.map(|other| (other == stream).then(|| ack.clone()));
+        let segment = Segment::Acknowledge { tag, streams, datagrams: None };
+        self.transmit(PacketPriority::Control, segment);
     }
 
     pub(super) fn transmit_as(
         &mut self,
         tag: u32,
-        stream: Stream,
+        stream: TrafficClass,
         sequence: u64,
         part: Chunk,
         mut ack: Option<Ack>,
@@ -205,7 +218,7 @@ impl Session {
         let due = self.now + self.retransmit_timeout(stream);
         self.retransmit_at[stream as usize].get_or_insert(due);
         let Chunk { first, last, payload, .. } = part;
-        if stream == Stream::Data {
+        if stream.is_weighted() {
             let load = CongestionControl::load(1, payload.len());
             let round_trip = self.rtt[stream as usize].smoothed();
             self.congestion.handle_sent(load, round_trip, self.now);
@@ -215,36 +228,40 @@ impl Session {
             let data = Data { tag, stream, sequence, first, last, again, piece, ack, payload };
             let segment = Segment::Data(data);
             match stream {
-                Stream::Control => self.transmit(PacketPriority::Control, segment),
-                Stream::Data => self.transmit(PacketPriority::Data, segment),
+                TrafficClass::Control => self.transmit(PacketPriority::Control, segment),
                 // A stop, or a beat: it waits for nothing that is said one way.
-                Stream::Redundant if first && last => {
+                TrafficClass::Redundant if first && last => {
                     self.transmit_everywhere(PacketPriority::Control, segment);
                 }
-                Stream::Redundant => self.transmit_everywhere(PacketPriority::Data, segment),
+                TrafficClass::Redundant => self.transmit_everywhere(PacketPriority::Data, segment),
+                TrafficClass::Request | TrafficClass::Event | TrafficClass::Bulk => {
+                    self.transmit(PacketPriority::Data, segment);
+                }
             }
         }
     }
 
-    /// Acknowledges what travels one way now, and with it shows that the session is known.
+    /// Acknowledges what travels one way now, and with it shows that the session is known: control
+    /// in any case, and what something has arrived of since the last time.
     pub(super) fn acknowledge(&mut self) {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
-        let [control, data, _] = &mut self.streams;
-        let control = Some(control.inbound.acknowledge());
-        let data = Some(data.inbound.acknowledge());
+        let streams = ACKNOWLEDGED_TOGETHER.map(|stream| {
+            let inbound = &mut self.streams[stream as usize].inbound;
+            let is_told = stream == TrafficClass::Control || inbound.owed().is_some();
+            is_told.then(|| inbound.acknowledge())
+        });
         let datagrams = self.datagrams_in.acknowledge();
-        let tag = peer.tag;
-        let segment = Segment::Acknowledge { tag, control, data, redundant: None, datagrams };
+        let segment = Segment::Acknowledge { tag: peer.tag, streams, datagrams };
         self.transmit(PacketPriority::Control, segment);
     }
 
     /// Acknowledges what has waited for it.
     pub(super) fn acknowledge_owed(&mut self) {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
-        let redundant = &mut self.streams[Stream::Redundant as usize].inbound;
+        let redundant = &mut self.streams[TrafficClass::Redundant as usize].inbound;
         if redundant.owed().is_some() {
             let ack = redundant.acknowledge();
-            self.transmit_ack(peer.tag, Stream::Redundant, ack);
+            self.transmit_ack(peer.tag, TrafficClass::Redundant, ack);
         }
         if self.ack_owed().is_some() {
             self.acknowledge();
@@ -256,7 +273,7 @@ impl Session {
         streams.chain(self.datagrams_in.owed()).min()
     }
 
-    pub(super) fn handle_ack(&mut self, stream: Stream, ack: &Ack) {
+    pub(super) fn handle_ack(&mut self, stream: TrafficClass, ack: &Ack) {
         // As full as it gets, unless parts are as large as the window.
         let was_full = self.congestion.is_full(self.load() + self.congestion.part_max());
         let outbound = &mut self.streams[stream as usize].outbound;
@@ -272,8 +289,8 @@ impl Session {
                 self.rtt[stream as usize].measure(round_trip);
             }
             // Copies take every path.
-            if stream != Stream::Redundant {
-                let is_data = stream == Stream::Data;
+            if stream != TrafficClass::Redundant {
+                let is_data = stream.is_weighted();
                 let delay = ack.arrived - DelayTicks::of(sent);
                 if !again {
                     let sample = DelaySample { delay, round_trip, is_data };
@@ -287,7 +304,6 @@ impl Session {
             let due = self.now + self.retransmit_timeout(stream);
             self.retransmit_at[stream as usize] = (self.flying(stream) > 0).then_some(due);
         }
-        self.report_ready(stream);
         self.record_receipt();
     }
 
@@ -300,13 +316,13 @@ impl Session {
         };
         let DatagramProgress { arrived, latest: SentPart { sent, .. }, has_lost } = progress;
         let round_trip = self.now - sent;
-        self.rtt[Stream::Data as usize].measure(round_trip);
+        self.rtt[TrafficClass::Event as usize].measure(round_trip);
         let delay = ack.arrived - DelayTicks::of(sent);
         let sample = DelaySample { delay, round_trip, is_data: true };
         self.congestion.handle_delay(sample, self.now);
         let signal = CongestionSignal { arrived, was_full, has_lost, is_measured: true, sent };
         self.congestion.handle_arrived(signal, self.now);
-        let due = self.now + self.retransmit_timeout(Stream::Data);
+        let due = self.now + self.retransmit_timeout(TrafficClass::Event);
         self.datagrams_lost_at = (self.datagrams_out.flying().0 > 0).then_some(due);
     }
 
@@ -314,53 +330,22 @@ impl Session {
     pub(super) fn detect_lost_datagrams(&mut self) {
         self.datagrams_lost_at = None;
         self.datagrams_out.lose_all();
-        // Data on its way tells by itself what the path is like.
-        if self.flying(Stream::Data) == 0 {
-            self.rtt[Stream::Data as usize].back_off();
+        // What shares the path with them tells by itself what the path is like.
+        if !self.is_shared() {
+            self.rtt[TrafficClass::Event as usize].back_off();
             self.congestion.handle_timeout(self.now);
         }
     }
 
-    pub(super) fn report_ready(&mut self, stream: Stream) {
-        let state = &self.streams[stream as usize];
-        let (messages, most) = (state.outbound.messages(), self.config.buffer_messages);
-        let ready = SizeClass::ALL.map(|load| {
-            let (holds, should) = (state.outbound.bytes(load), self.buffer_bytes(load));
-            match load {
-                // Half empty, so that a waiting sender can send more than one message.
-                SizeClass::Small => messages <= most / 2 && holds <= should / 2,
-                // One is worth the word, and the next is to be here before the last has gone. What
-                // is small may stand here for ever: it has room of its own, and its senders keep
-                // their half.
-                SizeClass::Bulk => messages <= most && holds <= should,
-            }
-        });
-        let state = &mut self.streams[stream as usize];
-        for load in SizeClass::ALL {
-            if ready[load as usize] && std::mem::take(&mut state.full[load as usize]) {
-                self.outputs.push_back(SessionOutput::Ready { stream, load });
-            }
-        }
-    }
-
-    /// The bytes of this load that should wait in a stream at most.
-    pub(super) fn buffer_bytes(&self, load: SizeClass) -> usize {
-        match load {
-            SizeClass::Small => self.config.buffer_bytes,
-            // What is small waits behind no more of it.
-            SizeClass::Bulk => self.config.buffer_bytes / 2,
-        }
-    }
-
     /// Takes all that is in flight of this stream for lost.
-    pub(super) fn detect_loss(&mut self, stream: Stream) {
+    pub(super) fn detect_loss(&mut self, stream: TrafficClass) {
         self.retransmit_at[stream as usize] = None;
         if self.flying(stream) == 0 {
             return;
         }
         self.rtt[stream as usize].back_off();
-        // Data on its way tells by itself what the path is like.
-        if stream == Stream::Data || stream == Stream::Control && self.flying(Stream::Data) == 0 {
+        // What shares the path with control tells by itself what the path is like.
+        if stream.is_weighted() || stream == TrafficClass::Control && !self.is_shared() {
             self.congestion.handle_timeout(self.now);
         }
         self.streams[stream as usize].outbound.lose_all();

@@ -8,16 +8,18 @@
 //! ```text
 //! open         000 00000 │ version 1 │ tag 4 │ echo 4 │ incarnation 8 │ number 4
 //! data         001 palfs │ tag 4 │ sequence v │ p: index v, count v │ a: ack │ payload
-//! redundant    111 palfr │ as data, and a copy goes over every way
+//!              101 palfs │ the same of the two classes that wait for the others
+//! redundant    111 palfr │ as data, and a copy goes over every path
 //! datagram     010 p000n │ tag 4 │ channel v │ sequence v │ n: number v │ p: index v, count v │
 //!                        payload
-//! acknowledge  011 0nrdc │ tag 4 │ c: ack of the control stream │ d: of the data stream │ r: of the
-//!                        redundant one │ n: next v, received v, arrived 2
+//! acknowledge  011 nbeqc │ tag 4 │ ack of each stream: c control, q requests, e events, b bulk │ n:
+//!                        next v, received v, arrived 2
+//!              110 00000 │ tag 4 │ ack of the redundant stream; a copy goes over every path
 //! close        100 00000 │ tag 4
-//! closed       101 00000 │ tag 4
-//! reset        110 00000 │ tag 4, the one of the unknown segment
+//! closed       100 00001 │ tag 4
+//! reset        100 00010 │ tag 4, the one of the unknown segment
 //!
-//! s     stream: 0 control, 1 data
+//! s     stream: with 001 0 control, 1 requests; with 101 0 events, 1 bulk
 //! r     sent again: no copy of what was sent before
 //! f, l  the first, the last part of a message; with both the payload is one or more whole messages,
 //!       each after its length v; the first of several parts begins with the whole length v
@@ -31,7 +33,7 @@
 //! ```
 
 use super::{Reader, WireError, Write, varint_length};
-use crate::{GatherBuffer, Incarnation, Instant};
+use crate::{GatherBuffer, Incarnation, Instant, TrafficClass};
 use bytes::{BufMut, Bytes, BytesMut};
 use std::ops::Sub;
 use std::time::Duration;
@@ -50,17 +52,6 @@ pub(crate) fn data_header(sequence: u64) -> usize {
     1 + 4 + varint_length(sequence)
 }
 
-/// Which of a session's ordered streams. Control goes first when both wait, eight parts of nine.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Stream {
-    /// What keeps the robot together: bindings, faults, commands, leases, votes.
-    Control,
-    /// What objects say to each other.
-    Data,
-    /// What they say over every way at once.
-    Redundant,
-}
-
 /// What two sessions say to each other.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Segment {
@@ -74,14 +65,17 @@ pub enum Segment {
     Acknowledge {
         /// The receiver's tag.
         tag: u32,
-        /// For the control stream.
-        control: Option<Ack>,
-        /// For the data stream.
-        data: Option<Ack>,
-        /// For the redundant stream.
-        redundant: Option<Ack>,
+        /// For the streams of control, requests, events and bulk.
+        streams: [Option<Ack>; 4],
         /// For datagrams.
         datagrams: Option<DatagramAck>,
+    },
+    /// What has arrived of the redundant stream.
+    AcknowledgeRedundant {
+        /// The receiver's tag.
+        tag: u32,
+        /// What.
+        ack: Ack,
     },
     /// All that I had to say is said and acknowledged.
     Close {
@@ -121,7 +115,7 @@ pub struct Data {
     /// The receiver's tag.
     pub tag: u32,
     /// Which stream.
-    pub stream: Stream,
+    pub stream: TrafficClass,
     /// Its place there.
     pub sequence: u64,
     /// A message begins here.
@@ -219,10 +213,19 @@ const OPEN: u8 = 0;
 const DATA: u8 = 1;
 const DATAGRAM: u8 = 2;
 const ACKNOWLEDGE: u8 = 3;
-const CLOSE: u8 = 4;
-const CLOSED: u8 = 5;
-const RESET: u8 = 6;
+const END: u8 = 4;
+const LATER_DATA: u8 = 5;
+const ACKNOWLEDGE_REDUNDANT: u8 = 6;
 const REDUNDANT: u8 = 7;
+
+/// What an [`END`] says, in its flags.
+const CLOSE: u8 = 0;
+const CLOSED: u8 = 1;
+const RESET: u8 = 2;
+
+/// The streams that one acknowledgement may speak of, in its order.
+pub const ACKNOWLEDGED_TOGETHER: [TrafficClass; 4] =
+    [TrafficClass::Control, TrafficClass::Request, TrafficClass::Event, TrafficClass::Bulk];
 
 impl Segment {
     /// The segment's bytes, in one piece.
@@ -244,14 +247,12 @@ impl Segment {
             }
             Segment::Data(data) => data.parcel(),
             Segment::Datagram(datagram) => datagram.parcel(),
-            Segment::Acknowledge { tag, control, data, redundant, datagrams } => {
-                let flags = u8::from(control.is_some())
-                    | u8::from(data.is_some()) << 1
-                    | u8::from(redundant.is_some()) << 2
-                    | u8::from(datagrams.is_some()) << 3;
+            Segment::Acknowledge { tag, streams, datagrams } => {
+                let told = streams.iter().map(Option::is_some).chain([datagrams.is_some()]);
+                let flags = (0..).zip(told).map(|(bit, told)| u8::from(told) << bit).sum();
                 let mut bytes = begin(ACKNOWLEDGE, flags, 32);
                 bytes.put_u32(*tag);
-                for ack in [control, data, redundant].into_iter().flatten() {
+                for ack in streams.iter().flatten() {
                     ack.put(&mut bytes);
                 }
                 if let Some(DatagramAck { next, received, arrived }) = datagrams {
@@ -261,9 +262,15 @@ impl Segment {
                 }
                 bytes.freeze().into()
             }
-            Segment::Close { tag } => tagged(CLOSE, *tag),
-            Segment::Closed { tag } => tagged(CLOSED, *tag),
-            Segment::Reset { tag } => tagged(RESET, *tag),
+            Segment::AcknowledgeRedundant { tag, ack } => {
+                let mut bytes = begin(ACKNOWLEDGE_REDUNDANT, 0, 32);
+                bytes.put_u32(*tag);
+                ack.put(&mut bytes);
+                bytes.freeze().into()
+            }
+            Segment::Close { tag } => end(CLOSE, *tag),
+            Segment::Closed { tag } => end(CLOSED, *tag),
+            Segment::Reset { tag } => end(RESET, *tag),
         }
     }
 
@@ -276,9 +283,9 @@ impl Segment {
         let first = reader.u8()?;
         let (kind, flags) = (first >> 5, first & 0x1f);
         let allowed = match kind {
-            DATA | REDUNDANT => 0b11111,
+            DATA | LATER_DATA | REDUNDANT | ACKNOWLEDGE => 0b11111,
             DATAGRAM => 0b10001,
-            ACKNOWLEDGE => 0b01111,
+            END => 0b00011,
             _ => 0,
         };
         if flags & !allowed != 0 {
@@ -289,24 +296,32 @@ impl Segment {
         }
         let tag = reader.u32()?;
         match kind {
-            DATA | REDUNDANT => Data::read(kind, tag, flags, reader).map(Segment::Data),
+            DATA | LATER_DATA | REDUNDANT => {
+                Data::read(kind, tag, flags, reader).map(Segment::Data)
+            }
             DATAGRAM => Datagram::read(tag, flags, reader).map(Segment::Datagram),
             ACKNOWLEDGE => {
                 let mut ack = |bit| (flags & bit != 0).then(|| Ack::read(&mut reader)).transpose();
-                let (control, data, redundant) = (ack(1)?, ack(2)?, ack(4)?);
+                let streams = [ack(1)?, ack(2)?, ack(4)?, ack(8)?];
                 let datagrams =
-                    (flags & 8 != 0).then(|| DatagramAck::read(&mut reader)).transpose()?;
+                    (flags & 16 != 0).then(|| DatagramAck::read(&mut reader)).transpose()?;
                 reader.end("an acknowledgement")?;
-                Ok(Segment::Acknowledge { tag, control, data, redundant, datagrams })
+                Ok(Segment::Acknowledge { tag, streams, datagrams })
+            }
+            ACKNOWLEDGE_REDUNDANT => {
+                let ack = Ack::read(&mut reader)?;
+                reader.end("an acknowledgement")?;
+                Ok(Segment::AcknowledgeRedundant { tag, ack })
             }
             // Three bits have no other value.
             _ => {
                 reader.end("a segment")?;
-                Ok(match kind {
-                    CLOSE => Segment::Close { tag },
-                    CLOSED => Segment::Closed { tag },
-                    _ => Segment::Reset { tag },
-                })
+                match flags {
+                    CLOSE => Ok(Segment::Close { tag }),
+                    CLOSED => Ok(Segment::Closed { tag }),
+                    RESET => Ok(Segment::Reset { tag }),
+                    _ => Err(WireError::Malformed { what: "a segment's flags" }),
+                }
             }
         }
     }
@@ -318,8 +333,8 @@ fn begin(kind: u8, flags: u8, length: usize) -> BytesMut {
     bytes
 }
 
-fn tagged(kind: u8, tag: u32) -> GatherBuffer {
-    let mut bytes = begin(kind, 0, 5);
+fn end(says: u8, tag: u32) -> GatherBuffer {
+    let mut bytes = begin(END, says, 5);
     bytes.put_u32(tag);
     bytes.freeze().into()
 }
@@ -341,9 +356,11 @@ impl OpenSegment {
 impl Data {
     fn parcel(&self) -> GatherBuffer {
         let (kind, lowest) = match self.stream {
-            Stream::Control => (DATA, false),
-            Stream::Data => (DATA, true),
-            Stream::Redundant => (REDUNDANT, self.again),
+            TrafficClass::Control => (DATA, false),
+            TrafficClass::Request => (DATA, true),
+            TrafficClass::Event => (LATER_DATA, false),
+            TrafficClass::Bulk => (LATER_DATA, true),
+            TrafficClass::Redundant => (REDUNDANT, self.again),
         };
         let flags = u8::from(lowest)
             | u8::from(self.first) << 1
@@ -363,9 +380,11 @@ impl Data {
     fn read(kind: u8, tag: u32, flags: u8, mut reader: Reader) -> Result<Data, WireError> {
         let lowest = flags & 1 != 0;
         let (stream, again) = match (kind, lowest) {
-            (REDUNDANT, again) => (Stream::Redundant, again),
-            (_, true) => (Stream::Data, false),
-            (_, false) => (Stream::Control, false),
+            (REDUNDANT, again) => (TrafficClass::Redundant, again),
+            (DATA, false) => (TrafficClass::Control, false),
+            (DATA, true) => (TrafficClass::Request, false),
+            (_, false) => (TrafficClass::Event, false),
+            (_, true) => (TrafficClass::Bulk, false),
         };
         let sequence = reader.varint()?;
         let piece = Fragment::read(flags, &mut reader)?;
@@ -484,7 +503,7 @@ mod tests {
         let ack = Ack { next: 5, window: 200, arrived, ranges: vec![(7, 8), (300, 300)] };
         let data = Data {
             tag: 0x01020304,
-            stream: Stream::Data,
+            stream: TrafficClass::Request,
             sequence: 300,
             first: true,
             last: true,
@@ -495,7 +514,9 @@ mod tests {
         };
         let piece = Some(Fragment { index: 1, count: 2 });
         let acking = Data { piece, ack: Some(ack.clone()), ..data.clone() };
-        let copied = Data { stream: Stream::Redundant, again: true, ..data.clone() };
+        let copied = Data { stream: TrafficClass::Redundant, again: true, ..data.clone() };
+        let event = Data { stream: TrafficClass::Event, ..data.clone() };
+        let bulk = Data { stream: TrafficClass::Bulk, ..data.clone() };
         let datagram = Datagram {
             tag: 1,
             channel: 4,
@@ -509,10 +530,12 @@ mod tests {
         vec![
             (
                 Segment::Open(open),
-                &[0, 3, 0, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3],
+                &[0, 4, 0, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3],
             ),
             (Segment::Data(copied), b"\xe7\x01\x02\x03\x04\xac\x02\x02hi"),
             (Segment::Data(data), b"\x27\x01\x02\x03\x04\xac\x02\x02hi"),
+            (Segment::Data(event), b"\xa6\x01\x02\x03\x04\xac\x02\x02hi"),
+            (Segment::Data(bulk), b"\xa7\x01\x02\x03\x04\xac\x02\x02hi"),
             (
                 Segment::Data(acking),
                 b"\x3f\x01\x02\x03\x04\xac\x02\x01\x02\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00\x02hi",
@@ -520,38 +543,32 @@ mod tests {
             (Segment::Datagram(datagram), b"\x40\0\0\0\x01\x04\x09x"),
             (Segment::Datagram(numbered), b"\x41\0\0\0\x01\x04\x09\xac\x02x"),
             (
-                Segment::Acknowledge {
-                    tag: 1,
-                    control: None,
-                    data: None,
-                    redundant: None,
-                    datagrams: Some(told),
-                },
-                b"\x68\0\0\0\x01\xad\x02\xab\x02\x12\x34",
+                Segment::Acknowledge { tag: 1, streams: [const { None }; 4], datagrams: Some(told) },
+                b"\x70\0\0\0\x01\xad\x02\xab\x02\x12\x34",
+            ),
+            (
+                Segment::AcknowledgeRedundant { tag: 1, ack: ack.clone() },
+                b"\xc0\0\0\0\x01\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
             ),
             (
                 Segment::Acknowledge {
                     tag: 1,
-                    control: None,
-                    data: None,
-                    redundant: Some(ack.clone()),
-                    datagrams: None,
-                },
-                b"\x64\0\0\0\x01\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
-            ),
-            (
-                Segment::Acknowledge {
-                    tag: 1,
-                    control: None,
-                    data: Some(ack),
-                    redundant: None,
+                    streams: [None, Some(ack.clone()), None, None],
                     datagrams: None,
                 },
                 b"\x62\0\0\0\x01\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
             ),
+            (
+                Segment::Acknowledge {
+                    tag: 1,
+                    streams: [None, None, None, Some(ack)],
+                    datagrams: None,
+                },
+                b"\x68\0\0\0\x01\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
+            ),
             (Segment::Close { tag: 1 }, b"\x80\0\0\0\x01"),
-            (Segment::Closed { tag: 1 }, b"\xa0\0\0\0\x01"),
-            (Segment::Reset { tag: 1 }, b"\xc0\0\0\0\x01"),
+            (Segment::Closed { tag: 1 }, b"\x81\0\0\0\x01"),
+            (Segment::Reset { tag: 1 }, b"\x82\0\0\0\x01"),
         ]
     }
 
@@ -569,8 +586,8 @@ mod tests {
             let refused = Segment::decode(Bytes::from_static(bytes));
             assert!(matches!(refused, Err(WireError::Malformed { .. })), "{refused:?}");
         };
-        check(b"\x70\0\0\0\x01");
-        check(b"\x81\0\0\0\x01");
+        check(b"\xc1\0\0\0\x01");
+        check(b"\x83\0\0\0\x01");
         check(b"\x42\0\0\0\x01");
         check(b"\x30\0\0\0\x01\x01\x02\x02");
         check(b"\x62\0\0\0\x01\x05\x05\0\0\x11");

@@ -304,6 +304,7 @@ fn the_component_of_a_service_is_no_way_around_the_rights_at_the_service() {
             until: None,
             payload: payload().into(),
             reply_as: None,
+            credit: None,
         };
         pair.ends[0].handle_call(call);
         pair.run();

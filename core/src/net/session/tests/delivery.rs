@@ -1,6 +1,9 @@
 //! What is sent arrives once and in order, and how much may wait.
 
 use super::*;
+use crate::CreditPool;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 #[test]
 fn a_message_sent_while_the_session_opens_is_delivered_once_it_is_open() {
@@ -17,7 +20,7 @@ fn a_message_sent_while_the_session_opens_is_delivered_once_it_is_open() {
 #[test]
 fn without_a_path_nothing_is_accepted() {
     let mut session = Session::new(config("left", 1, "right"), at(0));
-    let refused = session.handle_send(Stream::Data, text("x"), at(0));
+    let refused = session.handle_send(TrafficClass::Request, text("x"), at(0));
     assert_eq!(refused, Err((unreachable("right"), text("x"))));
     let refused = session.handle_send_newest(1, text("x"), at(0));
     assert_eq!(refused, Err((unreachable("right"), text("x"))));
@@ -80,104 +83,87 @@ fn waiting_messages_travel_together_and_large_ones_in_parts() {
 fn control_overtakes_data_that_waits() {
     let mut pair = Pair::open();
     pair.send(0, Bytes::from(vec![7; 500_000]));
-    pair.ends[0].handle_send(Stream::Control, text("stop"), at(pair.now)).unwrap();
+    pair.ends[0].handle_send(TrafficClass::Control, text("stop"), at(pair.now)).unwrap();
 
     pair.run(200);
 
     let outputs = pair.take(1);
-    assert!(matches!(outputs[0], SessionOutput::Message { stream: Stream::Control, .. }));
+    assert!(matches!(outputs[0], SessionOutput::Message { stream: TrafficClass::Control, .. }));
     assert_eq!(outputs.len(), 2);
 }
 
+/// How many bytes of its credit are held.
+#[derive(Default)]
+struct HeldBytes(AtomicUsize);
+
+impl HeldBytes {
+    fn take(self: &Arc<Self>, bytes: usize) -> Option<Credit> {
+        self.0.fetch_add(bytes, Ordering::Relaxed);
+        Some(Credit::new(self.clone(), bytes))
+    }
+
+    fn bytes(&self) -> usize {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+impl CreditPool for HeldBytes {
+    fn give_back(&self, bytes: usize) {
+        self.0.fetch_sub(bytes, Ordering::Relaxed);
+    }
+}
+
 #[test]
-fn a_full_stream_says_so_then_refuses_then_has_room_again() {
+fn credit_is_held_until_the_peer_has_acknowledged_or_the_message_comes_back() {
+    let mut pair = Pair::open();
+    let pool = Arc::new(HeldBytes::default());
+    let send = |pair: &mut Pair, length| {
+        let (along, now) = ((TrafficClass::Bulk, OrderingKey::default()), at(pair.now));
+        let (message, credit) = (vec![7; length], pool.take(length));
+        pair.ends[0].handle_send_along(along, message, credit, now)
+    };
+    pair.lose = Box::new(|end, segment| end == 1 && matches!(segment, Segment::Acknowledge { .. }));
+    send(&mut pair, 5_000).unwrap();
+    send(&mut pair, 20).unwrap();
+    pair.run(100);
+    assert_eq!(pair.take(1).len(), 2, "they have arrived");
+    assert_eq!(pool.bytes(), 5_020, "and it is not known yet");
+
+    pair.lose = Box::new(|_, _| false);
+    pair.run(1_000);
+    assert_eq!(pool.bytes(), 0);
+
+    pair.lose = Box::new(|_, _| true);
+    send(&mut pair, 20).unwrap();
+    pair.run(5_000);
+    assert_eq!((pool.bytes(), pair.take(0).len()), (0, 2), "it came back, and the session ended");
+
+    let refused = send(&mut pair, 2 << 20);
+    assert!(refused.is_err() && pool.bytes() == 0);
+}
+
+#[test]
+fn what_has_no_credit_is_refused_where_its_stream_is_full_and_other_classes_are_not() {
     let small = SessionConfig { buffer_messages: 4, ..config("left", 1, "right") };
     let mut pair = Pair::of(small, config("right", 1, "left"));
     pair.connect();
-    pair.take(0);
     pair.lose = Box::new(|_, _| true);
-    for _ in 0..8 {
+    for _ in 0..4 {
         pair.send(0, text("x"));
     }
-    let refused = pair.ends[0].handle_send(Stream::Data, text("x"), at(pair.now));
-    let full = DeliveryError::WayFull { node: "right".into(), bulk: false };
+    let now = at(pair.now);
+    let refused = pair.ends[0].handle_send(TrafficClass::Request, text("x"), now);
+    let full = DeliveryError::WayFull { node: "right".into(), class: TrafficClass::Request };
     assert_eq!(refused, Err((full, text("x"))));
-    pair.run(1);
-    let (stream, load) = (Stream::Data, SizeClass::Small);
-    assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
+    pair.ends[0].handle_send(TrafficClass::Event, text("e"), now).unwrap();
+    let pool = Arc::new(HeldBytes::default());
+    let along = (TrafficClass::Request, OrderingKey::default());
+    pair.ends[0].handle_send_along(along, text("x"), pool.take(1), now).unwrap();
 
     pair.lose = Box::new(|_, _| false);
     pair.run(200);
 
-    assert_eq!(pair.take(0), [SessionOutput::Ready { stream, load }]);
-    assert_eq!(pair.take(1).len(), 9, "opened, and eight messages");
-}
-
-#[test]
-fn bulk_that_fills_its_room_leaves_what_is_small_its_own_and_all_arrive_in_order() {
-    let mut pair = Pair::open();
-    pair.lose = Box::new(|_, _| true);
-    let (image, now) = (Bytes::from(vec![7; 1 << 20]), at(pair.now));
-    let sent = (0..100).map(|_| pair.ends[0].handle_send(Stream::Data, image.clone(), now));
-    let images = sent.take_while(Result::is_ok).count();
-    let order = Bytes::from(vec![8; SizeClass::SMALL_MAX]);
-    for _ in 0..200 {
-        pair.send(0, order.clone());
-    }
-    pair.drain();
-    let (stream, load) = (Stream::Data, SizeClass::Bulk);
-    assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
-    assert_eq!(images, 8, "what is on its way when it is said has room as well");
-
-    pair.lose = Box::new(|_, _| false);
-    pair.run(5000);
-
-    assert_eq!(pair.take(0), [SessionOutput::Ready { stream, load }]);
-    let all = [vec![message(image); 8], vec![message(order); 200]].concat();
-    assert!(pair.take(1) == all, "in the order in which they were sent");
-}
-
-#[test]
-fn bulk_has_room_again_while_two_of_the_largest_still_wait() {
-    let mut pair = Pair::open();
-    let image = Bytes::from(vec![7; 1 << 20]);
-    for _ in 0..3 {
-        pair.send(0, image.clone());
-    }
-    let (stream, load) = (Stream::Data, SizeClass::Bulk);
-    pair.drain();
-    assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
-
-    let outputs = (0..1000).map(|_| {
-        pair.run(0);
-        (pair.take(0), pair.ends[0].status().unacknowledged)
-    });
-    let outputs: Vec<_> = outputs.filter(|(outputs, _)| !outputs.is_empty()).collect();
-
-    assert_eq!(outputs, [(vec![SessionOutput::Ready { stream, load }], 2)]);
-}
-
-#[test]
-fn bulk_has_room_again_although_small_messages_never_end() {
-    let mut pair = Pair::open();
-    let image = Bytes::from(vec![7; 1 << 20]);
-    for _ in 0..3 {
-        pair.send(0, image.clone());
-    }
-    for _ in 0..3000 {
-        pair.send(0, text("reading"));
-    }
-    let (stream, load) = (Stream::Data, SizeClass::Bulk);
-    pair.drain();
-    assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
-
-    let mut outputs = (0..1000).map(|_| {
-        pair.run(0);
-        (pair.take(0), pair.ends[0].status().unacknowledged)
-    });
-    let outputs = outputs.find(|(outputs, _)| !outputs.is_empty());
-
-    assert_eq!(outputs, Some((vec![SessionOutput::Ready { stream, load }], 3002)));
+    assert_eq!(pair.take(1).len(), 7, "opened, and six messages");
 }
 
 #[test]
@@ -185,7 +171,7 @@ fn a_message_larger_than_the_limit_is_refused_before_it_is_sent() {
     let mut pair = Pair::open();
     let limit = pair.ends[0].config.message_max;
     let huge = Bytes::from(vec![0; limit + 1]);
-    let refused = pair.ends[0].handle_send(Stream::Data, huge, at(pair.now)).unwrap_err();
+    let refused = pair.ends[0].handle_send(TrafficClass::Request, huge, at(pair.now)).unwrap_err();
     assert_eq!(refused.0, DeliveryError::TooLargeForSession { limit });
 }
 
@@ -223,24 +209,24 @@ fn control_goes_before_data_that_waits_and_before_data_that_nobody_acknowledges(
     for _ in 0..2000 {
         pair.send(0, Bytes::from(vec![7; 1000]));
     }
-    pair.ends[0].handle_send(Stream::Control, text("now"), at(pair.now)).unwrap();
+    pair.ends[0].handle_send(TrafficClass::Control, text("now"), at(pair.now)).unwrap();
     pair.run(3);
 
     let outputs = pair.take(1);
     let place = outputs.iter().position(|output| {
-        matches!(output, SessionOutput::Message { stream: Stream::Control, .. })
+        matches!(output, SessionOutput::Message { stream: TrafficClass::Control, .. })
     });
     assert_eq!(place, Some(0), "of {}", outputs.len());
 
     // A full window of data is lost; control does not wait until that is noticed.
     pair.lose = Box::new(|end, segment| {
-        end == 0 && matches!(segment, Segment::Data(data) if data.stream == Stream::Data)
+        end == 0 && matches!(segment, Segment::Data(data) if data.stream == TrafficClass::Request)
     });
     pair.run(1);
-    pair.ends[0].handle_send(Stream::Control, text("again"), at(pair.now)).unwrap();
+    pair.ends[0].handle_send(TrafficClass::Control, text("again"), at(pair.now)).unwrap();
     pair.run(3);
     let outputs = pair.take(1);
-    let control = SessionOutput::Message { stream: Stream::Control, message: text("again") };
+    let control = SessionOutput::Message { stream: TrafficClass::Control, message: text("again") };
     assert!(outputs.contains(&control), "{outputs:?}");
 }
 
@@ -248,8 +234,8 @@ fn control_goes_before_data_that_waits_and_before_data_that_nobody_acknowledges(
 fn what_goes_every_way_does_not_wait_for_data_and_is_acknowledged_by_itself() {
     let mut pair = Pair::open();
     pair.lose = Box::new(|_, segment| match segment {
-        Segment::Data(data) => data.stream == Stream::Data,
-        Segment::Acknowledge { redundant, .. } => redundant.is_none(),
+        Segment::Data(data) => data.stream == TrafficClass::Request,
+        Segment::Acknowledge { .. } => true,
         _ => false,
     });
     for _ in 0..200 {
@@ -258,17 +244,17 @@ fn what_goes_every_way_does_not_wait_for_data_and_is_acknowledged_by_itself() {
     pair.run(5);
 
     for _ in 0..100 {
-        pair.ends[0].handle_send(Stream::Redundant, text("x"), at(pair.now)).unwrap();
+        pair.ends[0].handle_send(TrafficClass::Redundant, text("x"), at(pair.now)).unwrap();
         pair.run(1);
         assert_eq!(pair.take(1).len(), 1, "at {}", pair.now);
     }
 
     pair.run(5);
     let again = pair.sent.iter().filter(|(_, segment)| {
-        matches!(segment, Segment::Data(data) if data.stream == Stream::Redundant && data.again)
+        matches!(segment, Segment::Data(data) if data.stream == TrafficClass::Redundant && data.again)
     });
     assert_eq!(again.count(), 0);
-    assert_eq!(pair.ends[0].streams[Stream::Redundant as usize].outbound.flying(), 0);
+    assert_eq!(pair.ends[0].streams[TrafficClass::Redundant as usize].outbound.flying(), 0);
 }
 
 #[test]
@@ -276,21 +262,15 @@ fn a_peer_that_promises_an_absurd_window_is_sent_no_more_than_ours() {
     let mut pair = Pair::open();
     pair.lose = Box::new(|end, _| end == 1);
     for _ in 0..600 {
-        pair.ends[0].handle_send(Stream::Redundant, text("x"), at(pair.now)).unwrap();
+        pair.ends[0].handle_send(TrafficClass::Redundant, text("x"), at(pair.now)).unwrap();
         pair.drain();
     }
     let tag = pair.ends[0].tag;
     let ack = Ack { next: 1, window: u32::MAX, arrived: DelayTicks::default(), ranges: vec![] };
-    let greedy = Segment::Acknowledge {
-        tag,
-        control: None,
-        data: None,
-        redundant: Some(ack),
-        datagrams: None,
-    };
+    let greedy = Segment::AcknowledgeRedundant { tag, ack };
     pair.ends[0].handle_segment(greedy.encode(), at(pair.now));
     pair.drain();
 
-    let flying = pair.ends[0].streams[Stream::Redundant as usize].outbound.flying();
+    let flying = pair.ends[0].streams[TrafficClass::Redundant as usize].outbound.flying();
     assert_eq!(flying, 256);
 }

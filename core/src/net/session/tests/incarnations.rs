@@ -121,7 +121,7 @@ fn a_close_delivers_what_was_sent_and_ends_both() {
     }
 
     pair.ends[0].handle_close(at(pair.now));
-    let refused = pair.ends[0].handle_send(Stream::Data, text("c"), at(pair.now));
+    let refused = pair.ends[0].handle_send(TrafficClass::Request, text("c"), at(pair.now));
     pair.run(50);
 
     assert_eq!(refused, Err((DeliveryError::Stopped, text("c"))));
@@ -169,7 +169,7 @@ fn what_comes_back_from_a_peer_that_breaks_the_protocol_was_good_itself() {
     let tag = pair.ends[0].tag;
     let (first, last, again) = (false, true, false);
     let (piece, ack, payload) = (None, None, text("an end without a start").into());
-    let (stream, sequence) = (Stream::Data, 0);
+    let (stream, sequence) = (TrafficClass::Request, 0);
     let broken = Data { tag, stream, sequence, first, last, again, piece, ack, payload };
     pair.ends[0].handle_segment(Segment::Data(broken).encode(), at(pair.now));
     pair.drain();
@@ -191,7 +191,7 @@ fn what_a_machine_holds_that_is_replaced_says_whether_it_was_sent() {
     let held = pair.ends[0].take_unacknowledged();
 
     let sent = [("sent", true), ("not sent", false)];
-    assert_eq!(held, sent.map(|(message, sent)| (Stream::Data, text(message), sent)));
+    assert_eq!(held, sent.map(|(message, sent)| (TrafficClass::Request, text(message), sent)));
 }
 
 #[test]

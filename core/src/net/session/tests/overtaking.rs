@@ -7,9 +7,13 @@ fn strand(object: &str) -> OrderingKey {
     OrderingKey::to(&ObjectName::new(object).unwrap())
 }
 
+fn push(outbound: &mut Outbound, strand: OrderingKey, bytes: impl Into<GatherBuffer>) {
+    outbound.push(strand, OutboundMessage { bytes: bytes.into(), credit: None });
+}
+
 fn send_to(pair: &mut Pair, object: &str, message: Bytes) {
-    let along = (Stream::Data, strand(object));
-    pair.ends[0].handle_send_along(along, message, at(pair.now)).unwrap();
+    let along = (TrafficClass::Request, strand(object));
+    pair.ends[0].handle_send_along(along, message, None, at(pair.now)).unwrap();
 }
 
 #[test]
@@ -93,10 +97,10 @@ fn parts_until(outbound: &mut Outbound, capacity: usize, text: &str) -> usize {
 fn an_order_is_next_however_many_large_ones_wait_for_another_object() {
     let mut outbound = Outbound::new(10_000);
     for _ in 0..123 {
-        outbound.push(strand("map"), vec![7; 17 << 10].into());
+        push(&mut outbound, strand("map"), vec![7; 17 << 10]);
     }
     outbound.transmit(1300, at(0)).unwrap();
-    outbound.push(strand("leg"), "stop".into());
+    push(&mut outbound, strand("leg"), "stop");
 
     assert!(parts_until(&mut outbound, 1300, "stop") <= 2);
 }
@@ -104,12 +108,12 @@ fn an_order_is_next_however_many_large_ones_wait_for_another_object() {
 #[test]
 fn an_order_is_next_however_many_small_ones_wait_behind_a_large_one_of_their_object() {
     let mut outbound = Outbound::new(10_000);
-    outbound.push(strand("map"), vec![7; 1 << 20].into());
+    push(&mut outbound, strand("map"), vec![7; 1 << 20]);
     for _ in 0..32 {
-        outbound.push(strand("map"), "reading".into());
+        push(&mut outbound, strand("map"), "reading");
     }
     outbound.transmit(1300, at(0)).unwrap();
-    outbound.push(strand("leg"), "stop".into());
+    push(&mut outbound, strand("leg"), "stop");
 
     assert!(parts_until(&mut outbound, 1300, "stop") <= 2);
 }
@@ -118,10 +122,10 @@ fn an_order_is_next_however_many_small_ones_wait_behind_a_large_one_of_their_obj
 fn an_order_comes_soon_although_a_hundred_objects_have_large_ones_before_it() {
     let mut outbound = Outbound::new(10_000);
     for n in 0..100 {
-        outbound.push(strand(&format!("camera{n}")), vec![7; 100_000].into());
+        push(&mut outbound, strand(&format!("camera{n}")), vec![7; 100_000]);
     }
     outbound.transmit(1300, at(0)).unwrap();
-    outbound.push(strand("leg"), "stop".into());
+    push(&mut outbound, strand("leg"), "stop");
 
     assert!(parts_until(&mut outbound, 1300, "stop") <= 8, "32 are looked at for each part");
 }
@@ -129,13 +133,13 @@ fn an_order_comes_soon_although_a_hundred_objects_have_large_ones_before_it() {
 #[test]
 fn what_was_not_cut_when_the_session_ends_was_not_sent_and_all_come_back_in_order() {
     let mut outbound = Outbound::new(10_000);
-    outbound.push(strand("map"), vec![7; 3000].into());
-    outbound.push(strand("map"), "after".into());
-    outbound.push(strand("leg"), "stop".into());
+    push(&mut outbound, strand("map"), vec![7; 3000]);
+    push(&mut outbound, strand("map"), "after");
+    push(&mut outbound, strand("leg"), "stop");
     for _ in 0..2 {
         outbound.transmit(1300, at(0)).unwrap();
     }
-    outbound.push(strand("leg"), "go".into());
+    push(&mut outbound, strand("leg"), "go");
 
     let all: Vec<_> = outbound.take_all().collect();
 
@@ -147,16 +151,16 @@ fn what_was_not_cut_when_the_session_ends_was_not_sent_and_all_come_back_in_orde
 }
 
 /// Sends so many messages of so many bytes to this object.
-fn fill(pair: &mut Pair, stream: Stream, object: &str, count: usize, length: usize) {
+fn fill(pair: &mut Pair, stream: TrafficClass, object: &str, count: usize, length: usize) {
     for _ in 0..count {
         let along = (stream, strand(object));
-        pair.ends[0].handle_send_along(along, vec![7; length], at(pair.now)).unwrap();
+        pair.ends[0].handle_send_along(along, vec![7; length], None, at(pair.now)).unwrap();
     }
     pair.drain();
 }
 
 /// The streams of the parts that were sent, repeated ones apart.
-fn streams_sent(pair: &Pair) -> Vec<Stream> {
+fn streams_sent(pair: &Pair) -> Vec<TrafficClass> {
     let part = |(_, segment): &(usize, Segment)| match segment {
         Segment::Data(data) if !data.again => Some(data.stream),
         _ => None,
@@ -167,14 +171,14 @@ fn streams_sent(pair: &Pair) -> Vec<Stream> {
 #[test]
 fn control_is_next_however_much_data_is_on_its_way_and_waits() {
     let mut pair = Pair::open();
-    fill(&mut pair, Stream::Data, "map", 100, 15_000);
+    fill(&mut pair, TrafficClass::Request, "map", 100, 15_000);
     pair.sent.clear();
 
-    fill(&mut pair, Stream::Control, "wheels", 1, 20);
+    fill(&mut pair, TrafficClass::Control, "wheels", 1, 20);
     pair.ends[0].handle_timeout(at(pair.now));
     pair.drain();
 
-    assert_eq!(streams_sent(&pair).first(), Some(&Stream::Control));
+    assert_eq!(streams_sent(&pair).first(), Some(&TrafficClass::Control));
 }
 
 #[test]
@@ -182,17 +186,17 @@ fn control_without_end_leaves_data_every_ninth_part() {
     for rate in [None, Some(100_000)] {
         let mut pair = Pair::open();
         pair.rate = rate;
-        fill(&mut pair, Stream::Control, "wheels", 270, 1000);
-        fill(&mut pair, Stream::Data, "map", 10, 15_000);
+        fill(&mut pair, TrafficClass::Control, "wheels", 270, 1000);
+        fill(&mut pair, TrafficClass::Request, "map", 10, 15_000);
         pair.sent.clear();
 
         pair.run(5_000);
 
         let sent = streams_sent(&pair);
-        let runs = sent.split(|stream| *stream == Stream::Data);
-        let longest = runs.map(<[Stream]>::len).max();
+        let runs = sent.split(|stream| *stream == TrafficClass::Request);
+        let longest = runs.map(<[TrafficClass]>::len).max();
         assert!(longest <= Some(Session::CONTROL_RUN), "{rate:?}: {sent:?}");
-        let data = sent.iter().filter(|stream| **stream == Stream::Data).count();
+        let data = sent.iter().filter(|stream| **stream == TrafficClass::Request).count();
         assert!(
             data > 100 && sent.len() - data > 100,
             "{rate:?}: both went: {data} {:?}",
@@ -200,4 +204,35 @@ fn control_without_end_leaves_data_every_ninth_part() {
         );
         assert_eq!(pair.ends[0].status().unacknowledged, 0);
     }
+}
+
+#[test]
+fn requests_events_and_bulk_share_a_path_by_their_weights_and_a_new_request_goes_next() {
+    use TrafficClass::{Bulk, Event, Request};
+    let mut pair = Pair::open();
+    pair.rate = Some(100_000);
+    for class in [Bulk, Event, Request] {
+        fill(&mut pair, class, "map", 40, 15_000);
+    }
+    pair.run(2_000);
+    pair.sent.clear();
+    pair.run(2_000);
+
+    let sent = streams_sent(&pair);
+    let count = |class| sent.iter().filter(|stream| **stream == class).count();
+    let (requests, events, bulk) = (count(Request), count(Event), count(Bulk));
+    assert!(bulk > 10, "{sent:?}");
+    assert!(events.abs_diff(2 * bulk) <= 4 && requests.abs_diff(4 * bulk) <= 8, "{sent:?}");
+
+    pair.run(60_000);
+    assert_eq!(pair.ends[0].status().unacknowledged, 0);
+    pair.take(1);
+    fill(&mut pair, Bulk, "map", 8, 1 << 20);
+    pair.run(2_000);
+    pair.sent.clear();
+    fill(&mut pair, Request, "arm", 1, 20);
+    pair.run(2_000);
+    let sent = streams_sent(&pair);
+    let before = sent.iter().position(|stream| *stream == Request);
+    assert!(before <= Some(1), "no more than a part that was begun: {sent:?}");
 }

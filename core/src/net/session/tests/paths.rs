@@ -42,7 +42,7 @@ fn a_piece_with_an_acknowledgement_on_board_is_no_larger_than_the_narrow_path() 
     for sequence in [1, 3, 5] {
         let payload = Bytes::from_static(b"\x02hi");
         let (first, last, again) = (true, true, false);
-        let stream = Stream::Data;
+        let stream = TrafficClass::Request;
         let data = Data {
             tag,
             stream,
@@ -84,13 +84,13 @@ fn a_short_outage_is_ridden_out_and_a_long_one_gives_everything_back() {
     let why = unreachable("right");
     let ended = SessionOutput::Ended { incarnation: Incarnation(1), why: why.clone() };
     let never_sent = SessionOutput::Returned {
-        stream: Stream::Data,
+        stream: TrafficClass::Request,
         message: text("b"),
         why: why.clone(),
         sent: false,
     };
     assert_eq!(pair.take(0), [never_sent, ended]);
-    let refused = pair.ends[0].handle_send(Stream::Data, text("c"), at(pair.now));
+    let refused = pair.ends[0].handle_send(TrafficClass::Request, text("c"), at(pair.now));
     assert_eq!(refused, Err((why, text("c"))));
 }
 
@@ -207,7 +207,7 @@ fn whoever_cannot_be_reached_because_packets_come_back_is_told_why_and_what_to_d
     for (reason, expected) in cases {
         let mut pair = Pair::open();
         pair.lose = Box::new(|_, _| true);
-        pair.ends[0].handle_send(Stream::Data, text("lost"), at(pair.now)).unwrap();
+        pair.ends[0].handle_send(TrafficClass::Request, text("lost"), at(pair.now)).unwrap();
         pair.run(50);
         pair.ends[0].handle_undelivered(reason, at(pair.now));
         pair.run(10_000);
@@ -237,12 +237,16 @@ fn over_9600_baud_what_is_small_does_not_wait_for_the_rest_of_what_is_large() {
     let [camera, motor] = ["camera", "motor"].map(|name| OrderingKey::to(&name.parse().unwrap()));
     let image = Bytes::from(vec![7; 12_000]);
     let now = at(pair.now);
-    pair.ends[0].handle_send_along((Stream::Data, camera), image.clone(), now).unwrap();
+    pair.ends[0]
+        .handle_send_along((TrafficClass::Request, camera), image.clone(), None, now)
+        .unwrap();
     pair.run(3000);
 
     let now = at(pair.now);
     let order = Bytes::from(vec![8; 20]);
-    pair.ends[0].handle_send_along((Stream::Data, motor), order.clone(), now).unwrap();
+    pair.ends[0]
+        .handle_send_along((TrafficClass::Request, motor), order.clone(), None, now)
+        .unwrap();
     pair.run(1000);
 
     assert_eq!(pair.take(1), [message(order)], "within a second of twenty");
@@ -257,7 +261,7 @@ fn the_round_trips_of_control_that_overtakes_do_not_make_data_repeat() {
     pair.connect();
     for _ in 0..50 {
         let now = at(pair.now);
-        pair.ends[0].handle_send(Stream::Control, text("command"), now).unwrap();
+        pair.ends[0].handle_send(TrafficClass::Control, text("command"), now).unwrap();
         pair.run(20);
     }
 
@@ -266,7 +270,7 @@ fn the_round_trips_of_control_that_overtakes_do_not_make_data_repeat() {
         pair.send(0, Bytes::from(vec![7; 5_000]));
         pair.run(300);
         let now = at(pair.now);
-        pair.ends[0].handle_send(Stream::Control, text("command"), now).unwrap();
+        pair.ends[0].handle_send(TrafficClass::Control, text("command"), now).unwrap();
         pair.run(20);
     }
 
