@@ -4,6 +4,7 @@
 mod absence;
 mod cables;
 mod calls;
+mod credits;
 mod delivery;
 mod hostile;
 mod losses;
