@@ -112,7 +112,7 @@ impl ArbiterSlot {
 }
 
 /// An incarnation that is to begin on the arbiter that it is given.
-pub(crate) type Boarding = Box<dyn FnOnce(ArbiterSlot) + Send>;
+pub(crate) type PendingIncarnation = Box<dyn FnOnce(ArbiterSlot) + Send>;
 
 /// How many threads each culprit has kept for good.
 pub(crate) type LostThreads = SortedMap<ObjectName, usize>;
@@ -142,7 +142,7 @@ struct Pool {
     /// Threads that were given up and have not come back.
     kept: Vec<KeptThread>,
     /// Incarnations that were sent to a shared thread and may still wait there.
-    boarding: Vec<(ArbiterSlot, Weak<Mutex<Option<Boarding>>>)>,
+    pending: Vec<(ArbiterSlot, Weak<Mutex<Option<PendingIncarnation>>>)>,
     /// The node has ended: a next incarnation whose arbiter went finds no place.
     stopped: bool,
 }
@@ -272,10 +272,10 @@ impl ArbiterPool {
     }
 
     /// Has an incarnation begin on `slot`; on another shared thread if that one does not answer.
-    pub(crate) fn board(&self, slot: ArbiterSlot, incarnation: Boarding) {
+    pub(crate) fn start_on(&self, slot: ArbiterSlot, incarnation: PendingIncarnation) {
         let waiting = Arc::new(Mutex::new(Some(incarnation)));
         if !slot.own_thread && self.0.shared > 0 {
-            self.pool_of().boarding.push((slot.clone(), Arc::downgrade(&waiting)));
+            self.pool_of().pending.push((slot.clone(), Arc::downgrade(&waiting)));
         }
         let handle = slot.handle.clone();
         handle.spawn_fn(move || {
@@ -287,12 +287,12 @@ impl ArbiterPool {
     }
 
     /// Moves the incarnations that wait on threads which do not answer.
-    pub(crate) fn move_boarding(&self, now: Instant) {
+    pub(crate) fn move_pending(&self, now: Instant) {
         let mut pool = self.pool_of();
-        if pool.boarding.is_empty() {
+        if pool.pending.is_empty() {
             return;
         }
-        let waiting = std::mem::take(&mut pool.boarding);
+        let waiting = std::mem::take(&mut pool.pending);
         let mut moved = Vec::new();
         for (slot, incarnation) in waiting {
             let Some(kept) = incarnation.upgrade() else { continue };
@@ -301,16 +301,16 @@ impl ArbiterPool {
                 continue;
             }
             if slot.answers(now) {
-                pool.boarding.push((slot, incarnation));
+                pool.pending.push((slot, incarnation));
                 continue;
             }
             match self.place_in(&mut pool, false) {
                 Ok(other) => moved.extend(kept.take().map(|incarnation| (other, incarnation))),
-                Err(_) => pool.boarding.push((slot, incarnation)),
+                Err(_) => pool.pending.push((slot, incarnation)),
             }
         }
         drop(pool);
-        moved.into_iter().for_each(|(slot, incarnation)| self.board(slot, incarnation));
+        moved.into_iter().for_each(|(slot, incarnation)| self.start_on(slot, incarnation));
     }
 
     fn start(&self, own_thread: bool) -> io::Result<ArbiterSlot> {
@@ -445,10 +445,10 @@ mod tests {
     }
 
     /// Boards an incarnation that says on which thread it begins.
-    fn board(arbiters: &ArbiterPool, slot: &ArbiterSlot) -> Receiver<u64> {
+    fn start_on(arbiters: &ArbiterPool, slot: &ArbiterSlot) -> Receiver<u64> {
         let (begun, begins) = channel();
         let incarnation = move |slot: ArbiterSlot| begun.send(slot.heartbeat.id()).unwrap();
-        arbiters.board(slot.clone(), Box::new(incarnation));
+        arbiters.start_on(slot.clone(), Box::new(incarnation));
         begins
     }
 
@@ -498,7 +498,7 @@ mod tests {
         System::new().block_on(async {
             let arbiters = ArbiterPool::pool(1);
             let slot = place(&arbiters);
-            let begun = board(&arbiters, &slot).recv_timeout(PATIENCE);
+            let begun = start_on(&arbiters, &slot).recv_timeout(PATIENCE);
             assert_eq!(begun, Ok(slot.heartbeat.id()), "it has begun to beat");
             let late = platform::now() + Duration::from_secs(3600);
 
@@ -515,17 +515,17 @@ mod tests {
             let arbiters = ArbiterPool::pool(1);
             let slot = place(&arbiters);
             let hold = keep(&slot);
-            let begins = board(&arbiters, &slot);
-            arbiters.move_boarding(slot.heartbeat.last_beat().expect("it has beaten"));
+            let begins = start_on(&arbiters, &slot);
+            arbiters.move_pending(slot.heartbeat.last_beat().expect("it has beaten"));
             until_silent(&slot).await;
             assert!(begins.try_recv().is_err(), "it waits");
 
-            arbiters.move_boarding(platform::now());
+            arbiters.move_pending(platform::now());
 
             let begun = begins.recv_timeout(PATIENCE).expect("it begins");
             assert_ne!(begun, slot.heartbeat.id());
             drop(hold);
-            let after = board(&arbiters, &slot);
+            let after = start_on(&arbiters, &slot);
             assert_eq!(after.recv_timeout(PATIENCE), Ok(slot.heartbeat.id()));
             assert!(begins.try_recv().is_err(), "once");
             arbiters.stop();

@@ -182,7 +182,7 @@ impl MachineActor for RecovererActor {
             RecovererOutput::Release { action } => {
                 self.engaged.remove(&action);
             }
-            RecovererOutput::GiveUpLife { fault } => self.tools.give_up_incarnation(&fault),
+            RecovererOutput::AbandonIncarnation { fault } => self.tools.give_up_incarnation(&fault),
             RecovererOutput::LastResort { fault, reason } => {
                 info!(location = %fault.location, kind = %fault.kind, reason, "the node enters the safe state");
                 self.tools.rest_node(&fault, &reason);

@@ -142,14 +142,14 @@ impl<C: Component> Child for ComponentChild<C> {
         let control = Arc::<CommandQueue>::default();
         self.cell.set_control(Some(control.clone()));
         let cell = Some(self.cell.clone());
-        let boarding = PendingStart { cell, incarnation, report, control };
+        let pending = PendingStart { cell, incarnation, report, control };
         self.arbiter = Some(arbiter.clone());
         let begin = move |arbiter| {
-            if let Some(executor) = boarding.enter(arbiter) {
+            if let Some(executor) = pending.enter(arbiter) {
                 actix_rt::spawn(executor);
             }
         };
-        arbiters.board(arbiter, Box::new(begin));
+        arbiters.start_on(arbiter, Box::new(begin));
         incarnation
     }
 

@@ -437,7 +437,7 @@ impl Sampler {
             *self.list.0.arbiters.lock().unwrap_or_else(PoisonError::into_inner) = seen;
         }
         self.looks += 1;
-        self.arbiters.move_boarding(now);
+        self.arbiters.move_pending(now);
         while let Some(event) = self.scanner.poll_output() {
             if let Some(sighted) = self.translate(event) {
                 self.monitor.do_send(sighted);

@@ -70,8 +70,8 @@ struct GatewaySetup {
 
 /// What the gateway asks of the sessions.
 pub(super) struct SessionRecipients {
-    pub(super) say: Recipient<SendReliable>,
-    pub(super) say_newest: Recipient<SendLatest>,
+    pub(super) send_reliable: Recipient<SendReliable>,
+    pub(super) send_latest: Recipient<SendLatest>,
     pub(super) leave: Recipient<CloseSessions>,
     pub(super) begin_anew: Recipient<ResetSession>,
 }
@@ -216,12 +216,12 @@ impl GatewayActor {
             PeerProtocolOutput::Send { peer, stream, strand, message, credit } => {
                 let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
                 let send = SendReliable { peer, session, stream, strand, message, credit };
-                self.wiring.sessions.say.do_send(send);
+                self.wiring.sessions.send_reliable.do_send(send);
             }
             PeerProtocolOutput::SendNewest { peer, channel, message, credit } => {
                 let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
                 let send = SendLatest { peer, session, channel, message, credit };
-                self.wiring.sessions.say_newest.do_send(send);
+                self.wiring.sessions.send_latest.do_send(send);
             }
             PeerProtocolOutput::Bind { peer, epoch, binding, object, identity } => {
                 self.bind(peer, epoch, binding, &object, &identity);

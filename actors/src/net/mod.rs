@@ -275,8 +275,8 @@ pub(crate) fn start(
 
     let stubs = Arc::new(stub::PeerStubs::new(own_isolation));
     let to_sessions = gateway::SessionRecipients {
-        say: sessions.clone().recipient(),
-        say_newest: sessions.clone().recipient(),
+        send_reliable: sessions.clone().recipient(),
+        send_latest: sessions.clone().recipient(),
         leave: sessions.clone().recipient(),
         begin_anew: sessions.clone().recipient(),
     };

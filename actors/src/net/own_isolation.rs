@@ -1,11 +1,11 @@
-//! That another node had this one's name before, and this one is kept out by all.
+//! That another node had this one's name before, and this one is refused by all.
 
 use blastema_core::{DeliveryError, Incarnation, NodeName};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
 
-/// Whether this node is kept out. Clones are the same.
+/// Whether this node is refused. Clones are the same.
 #[derive(Clone)]
 pub(super) struct OwnIsolation {
     node: NodeName,
@@ -19,12 +19,12 @@ impl OwnIsolation {
     }
 
     /// This incarnation of another node has the name.
-    pub(super) fn cast_out(&self, other: Incarnation) {
+    pub(super) fn set_name_taken(&self, other: Incarnation) {
         self.other.store(other.0, Relaxed);
     }
 
     /// A session was opened, or no node has refused this one for a while.
-    pub(super) fn let_in(&self) {
+    pub(super) fn clear(&self) {
         self.other.store(0, Relaxed);
     }
 

@@ -229,7 +229,7 @@ impl MachineActor for RouterActor {
             RouterOutput::Lost { node, incarnation } => self.lost(node, incarnation),
             RouterOutput::Over(trouble) => {
                 if trouble == RouterAlarm::NameTaken {
-                    self.own_isolation.let_in();
+                    self.own_isolation.clear();
                 }
                 self.clear(trouble);
             }
@@ -265,11 +265,11 @@ impl MachineActor for RouterActor {
                 ));
             }
             RouterOutput::NameTaken { incarnation, first: false } => {
-                self.own_isolation.cast_out(incarnation);
+                self.own_isolation.set_name_taken(incarnation);
                 let (name, cure) = (&self.config.node, self.cure_of_namesakes());
                 self.declare(FaultKind::NameTaken, format!(
                     "another node called {name} was there before, as {incarnation}: this one is \
-                     kept out by all; {cure}"
+                     refused by all; {cure}"
                 ));
             }
         }

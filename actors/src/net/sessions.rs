@@ -336,8 +336,8 @@ impl Handler<SegmentArrived> for SessionsActor {
 impl Handler<SendReliable> for SessionsActor {
     type Result = ();
 
-    fn handle(&mut self, say: SendReliable, context: &mut Context<Self>) {
-        let SendReliable { peer, session, stream, strand, message, credit } = say;
+    fn handle(&mut self, message: SendReliable, context: &mut Context<Self>) {
+        let SendReliable { peer, session, stream, strand, message, credit } = message;
         let now = platform::now();
         let sent = match self.present(peer, session) {
             Some(session) => session.handle_send_along((stream, strand), message, credit, now),
@@ -351,8 +351,8 @@ impl Handler<SendReliable> for SessionsActor {
 impl Handler<SendLatest> for SessionsActor {
     type Result = ();
 
-    fn handle(&mut self, say: SendLatest, context: &mut Context<Self>) {
-        let SendLatest { peer, session, channel, message, credit } = say;
+    fn handle(&mut self, message: SendLatest, context: &mut Context<Self>) {
+        let SendLatest { peer, session, channel, message, credit } = message;
         // The session has it from here on, and keeps one of each channel.
         drop(credit);
         let sent = match self.present(peer, session) {

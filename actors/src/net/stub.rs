@@ -84,7 +84,7 @@ impl PeerSendState {
 
     /// A session has begun: it takes messages, and knows of no binding.
     pub(super) fn begin(&self) {
-        self.own_isolation.let_in();
+        self.own_isolation.clear();
         self.met.store(true, Relaxed);
         self.told.store(false, Relaxed);
         self.set(PeerCondition::Open);

@@ -223,7 +223,7 @@ impl Robot {
         let log = Log::default();
         let mut module =
             Module { host, net, log, child: None, exits, links, nodes, faults, declared, cleared };
-        module.give_birth().await;
+        module.start_acc().await;
         module
     }
 
@@ -246,7 +246,7 @@ impl Robot {
 }
 
 impl Module {
-    async fn give_birth(&mut self) {
+    async fn start_acc(&mut self) {
         let log = self.log.clone();
         let spec = ChildSpec::new("acc", move || Acc { sum: 0, log: log.clone() });
         let (mut child, _) =

@@ -156,7 +156,7 @@ impl NodeController {
         self.setup.safe_outputs.resume();
         self.setup.actuators.resume();
         self.setup.state.send_replace(NodeState::Starting);
-        self.tell_rest(None);
+        self.report_untreated(None);
         self.begin(context);
     }
 
@@ -207,7 +207,7 @@ impl NodeController {
         self.subscribers.iter().for_each(|subscribers| subscribers.do_send(changed.clone()));
     }
 
-    fn tell_rest(&self, reason: Option<&str>) {
+    fn report_untreated(&self, reason: Option<&str>) {
         let reason = reason.map(str::to_owned);
         self.tell(&match reason.clone() {
             Some(reason) => SafeStateChanged::Entered { reason },
@@ -245,7 +245,7 @@ impl NodeController {
         let Some(reason) = self.comes_to_rest.take() else { return };
         // It may have been told to stop in between.
         if self.state() != NodeState::Stopped {
-            self.tell_rest(Some(&reason));
+            self.report_untreated(Some(&reason));
             // Listeners see the reason before the last component has stopped.
             self.setup.state.send_replace(NodeState::InSafeState { reason: reason.clone() });
             self.end();

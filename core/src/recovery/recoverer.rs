@@ -22,7 +22,7 @@ mod tests;
 mod timers;
 mod types;
 
-use self::safe_state::Standstill;
+use self::safe_state::TreatmentStop;
 pub use self::types::{
     FaultResolution, RecovererLimits, RecovererOutput, RecoveryDone, RecoveryFailed, RecoveryOrder,
 };
@@ -109,7 +109,7 @@ pub struct Recoverer {
     memories: SortedMap<(FaultLocation, FaultKind), LadderProgress>,
     open: SortedMap<u64, (FaultLocation, RecoveryAction)>,
     engaged: SortedMap<RecoveryAction, Engaged>,
-    standstill: Option<Standstill>,
+    treatment_stop: Option<TreatmentStop>,
     outputs: VecDeque<RecovererOutput>,
 }
 
@@ -127,7 +127,7 @@ impl Recoverer {
             memories: SortedMap::new(),
             open: SortedMap::new(),
             engaged: SortedMap::new(),
-            standstill: None,
+            treatment_stop: None,
             outputs: VecDeque::new(),
         }
     }
@@ -137,7 +137,7 @@ impl Recoverer {
     pub fn restarted(&self, now: Instant) -> Self {
         let seed = self.seed.wrapping_add(1);
         let mut next = Recoverer::new(self.node.clone(), self.plan.clone(), self.limits, seed);
-        (next.orders, next.standstill) = (self.orders, self.standstill);
+        (next.orders, next.treatment_stop) = (self.orders, self.treatment_stop);
         let noted = self.cases.values().flat_map(|case| &case.faults).map(|noted| &noted.fault);
         for fault in noted.chain(self.symptoms.values().map(|symptom| &symptom.fault)) {
             next.handle_fault(fault.clone(), now);
@@ -237,8 +237,10 @@ impl Recoverer {
         if ladder.steps()[0].action == RecoveryAction::Observe {
             return self.tell(&fault, FaultResolution::Observed);
         }
-        if let (Some(standstill), FaultLocation::Object(_)) = (self.standstill, &fault.location) {
-            return self.leave_untreated(&fault, standstill);
+        if let (Some(treatment_stop), FaultLocation::Object(_)) =
+            (self.treatment_stop, &fault.location)
+        {
+            return self.leave_untreated(&fault, treatment_stop);
         }
         let location = fault.location.clone();
         if let Some(case) = self.cases.get_mut(&location) {

@@ -53,13 +53,15 @@ fn the_credit_to_a_peer_is_whole_after_cuts_panics_and_refusals() {
                 6..8 => left.net.victims()[1].do_send(InjectPanic),
                 8..10 => right.net.victims()[2].do_send(InjectPanic),
                 10..14 => {
-                    ["ethernet/left", "ieee1394/left"].map(|cable| robot.cut(cable));
+                    ["ethernet/left", "ieee1394/left"].iter().for_each(|cable| robot.cut(cable));
                     advance(if random & 0x1_0000 == 0 { 300 * MS } else { 3_000 * MS }).await;
-                    ["ethernet/left", "ieee1394/left"].map(|cable| robot.restore(cable));
+                    ["ethernet/left", "ieee1394/left"]
+                        .iter()
+                        .for_each(|cable| robot.restore(cable));
                 }
                 _ => {}
             }
-            advance(if random & 0x10_0000 == 0 { 0 * MS } else { 500 * MS }).await;
+            advance(if random & 0x10_0000 == 0 { Duration::ZERO } else { 500 * MS }).await;
         }
         advance(10_000 * MS).await;
 

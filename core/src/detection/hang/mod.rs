@@ -404,7 +404,7 @@ struct Around<'a> {
 impl Around<'_> {
     /// The arbiter's beat stands.
     fn stands(&self, now: Instant) -> bool {
-        self.arbiter.is_some_and(|arbiter| now - arbiter.beat_since > self.config.standstill)
+        self.arbiter.is_some_and(|arbiter| now - arbiter.beat_since > self.config.treatment_stop)
     }
 
     /// The component is on the thread.

@@ -25,7 +25,7 @@ pub struct HangDetectorConfig {
     /// How long a beat may stand before the arbiter's components are not judged for awaiting too
     /// long, and not for silence where no component is on the thread. Several beats, and well below
     /// the shortest tolerance for silence.
-    pub standstill: Duration,
+    pub treatment_stop: Duration,
     /// How long messages must have been late before that is an overload. Shorter reports single
     /// bursts.
     pub dwell: Duration,
@@ -43,7 +43,7 @@ impl Default for HangDetectorConfig {
             grace: Duration::from_millis(200),
             gap: Duration::from_millis(20),
             stall: Duration::from_millis(100),
-            standstill: Duration::from_millis(50),
+            treatment_stop: Duration::from_millis(50),
             dwell: Duration::from_millis(500),
             relief: Duration::from_secs(3),
             window: Duration::from_secs(1),

@@ -259,7 +259,7 @@ impl Router {
         let Some(keys) = self.keys.as_mut().filter(|_| !is_direct) else { return Some(segment) };
         let lane = match class {
             PacketPriority::Control => FrameLane::Urgent,
-            PacketPriority::Data | PacketPriority::Bulk => FrameLane::Usual,
+            PacketPriority::Data => FrameLane::Usual,
         };
         let sealed = keys.sealer.seal(destination, lane, &segment.pieces(), self.now);
         self.collect_seals();

@@ -12,10 +12,10 @@ impl Session {
         self.tag = tag::tag(&self.config, self.number);
         let pause = self.config.retransmit_min * if self.is_narrow() { 10 } else { 1 };
         self.state = State::Opening { peer, again_at: self.now, pause };
-        self.say_open();
+        self.transmit_open();
     }
 
-    pub(super) fn say_open(&mut self) {
+    pub(super) fn transmit_open(&mut self) {
         let State::Opening { peer, pause, .. } = self.state else { return };
         // Grows by half each time, up to the longest retransmission.
         let next = (pause * 3 / 2).min(self.config.retransmit_max);
@@ -82,7 +82,7 @@ impl Session {
                     self.acknowledge();
                 } else {
                     self.state = State::Opening { peer: Some(theirs), again_at, pause };
-                    self.say_open();
+                    self.transmit_open();
                 }
             }
             // The sender knows our tag, so the one that was noted for it had a changed bit.

@@ -74,7 +74,7 @@ impl Timers for Session {
             SessionTimer::Idle => self.give_up(),
             SessionTimer::Loss(stream) => self.detect_loss(stream),
             SessionTimer::LossDatagrams => self.detect_lost_datagrams(),
-            SessionTimer::OpenRetransmit => self.say_open(),
+            SessionTimer::OpenRetransmit => self.transmit_open(),
             SessionTimer::CloseRetransmit => self.repeat_close(),
             SessionTimer::AckDelay | SessionTimer::Pacing => {}
         }

@@ -292,11 +292,7 @@ mod tests {
         check(Frame::Routing(Bytes::from_static(b"z")), true);
         assert!(is_hello(&Frame::Hello(hello()).parcel()));
         assert!(!is_hello(&Frame::Routing(Bytes::new()).parcel()));
-        for (class, expected) in [
-            (PacketPriority::Control, true),
-            (PacketPriority::Data, false),
-            (PacketPriority::Bulk, false),
-        ] {
+        for (class, expected) in [(PacketPriority::Control, true), (PacketPriority::Data, false)] {
             let copy =
                 Payload::Copy { copy: 1, relays: vec![NodeId(3)], segment: Bytes::new().into() };
             for payload in [Payload::Segment(Bytes::new().into()), copy] {

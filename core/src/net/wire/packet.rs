@@ -5,7 +5,7 @@
 //! ┌──────────┬───────────────┬───────────────┬──────────────────────┐
 //! │ cc k hops│ destination   │ source        │ segment, or a return │
 //! └──────────┴───────────────┴───────────────┴──────────────────────┘
-//!   cc   class: 0 control, 1 data, 2 bulk; 3 for what says its class itself: copies, and what was passed on
+//!   cc   class: 0 control, 1 data; 3 for what says its class itself: copies, and what was passed on
 //!   k    0 a segment for the destination's session, 1 a packet's return to its source;
 //!        with cc 3: 0 a copy, 1 passed on
 //!   hops how many more nodes may pass it on, 0 to 31
@@ -58,8 +58,6 @@ pub enum PacketPriority {
     Control,
     /// What its objects say to each other.
     Data,
-    /// What may wait: recordings, pictures.
-    Bulk,
 }
 
 /// One packet.
@@ -216,7 +214,7 @@ impl Packet {
     }
 }
 
-/// Whether the first bytes of a packet say that it is of the class [`Control`](Class::Control).
+/// Whether the first bytes of a packet say that it is of the class [`Control`](PacketPriority::Control).
 pub(crate) fn is_control(packet: &[u8]) -> bool {
     let class = match packet.first() {
         Some(first) if first & COPY == COPY => packet.get(PACKET_HEADER),
@@ -247,7 +245,6 @@ fn read_class(first: u8) -> Result<PacketPriority, WireError> {
     match first >> 6 {
         0 => Ok(PacketPriority::Control),
         1 => Ok(PacketPriority::Data),
-        2 => Ok(PacketPriority::Bulk),
         _ => Err(WireError::Malformed { what: "a packet's class" }),
     }
 }

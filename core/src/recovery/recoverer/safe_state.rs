@@ -5,7 +5,7 @@ use crate::{Fault, FaultKind, Instant};
 
 /// Why faults of objects are not treated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Standstill {
+pub(super) enum TreatmentStop {
     /// The node is in the safe state.
     SafeState,
     /// The node stops.
@@ -17,17 +17,17 @@ impl Recoverer {
     /// recovery that is in progress is given up, and faults that follow are too. Links and other
     /// nodes go on being treated.
     pub fn handle_rest(&mut self, now: Instant) {
-        self.stand_still(Standstill::SafeState, now);
+        self.stop_treatment(TreatmentStop::SafeState, now);
     }
 
     /// The node stops: from now on faults of its objects are recorded and not treated, as in the
     /// safe state.
     pub fn handle_node_end(&mut self, now: Instant) {
-        self.stand_still(Standstill::NodeEnds, now);
+        self.stop_treatment(TreatmentStop::NodeEnds, now);
     }
 
-    fn stand_still(&mut self, standstill: Standstill, now: Instant) {
-        self.standstill = Some(standstill);
+    fn stop_treatment(&mut self, treatment_stop: TreatmentStop, now: Instant) {
+        self.treatment_stop = Some(treatment_stop);
         let rests = |location: &&FaultLocation| matches!(location, FaultLocation::Object(_));
         let locations: Vec<FaultLocation> = self.cases.keys().filter(rests).cloned().collect();
         for location in locations {
@@ -35,7 +35,7 @@ impl Recoverer {
             for fault in &self.close(&location, now) {
                 self.give_up_hung(fault);
                 if !given_up {
-                    self.tell_rest(fault, standstill);
+                    self.report_untreated(fault, treatment_stop);
                 }
             }
         }
@@ -43,26 +43,26 @@ impl Recoverer {
 
     /// The node is at work again.
     pub fn handle_work(&mut self) {
-        self.standstill = None;
+        self.treatment_stop = None;
     }
 
     /// A fault of an object that is found now.
-    pub(super) fn leave_untreated(&mut self, fault: &Fault, standstill: Standstill) {
+    pub(super) fn leave_untreated(&mut self, fault: &Fault, treatment_stop: TreatmentStop) {
         self.give_up_hung(fault);
-        self.tell_rest(fault, standstill);
+        self.report_untreated(fault, treatment_stop);
     }
 
     /// Incarnations are stopped one after the other: each that hangs would take all of its time.
     fn give_up_hung(&mut self, fault: &Fault) {
         if fault.kind == FaultKind::Hang {
-            self.outputs.push_back(RecovererOutput::GiveUpLife { fault: fault.clone() });
+            self.outputs.push_back(RecovererOutput::AbandonIncarnation { fault: fault.clone() });
         }
     }
 
-    fn tell_rest(&mut self, fault: &Fault, standstill: Standstill) {
-        let reason = match standstill {
-            Standstill::SafeState => "the node is in the safe state, where nothing is restarted",
-            Standstill::NodeEnds => "the node ends, and restarts nothing",
+    fn report_untreated(&mut self, fault: &Fault, treatment_stop: TreatmentStop) {
+        let reason = match treatment_stop {
+            TreatmentStop::SafeState => "the node is in the safe state, where nothing is restarted",
+            TreatmentStop::NodeEnds => "the node ends, and restarts nothing",
         };
         self.tell(fault, FaultResolution::GaveUp { reason: reason.to_owned() });
     }

@@ -87,7 +87,7 @@ impl Rig {
                     FaultResolution::RootSettled => format!("{id} may pass"),
                 },
                 RecovererOutput::Release { action } => format!("release {action}"),
-                RecovererOutput::GiveUpLife { fault } => {
+                RecovererOutput::AbandonIncarnation { fault } => {
                     format!("give up {} {}", fault.location, fault.incarnation)
                 }
                 RecovererOutput::LastResort { fault, reason } => {

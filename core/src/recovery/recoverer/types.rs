@@ -111,7 +111,7 @@ pub enum RecovererOutput {
     /// The node is in the safe state, or ends, and this incarnation keeps its thread, or stands
     /// still behind the one that does: have it given up, so that no component that stops waits for
     /// it.
-    GiveUpLife {
+    AbandonIncarnation {
         /// Its hang.
         fault: Fault,
     },

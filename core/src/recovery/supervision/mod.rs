@@ -205,7 +205,7 @@ impl Supervisor {
             self.phase = Phase::Leaving;
             self.withdraw_all();
             let living: Vec<ChildKey> = self.living().collect();
-            self.foretell(living);
+            self.announce_stops(living);
         }
     }
 
@@ -310,7 +310,7 @@ impl Supervisor {
         let child = self.kept(key);
         let (name, due) = (child.name.clone(), now + child.rules.ready_within);
         if child.state != ChildPhase::Running || self.going.contains(&key) {
-            return self.answer_gave_up(call, name, GiveUpReason::NoLife);
+            return self.answer_gave_up(call, name, GiveUpReason::NoIncarnation);
         }
         self.set_state(key, ChildPhase::Resetting { due, call });
         self.outputs.push_back(SupervisorOutput::Reset { child: name });

@@ -223,12 +223,12 @@ impl Supervisor {
         let retire = |child| SupervisorOutput::Retire { child };
         self.outputs.extend(finished.into_iter().map(retire));
         self.going.extend(going.iter().copied());
-        self.foretell(going);
+        self.announce_stops(going);
     }
 
     /// These are going to be stopped, each when those behind it have ended: until then a supervisor
     /// among them begins nothing that would have to be stopped again.
-    pub(super) fn foretell(&mut self, going: Vec<ChildKey>) {
+    pub(super) fn announce_stops(&mut self, going: Vec<ChildKey>) {
         let children = going.into_iter().map(|key| &self.children[&key]);
         let supervisors = children.filter(|child| child.rules.supervises);
         let expectations =
@@ -426,7 +426,7 @@ impl Supervisor {
         let (timed, name) = (child.due().is_some(), child.name.clone());
         if let (ChildPhase::Resetting { call, .. }, false) = (before, state == ChildPhase::Running)
         {
-            self.answer_gave_up(call, name, GiveUpReason::NoLife);
+            self.answer_gave_up(call, name, GiveUpReason::NoIncarnation);
         }
         if timed {
             self.timed.insert(key);
@@ -477,7 +477,7 @@ impl Supervisor {
         self.withdraw_all();
         self.budget.settle();
         self.going = self.living().collect();
-        self.foretell(self.going.iter().copied().collect());
+        self.announce_stops(self.going.iter().copied().collect());
         for child in self.children.values_mut() {
             child.failed = None;
         }

@@ -75,7 +75,7 @@ impl Rig {
                     format!("start {child} {incarnation}")
                 }
                 SupervisorOutput::Stop { child, .. } => format!("stop {child}"),
-                SupervisorOutput::ExpectEnd { child } => format!("foretell {child}"),
+                SupervisorOutput::ExpectEnd { child } => format!("announce_stops {child}"),
                 SupervisorOutput::Abandon { child } => format!("abandon {child}"),
                 SupervisorOutput::Reset { child } => format!("reset {child}"),
                 SupervisorOutput::Isolate { child, isolated: true } => format!("isolate {child}"),

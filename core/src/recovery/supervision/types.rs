@@ -32,7 +32,7 @@ pub enum GiveUpReason {
     },
     /// A reset needs an incarnation at work, and there is none.
     #[error("it has no incarnation that could be reset")]
-    NoLife,
+    NoIncarnation,
     /// The child did not answer in time.
     #[error("it did not answer within {limit:?}")]
     Overdue {

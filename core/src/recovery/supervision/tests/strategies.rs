@@ -235,7 +235,7 @@ fn a_supervisor_of_a_group_is_told_beforehand_that_the_group_restarts() {
     }
 
     let stuck = rig.restart("a", ReplacementCause::Stuck, 1);
-    assert_eq!(stuck, ["abandon a", "foretell sub", "stop c"]);
+    assert_eq!(stuck, ["abandon a", "announce_stops sub", "stop c"]);
     assert_eq!(rig.stopped("c", 1), ["stop sub"]);
     assert_eq!(rig.stopped("sub", 1), ["start a #2"]);
 }
