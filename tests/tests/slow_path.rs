@@ -10,7 +10,7 @@
 #![allow(clippy::print_stderr, reason = "a trial shows what it has measured")]
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Blob, Network};
+use blastema::{ActuatorSpec, Blob, Network, ServiceSpec, StandbyKind, Stateful};
 use blastema_tests::{RobotKeys, free_addresses};
 use std::collections::VecDeque;
 use std::io::{self, Read, Write};
@@ -386,4 +386,123 @@ fn a_slow_wire_is_filled_with_images_of_which_the_newest_counts_and_nothing_wait
 #[test]
 fn a_slow_wire_over_tcp_is_filled_and_nothing_waits_for_what_is_large() {
     beside_images(Film::Whole, Network::tcp, SlowWire::tcp);
+}
+
+#[derive(Clone, Debug, Request)]
+#[contract(name = "slow/paint", reply = u64)]
+struct Paint(u8);
+
+/// A map that each request paints anew.
+struct Atlas {
+    colour: u8,
+    painted: u64,
+}
+
+impl Component for Atlas {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Paint>();
+    }
+}
+
+impl Handle<Paint> for Atlas {
+    async fn handle(&mut self, Paint(colour): Paint, _: &mut Context<Self>) -> u64 {
+        self.colour = colour;
+        self.painted += 1;
+        self.painted
+    }
+}
+
+impl Stateful for Atlas {
+    fn save(&self) -> Vec<u8> {
+        let mut state = vec![self.colour; IMAGE];
+        state.extend(self.painted.to_le_bytes());
+        state
+    }
+
+    fn load(&mut self, state: &[u8]) -> Result<(), Failure> {
+        let (map, painted) = state.split_at(IMAGE);
+        self.colour = map[0];
+        self.painted = u64::from_le_bytes(painted.try_into().map_err(|_| Failure::from("no sum"))?);
+        Ok(())
+    }
+}
+
+/// A service replicates a state that takes the wire a third of a second, again and again: it keeps
+/// its primary, and commands keep their leases.
+fn beside_the_state_of_a_service(
+    medium: fn(&'static str, SocketAddr) -> Network,
+    wire: fn([SocketAddr; 2]) -> SlowWire,
+) {
+    blastema::run(async {
+        let [robot_at, desk_at]: [SocketAddr; 2] = free_addresses(2).try_into().expect("two");
+        let wire = wire([robot_at, desk_at]);
+        let folder = tempfile::tempdir().expect("a folder");
+        let keys = RobotKeys::new(folder.path(), &["robot", "desk"], 1);
+        let atlas = || {
+            let begin = || Atlas { colour: 0, painted: 0 };
+            // What replicas say goes in order: a lease has to outlast the state on its way.
+            let atlas = ServiceSpec::new("atlas", ["robot", "desk"], begin);
+            atlas.standby(StandbyKind::Warm).hello_every(300 * MS)
+        };
+        let robot = Node::builder("robot")
+            .keys(keys.of("robot"))
+            .network(medium("net0", robot_at).peer("desk", &wire.ends[0].to_string()))
+            .child(ChildSpec::new("wheels", || Wheels))
+            .service(atlas())
+            .start()
+            .await
+            .expect("it starts");
+        let desk = Node::builder("desk")
+            .keys(keys.of("desk"))
+            .network(medium("net0", desk_at).peer("robot", &wire.ends[1].to_string()))
+            .child(ChildSpec::new("levers", || Wheels))
+            .service(atlas())
+            .start()
+            .await
+            .expect("it starts");
+        assert!(desk.connected("robot", PATIENCE).await && robot.connected("desk", PATIENCE).await);
+
+        let ends = Instant::now() + LASTS;
+        let paint = async {
+            let atlas = desk.service::<Paint>("atlas").expect("a name");
+            let mut painted = 0;
+            while Instant::now() < ends {
+                let asked = atlas.ask_within(Paint(painted as u8 + 1), PATIENCE).await;
+                painted += 1;
+                assert_eq!(asked.ok(), Some(painted));
+            }
+            painted
+        };
+        let drive = async |node: &Node, wheels: &str| {
+            let stick = node.commander::<Drive>(wheels, "stick").expect("a name");
+            stick.claim().await.expect("the wheels are free");
+            let (mut driven, mut longest) = (0, Duration::ZERO);
+            while Instant::now() < ends {
+                let asked = Instant::now();
+                stick.command(Drive(1.0)).await.expect("commands pass what is large");
+                longest = longest.max(asked.elapsed());
+                driven += 1;
+                tokio::time::sleep(20 * MS).await;
+            }
+            (driven, longest)
+        };
+        let (painted, there, back) =
+            tokio::join!(paint, drive(&desk, "robot:wheels"), drive(&robot, "desk:levers"));
+
+        let totals = format!("{painted} states, commands {there:?} and {back:?}");
+        eprintln!("{totals}");
+        for node in [&robot, &desk] {
+            let faults = node.faults().await.entries;
+            assert!(faults.is_empty(), "nothing is wrong on {}: {faults:?}", node.name());
+        }
+        assert!(painted > 5 && there.0 > 20 && back.0 > 20, "all went on: {totals}");
+        robot.shutdown().await;
+        desk.shutdown().await;
+    });
+}
+
+#[test]
+fn a_service_keeps_its_primary_while_its_state_fills_a_slow_wire() {
+    beside_the_state_of_a_service(Network::udp, SlowWire::udp);
+    beside_the_state_of_a_service(Network::tcp, SlowWire::tcp);
 }

@@ -35,6 +35,8 @@ const PARTS_OF_A_WINDOW: usize = 8;
 /// The queueing delay is the least of so many samples (RFC 6817, CURRENT_FILTER): a thread that was
 /// late once is no queue.
 const SAMPLES: usize = 4;
+/// The delays of a lane that was not used for so long say nothing of the present.
+const LANE_MAX_AGE: Duration = Duration::from_millis(500);
 /// A base delay that was not met for so long may be another one now: it is measured again with
 /// empty queues (BBR, ProbeRTT).
 const BASE_MAX_AGE: Duration = Duration::from_secs(10);
@@ -57,7 +59,8 @@ pub(super) struct CongestionControl {
     /// The shortest delay on this path, and when one was about as short. Delays are one way, from a
     /// clock to another: what stands in queues on the way back does not count.
     base: Option<(DelayTicks, Instant)>,
-    recent: VecDeque<DelayTicks>,
+    /// The latest delays of each lane, and when the last of them was told.
+    recent: [(VecDeque<DelayTicks>, Instant); 2],
     /// The base delay is measured again until then.
     probing_until: Option<Instant>,
     /// When the window was reduced last: what was sent before that is no further sign.
@@ -73,8 +76,16 @@ pub(super) struct DelaySample {
     /// From the sender's clock to the receiver's, whose offset is not known.
     pub(super) delay: DelayTicks,
     pub(super) round_trip: Duration,
-    /// It was a part of data.
-    pub(super) is_data: bool,
+    pub(super) lane: DelayLane,
+}
+
+/// Which frames a part stands in queues with: those of one lane overtake those of the other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum DelayLane {
+    /// Control.
+    Urgent,
+    /// Everything else.
+    Usual,
 }
 
 /// What an acknowledgement told.
@@ -102,7 +113,7 @@ impl CongestionControl {
             window: INITIAL * PART,
             is_slow_start: true,
             base: None,
-            recent: VecDeque::with_capacity(SAMPLES),
+            recent: [(); 2].map(|()| (VecDeque::with_capacity(SAMPLES), Instant::ORIGIN)),
             probing_until: None,
             reduced_at: Instant::ORIGIN,
             carried_at: Instant::ORIGIN,
@@ -114,7 +125,7 @@ impl CongestionControl {
     pub(super) fn enter_path(&mut self, mtu: usize, is_narrow: bool) {
         (self.is_narrow, self.part) = (is_narrow, mtu.min(PART));
         (self.base, self.probing_until) = (None, None);
-        self.recent.clear();
+        self.recent.iter_mut().for_each(|(recent, _)| recent.clear());
         // What the path before carried says nothing of this one, which may be a radio in the place
         // of a cable (RFC 9000, 9.4).
         (self.window, self.is_slow_start) = (self.initial(), true);
@@ -157,22 +168,29 @@ impl CongestionControl {
         load >= self.window()
     }
 
-    /// How long what is sent waits in queues, as far as is known.
+    /// How long what is sent waits in queues, as far as is known: in those of the slower lane.
     pub(super) fn queueing(&self) -> Option<Duration> {
         let (base, _) = self.base?;
-        self.recent.iter().map(|delay| delay.since(base)).min()
+        let least = |(recent, _): &(VecDeque<DelayTicks>, Instant)| {
+            recent.iter().map(|delay| delay.since(base)).min()
+        };
+        self.recent.iter().filter_map(least).max()
     }
 
     /// It was told when a part arrived that was sent once.
     pub(super) fn handle_delay(&mut self, sample: DelaySample, now: Instant) {
-        let DelaySample { delay, round_trip, is_data } = sample;
-        // Control may have passed what stands in queues.
-        if is_data {
-            if self.recent.len() == SAMPLES {
-                self.recent.pop_front();
+        let DelaySample { delay, round_trip, lane } = sample;
+        for (recent, told) in &mut self.recent {
+            if now - *told > LANE_MAX_AGE {
+                recent.clear();
             }
-            self.recent.push_back(delay);
         }
+        let (recent, told) = &mut self.recent[lane as usize];
+        if recent.len() == SAMPLES {
+            recent.pop_front();
+        }
+        recent.push_back(delay);
+        *told = now;
         if let Some(until) = self.probing_until {
             // This one was sent after the queue had emptied.
             if now >= until {
@@ -283,6 +301,7 @@ mod tests {
         flying: VecDeque<(Instant, Instant, Instant)>,
         free_at: Instant,
         round_trip: Option<Duration>,
+        lane: DelayLane,
     }
 
     impl Path {
@@ -298,6 +317,7 @@ mod tests {
                 flying: VecDeque::new(),
                 free_at: now,
                 round_trip: None,
+                lane: DelayLane::Usual,
             }
         }
 
@@ -320,7 +340,7 @@ mod tests {
                     // The receiver's clock is ahead by minutes.
                     let arrived = DelayTicks::of(left + self.base / 2 + Duration::from_secs(1000));
                     let delay = arrived - DelayTicks::of(sent);
-                    let sample = DelaySample { delay, round_trip: trip, is_data: true };
+                    let sample = DelaySample { delay, round_trip: trip, lane: self.lane };
                     self.control.handle_delay(sample, self.now);
                     self.round_trip = Some(trip);
                     let signal = CongestionSignal {
@@ -360,6 +380,29 @@ mod tests {
             let most = rate * 30_000;
             assert!(arrived * 10 > most * 8, "{arrived} of {most} at {base:?}");
         }
+    }
+
+    #[test]
+    fn what_is_control_alone_fills_no_queue_either() {
+        let mut path = Path { lane: DelayLane::Urgent, ..Path::new(1_000, 2 * MS) };
+        path.run(Duration::from_secs(5));
+        let (longest, _, arrived) = path.run(Duration::from_secs(5));
+        assert!(longest < 3 * TARGET && arrived > 4_000_000, "{longest:?}, {arrived}");
+    }
+
+    #[test]
+    fn control_that_has_passed_a_queue_hides_it_not_and_an_old_delay_counts_no_more() {
+        let mut control = CongestionControl::new(1 << 20);
+        let now = Instant::ORIGIN + Duration::from_secs(1);
+        let mut told = |lane, delay: Duration, after: Duration| {
+            let delay = DelayTicks::of(Instant::ORIGIN + delay);
+            control.handle_delay(DelaySample { delay, round_trip: MS, lane }, now + after);
+            control.queueing()
+        };
+        told(DelayLane::Urgent, 5 * MS, Duration::ZERO);
+        told(DelayLane::Usual, 45 * MS, MS);
+        assert_eq!(told(DelayLane::Urgent, 5 * MS, 2 * MS), Some(40 * MS));
+        assert_eq!(told(DelayLane::Urgent, 6 * MS, 600 * MS), Some(MS));
     }
 
     #[test]

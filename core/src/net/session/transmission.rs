@@ -1,7 +1,7 @@
 //! What a session sends when, and what acknowledgements tell it.
 
 use super::best_effort::DatagramProgress;
-use super::congestion::{CongestionControl, CongestionSignal, DelaySample};
+use super::congestion::{CongestionControl, CongestionSignal, DelayLane, DelaySample};
 use super::outbound::{Chunk, SentPart};
 use super::reassembly::pieces_of;
 use super::round_trip::RttEstimator;
@@ -290,10 +290,10 @@ impl Session {
             }
             // Copies take every path.
             if stream != TrafficClass::Redundant {
-                let is_data = stream.is_weighted();
+                let lane = if stream.is_weighted() { DelayLane::Usual } else { DelayLane::Urgent };
                 let delay = ack.arrived - DelayTicks::of(sent);
                 if !again {
-                    let sample = DelaySample { delay, round_trip, is_data };
+                    let sample = DelaySample { delay, round_trip, lane };
                     self.congestion.handle_delay(sample, self.now);
                 }
                 let arrived = (progress.parts, progress.bytes);
@@ -318,7 +318,7 @@ impl Session {
         let round_trip = self.now - sent;
         self.rtt[TrafficClass::Event as usize].measure(round_trip);
         let delay = ack.arrived - DelayTicks::of(sent);
-        let sample = DelaySample { delay, round_trip, is_data: true };
+        let sample = DelaySample { delay, round_trip, lane: DelayLane::Usual };
         self.congestion.handle_delay(sample, self.now);
         let signal = CongestionSignal { arrived, was_full, has_lost, is_measured: true, sent };
         self.congestion.handle_arrived(signal, self.now);
