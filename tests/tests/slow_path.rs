@@ -262,6 +262,13 @@ enum Film {
     Live,
 }
 
+/// How many nodes pass on what the two say, before the slow wire.
+#[derive(Clone, Copy)]
+enum Relays {
+    None,
+    One,
+}
+
 fn pixels() -> Blob {
     vec![7; IMAGE].into()
 }
@@ -269,19 +276,40 @@ fn pixels() -> Blob {
 /// Sends images one way and, as fast as they are taken, maps the other, and commands beside them.
 fn beside_images(
     film: Film,
+    relays: Relays,
     medium: fn(&'static str, SocketAddr) -> Network,
     wire: fn([SocketAddr; 2]) -> SlowWire,
 ) {
     blastema::run(async {
-        let [robot_at, desk_at]: [SocketAddr; 2] = free_addresses(2).try_into().expect("two");
+        let [robot_at, desk_at, fast_at, relay_at]: [SocketAddr; 4] =
+            free_addresses(4).try_into().expect("four");
         let wire = wire([robot_at, desk_at]);
         let folder = tempfile::tempdir().expect("a folder");
-        let keys = RobotKeys::new(folder.path(), &["robot", "desk"], 1);
+        let keys = RobotKeys::new(folder.path(), &["robot", "desk", "relay"], 1);
         let seen = Arc::new(Mutex::new(Vec::new()));
         let shown = seen.clone();
+        let near = medium("net0", robot_at).peer("desk", &wire.ends[0].to_string());
+        let far = medium("net0", desk_at);
+        let (near, far, relay) = match relays {
+            Relays::None => (near, far.peer("robot", &wire.ends[1].to_string()), None),
+            Relays::One => {
+                let fast = |name, at: SocketAddr, peer, to: SocketAddr| {
+                    medium(name, at).peer(peer, &to.to_string())
+                };
+                let relay = Node::builder("relay")
+                    .keys(keys.of("relay"))
+                    .network(fast("net1", relay_at, "robot", fast_at))
+                    .network(near)
+                    .start()
+                    .await
+                    .expect("it starts");
+                let robot = fast("net1", fast_at, "relay", relay_at);
+                (robot, far.peer("relay", &wire.ends[1].to_string()), Some(relay))
+            }
+        };
         let robot = Node::builder("robot")
             .keys(keys.of("robot"))
-            .network(medium("net0", robot_at).peer("desk", &wire.ends[0].to_string()))
+            .network(near)
             .child(ChildSpec::new("wheels", || Wheels))
             .child(ChildSpec::new("screen", || Screen(Arc::default())))
             .start()
@@ -289,7 +317,7 @@ fn beside_images(
             .expect("it starts");
         let desk = Node::builder("desk")
             .keys(keys.of("desk"))
-            .network(medium("net0", desk_at).peer("robot", &wire.ends[1].to_string()))
+            .network(far)
             .child(ChildSpec::new("screen", move || Screen(shown.clone())))
             .start()
             .await
@@ -353,7 +381,7 @@ fn beside_images(
             Film::Whole => assert_eq!(seen, (0..taken).collect::<Vec<_>>()),
             Film::Live => assert!(seen.is_sorted(), "{seen:?}"),
         }
-        for node in [&robot, &desk] {
+        for node in [&robot, &desk].into_iter().chain(&relay) {
             let faults = node.faults().await.entries;
             assert!(faults.is_empty(), "nothing is wrong on {}: {faults:?}", node.name());
             assert_eq!(node.dead_letters().counts(), []);
@@ -367,25 +395,32 @@ fn beside_images(
         assert!(seen.len() > 10 && shown > 5 && driven > 20, "all went on: {totals}");
         assert!(carried.iter().zip(payload).all(|(all, of)| all * 10 < of * 11), "{totals}");
         assert!(wire.fifos.iter().all(|fifo| fifo.dropped.load(Relaxed) == 0));
-        robot.shutdown().await;
-        desk.shutdown().await;
+        for node in [robot, desk].into_iter().chain(relay) {
+            node.shutdown().await;
+        }
     });
 }
 
 #[test]
 fn a_slow_wire_over_udp_is_filled_and_nothing_waits_for_what_is_large() {
-    beside_images(Film::Whole, Network::udp, SlowWire::udp);
+    beside_images(Film::Whole, Relays::None, Network::udp, SlowWire::udp);
 }
 
 #[test]
 fn a_slow_wire_is_filled_with_images_of_which_the_newest_counts_and_nothing_waits_for_them() {
-    beside_images(Film::Live, Network::udp, SlowWire::udp);
-    beside_images(Film::Live, Network::tcp, SlowWire::tcp);
+    beside_images(Film::Live, Relays::None, Network::udp, SlowWire::udp);
+    beside_images(Film::Live, Relays::None, Network::tcp, SlowWire::tcp);
 }
 
 #[test]
 fn a_slow_wire_over_tcp_is_filled_and_nothing_waits_for_what_is_large() {
-    beside_images(Film::Whole, Network::tcp, SlowWire::tcp);
+    beside_images(Film::Whole, Relays::None, Network::tcp, SlowWire::tcp);
+}
+
+#[test]
+fn a_slow_wire_behind_a_relay_is_filled_and_nothing_waits_for_what_is_large() {
+    beside_images(Film::Whole, Relays::One, Network::udp, SlowWire::udp);
+    beside_images(Film::Whole, Relays::One, Network::tcp, SlowWire::tcp);
 }
 
 #[derive(Clone, Debug, Request)]
