@@ -342,8 +342,9 @@ fn beside_images(
             }
             taken
         };
-        let maps = async {
-            let screen = desk.sender::<Map>("robot:screen").expect("a name");
+        let maps = async |from: Option<&Node>, to: &str| {
+            let Some(from) = from else { return 0 };
+            let screen = from.sender::<Map>(to).expect("a name");
             let mut shown = 0;
             while Instant::now() < ends {
                 let asked = screen.ask_within(Map(pixels()), PATIENCE).await;
@@ -367,7 +368,13 @@ fn beside_images(
             }
             (driven, longest)
         };
-        let (taken, shown, (driven, longest)) = tokio::join!(camera, maps, drive);
+        // A relay has maps of its own, in another session over the same wire.
+        let (taken, shown, beside, (driven, longest)) = tokio::join!(
+            camera,
+            maps(Some(&desk), "robot:screen"),
+            maps(relay.as_ref(), "desk:screen"),
+            drive
+        );
 
         let newest = || seen.lock().expect("nothing panics").last().copied();
         let all_seen = async {
@@ -388,11 +395,13 @@ fn beside_images(
         }
         // What was repeated in vain would be here as well.
         let carried = wire.fifos.each_ref().map(|fifo| fifo.carried.load(Relaxed));
-        let payload = [seen.len() as u64, shown].map(|count| count * IMAGE as u64);
-        let totals =
-            format!("{carried:?} for {payload:?}, {driven} commands, the longest {longest:?}");
+        let payload = [seen.len() as u64 + beside, shown].map(|count| count * IMAGE as u64);
+        let totals = format!(
+            "{carried:?} for {payload:?}, {beside} of them beside, {driven} commands, the longest {longest:?}"
+        );
         eprintln!("{totals}");
         assert!(seen.len() > 10 && shown > 5 && driven > 20, "all went on: {totals}");
+        assert!(relay.is_none() || beside > 3, "each session has its share: {totals}");
         assert!(carried.iter().zip(payload).all(|(all, of)| all * 10 < of * 11), "{totals}");
         assert!(wire.fifos.iter().all(|fifo| fifo.dropped.load(Relaxed) == 0));
         for node in [robot, desk].into_iter().chain(relay) {
