@@ -28,7 +28,7 @@ pub(crate) struct AccessControl {
 }
 
 /// Where a message comes from: an object of this node, or another node.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct MessageOrigin {
     #[cfg(feature = "network")]
     pub(crate) peer: Option<NodeId>,

@@ -10,12 +10,17 @@
 //! that asks belongs to the watcher's incarnation and ends with it. The object's node counts the
 //! ends of each watched object, so that none between two questions is missed. That the object's
 //! node is lost is seen by the session, which resolves the request.
+//!
+//! A node has at most as many questions waiting as it leaves free (a dynamic threshold, Choudhury
+//! and Hahne 1998): one alone half of the capacity, two a third each. However many a node asks,
+//! others find capacity. What goes beyond is refused, counted by node, and logged.
 
 use crate::messaging::death_watch::{Down, DownReason, Watcher};
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
 use crate::platform;
+use crate::registry::access::MessageOrigin;
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry, WeakRegistry};
 use blastema_core::sorted::SortedMap;
@@ -24,6 +29,7 @@ use blastema_macros::{Request, Structure};
 use std::future::Future;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+use tracing::warn;
 
 /// Under which name nodes ask each other. It is no object that others can see.
 const OBJECT: &str = "net/deaths";
@@ -34,6 +40,8 @@ const WATCH_TIMEOUT: Duration = Duration::from_secs(30);
 const RETRY_DELAY: Duration = Duration::from_secs(1);
 /// Questions that may wait at one node: as many as a large robot has watches to it.
 const WAITING_MAX: usize = 4096;
+/// Nodes of which refused questions are counted: as many as there are sessions with.
+const REFUSED_MAX: usize = 512;
 /// The most bytes of a panic's text that go to another node.
 const TEXT_MAX: usize = 4096;
 
@@ -140,8 +148,10 @@ async fn ask_on(
 
 /// Answers other nodes that watch objects of this one.
 pub(crate) fn serve(registry: &Registry) {
-    let service_fn = DeathWatchService { registry: registry.downgrade(), objects: Arc::default() };
-    let serve = move |AwaitEnd { object, seen }, _, answer| service_fn.serve(object, seen, answer);
+    let service_fn = DeathWatchService::new(registry);
+    let serve = move |AwaitEnd { object, seen }, by, answer| {
+        service_fn.serve(object, seen, Waiting { by, answer });
+    };
     let object = ObjectName::new(OBJECT).expect("a name of letters");
     registry.register_hidden(
         object,
@@ -154,6 +164,8 @@ pub(crate) fn serve(registry: &Registry) {
 struct DeathWatchService {
     registry: WeakRegistry,
     objects: Arc<Mutex<SortedMap<ObjectName, Counted>>>,
+    /// How many questions of each node were refused.
+    refused: Arc<Mutex<SortedMap<MessageOrigin, u64>>>,
 }
 
 /// One object. There are as many as the node has or had objects that others watched.
@@ -161,46 +173,72 @@ struct DeathWatchService {
 struct Counted {
     ends: u64,
     last: Option<LastEnd>,
-    waiting: Vec<Responder<AwaitEnd>>,
+    waiting: Vec<Waiting>,
+}
+
+/// One question that waits for its answer.
+struct Waiting {
+    by: MessageOrigin,
+    answer: Responder<AwaitEnd>,
 }
 
 impl DeathWatchService {
+    fn new(registry: &Registry) -> Self {
+        let (objects, refused) = (Arc::default(), Arc::default());
+        DeathWatchService { registry: registry.downgrade(), objects, refused }
+    }
+
     fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, Counted>> {
         self.objects.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn serve(&self, object: ObjectName, seen: Option<u64>, answer: Responder<AwaitEnd>) {
+    fn serve(&self, object: ObjectName, seen: Option<u64>, question: Waiting) {
         let absent = self.watch(&object);
         let mut objects = self.lock();
-        let waiting: usize = objects
-            .values_mut()
-            .map(|counted| {
-                counted.waiting.retain(Responder::is_wanted);
-                counted.waiting.len()
-            })
-            .sum();
+        let (mut waiting, mut of_asker) = (0, 0);
+        for counted in objects.values_mut() {
+            counted.waiting.retain(|waiting| waiting.answer.is_wanted());
+            waiting += counted.waiting.len();
+            of_asker += counted.waiting.iter().filter(|other| other.by == question.by).count();
+        }
         if absent.as_ref().is_some_and(|absent| absent.ending == DownReason::Unknown) {
             let counted = objects.remove(&object).unwrap_or_default();
             drop(objects);
             let watched = Watched { ends: counted.ends, ended: absent };
-            let all = counted.waiting.into_iter().chain([answer]);
-            return all.for_each(|answer| answer.give(watched.clone()));
+            let all = counted.waiting.into_iter().chain([question]);
+            return all.for_each(|waiting| waiting.answer.give(watched.clone()));
         }
         let counted = objects.entry(object).or_default();
         let ended = match seen {
-            Some(seen) if seen == counted.ends && waiting < WAITING_MAX => {
-                return counted.waiting.push(answer);
+            Some(seen) if seen == counted.ends && of_asker < WAITING_MAX - waiting => {
+                return counted.waiting.push(question);
             }
             Some(seen) if seen == counted.ends => {
                 drop(objects);
-                return answer.refuse(DeliveryError::Full, None);
+                self.count_refused(question.by, of_asker);
+                return question.answer.refuse(DeliveryError::Full, None);
             }
             Some(_) => counted.last.clone(),
             None => absent,
         };
         let watched = Watched { ends: counted.ends, ended };
         drop(objects);
-        answer.give(watched);
+        question.answer.give(watched);
+    }
+
+    /// A question was refused. It is logged whenever the number of them has doubled.
+    fn count_refused(&self, by: MessageOrigin, waiting: usize) {
+        let mut refused = self.refused.lock().unwrap_or_else(PoisonError::into_inner);
+        if refused.len() >= REFUSED_MAX && !refused.contains_key(&by) {
+            return;
+        }
+        let times = refused.entry(by).or_default();
+        *times = times.saturating_add(1);
+        let times = *times;
+        drop(refused);
+        if let (true, Some(node)) = (times.is_power_of_two(), by.peer) {
+            warn!(%node, waiting, times, "refused: the node watches as many objects as it may");
+        }
     }
 
     /// Watches the object, unless it is watched already; says why it does not live now, if so.
@@ -230,6 +268,59 @@ impl DeathWatchService {
         counted.last.clone_from(&ended);
         let (ends, waiting) = (counted.ends, std::mem::take(&mut counted.waiting));
         drop(objects);
-        waiting.into_iter().for_each(|answer| answer.give(Watched { ends, ended: ended.clone() }));
+        let watched = Watched { ends, ended };
+        waiting.into_iter().for_each(|waiting| waiting.answer.give(watched.clone()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messaging::death_watch::Deaths;
+    use blastema_core::NodeName;
+    use blastema_core::net::NodeId;
+
+    /// A question whose answer is kept.
+    fn ask(
+        service: &DeathWatchService,
+        by: &str,
+    ) -> Arc<Mutex<Option<Result<Watched, DeliveryError>>>> {
+        let answered = Arc::new(Mutex::new(None));
+        let keep = answered.clone();
+        let answer = Responder::called_back(
+            Box::new(move |result| *keep.lock().unwrap() = Some(result)),
+            None,
+        );
+        let by = MessageOrigin { peer: Some(NodeId::of(&NodeName::new(by).unwrap())) };
+        let arm = ObjectName::new("arm").unwrap();
+        service.serve(arm, Some(0), Waiting { by, answer });
+        answered
+    }
+
+    /// How many questions of this node come to wait, of so many.
+    fn waiting(service: &DeathWatchService, by: &str, asked: usize) -> usize {
+        let refused = |result| matches!(result, Some(Err(DeliveryError::Full)));
+        let all: Vec<_> = (0..asked).map(|_| ask(service, by)).collect();
+        all.into_iter().filter(|answer| !refused(answer.lock().unwrap().clone())).count()
+    }
+
+    #[test]
+    fn a_node_that_watches_without_end_leaves_capacity_for_others() {
+        let (registry, deaths) = (Registry::default(), Deaths::default());
+        deaths.begin(&ObjectName::new("arm").unwrap(), Incarnation(1));
+        registry.watch_in(deaths.clone());
+        let service = DeathWatchService::new(&registry);
+
+        assert_eq!(waiting(&service, "greedy", 2 * WAITING_MAX), WAITING_MAX / 2);
+        assert_eq!(waiting(&service, "second", 2 * WAITING_MAX), WAITING_MAX / 4);
+        assert_eq!(waiting(&service, "honest", 100), 100);
+
+        let refused: Vec<_> = service.refused.lock().unwrap().values().copied().collect();
+        assert_eq!(refused.iter().sum::<u64>(), (WAITING_MAX * 3 / 2 + WAITING_MAX * 7 / 4) as u64);
+        let answer = ask(&service, "honest");
+        deaths.end(&ObjectName::new("arm").unwrap(), DownReason::Stopped);
+        let answer = answer.lock().unwrap().clone();
+        assert_eq!(answer.expect("it ends").expect("it is told").ends, 1);
+        assert_eq!(waiting(&service, "greedy", 1), 1, "its share is free again");
     }
 }

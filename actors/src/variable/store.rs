@@ -30,7 +30,16 @@ type Check = Arc<dyn Fn(&[u8]) -> Result<(), DeliveryError> + Send + Sync>;
 /// Told of each new value.
 type Observer = Arc<dyn Fn(&[u8]) + Send + Sync>;
 /// A caller that waits, and its reply.
-type PendingReply = (Responder<VariableRequest>, VariableReply);
+type PendingReply = (WaitingWatch, VariableReply);
+/// Says whether the caller may still have the value.
+type Permit = Box<dyn Fn() -> Result<(), DeliveryError> + Send>;
+
+/// A caller that waits for a change. Its right is checked again when there is one: another roster
+/// may have taken it away.
+struct WaitingWatch {
+    permit: Permit,
+    answer: Responder<VariableRequest>,
+}
 
 /// A variable as a component declares it, without its type.
 pub(crate) struct DeclaredVariable {
@@ -97,7 +106,7 @@ struct Facts {
 struct Inner {
     machine: Variables,
     facts: SortedMap<VariableKey, Facts>,
-    waiting: SortedMap<u64, Responder<VariableRequest>>,
+    waiting: SortedMap<u64, WaitingWatch>,
     next: u64,
     /// Values of an earlier process whose owner is not there yet, or not any more.
     kept: SortedMap<VariableKey, PersistedValue>,
@@ -270,7 +279,11 @@ impl VariableStore {
                 false => may(&rights, from, &access),
             };
             match permitted {
-                Ok(()) => store.serve(access, answer),
+                Ok(()) => {
+                    let (rights, asked) = (rights.clone(), access.clone());
+                    let permit = Box::new(move || may(&rights, from, &asked));
+                    store.serve(access, permit, answer);
+                }
                 Err(why) => answer.give(VariableReply::refused(&why)),
             }
         };
@@ -306,7 +319,7 @@ impl VariableStore {
         self.answer(inner);
     }
 
-    fn serve(&self, access: VariableRequest, answer: Responder<VariableRequest>) {
+    fn serve(&self, access: VariableRequest, permit: Permit, answer: Responder<VariableRequest>) {
         let now = platform::now();
         let accessed = match access {
             VariableRequest::Read { variable } => self.find(&variable).and_then(|(key, _)| {
@@ -314,7 +327,7 @@ impl VariableStore {
                 report.map(VariableReply::from).map_err(|why| VariableReply::refused(&why))
             }),
             VariableRequest::Watch { variable, after } => match self.find(&variable) {
-                Ok((key, _)) => return self.watch(key, after, answer),
+                Ok((key, _)) => return self.watch(key, after, WaitingWatch { permit, answer }),
                 Err(refused) => Err(refused),
             },
             VariableRequest::Write { writes } => match self.checked(writes) {
@@ -339,10 +352,10 @@ impl VariableStore {
         answer.give(accessed.unwrap_or_else(|refused| refused));
     }
 
-    fn watch(&self, variable: VariableKey, after: u64, answer: Responder<VariableRequest>) {
+    fn watch(&self, variable: VariableKey, after: u64, waiting: WaitingWatch) {
         let mut inner = self.lock();
         // Those whose incarnation has ended went without a word.
-        let gone = inner.waiting.iter().filter(|(_, answer)| !answer.is_wanted());
+        let gone = inner.waiting.iter().filter(|(_, waiting)| !waiting.answer.is_wanted());
         let gone: Vec<u64> = gone.map(|(watcher, _)| *watcher).collect();
         for watcher in gone {
             inner.waiting.remove(&watcher);
@@ -350,7 +363,7 @@ impl VariableStore {
         }
         inner.next += 1;
         let watcher = inner.next;
-        inner.waiting.insert(watcher, answer);
+        inner.waiting.insert(watcher, waiting);
         inner.machine.handle_watch(watcher, variable, after, platform::now());
         self.answer(inner);
     }
@@ -449,15 +462,100 @@ impl VariableStore {
     fn answer(&self, mut inner: MutexGuard<'_, Inner>) {
         let mut replies: Vec<PendingReply> = Vec::new();
         while let Some(WatchReport { watcher, result }) = inner.machine.poll_output() {
-            if let Some(answer) = inner.waiting.remove(&watcher) {
+            if let Some(waiting) = inner.waiting.remove(&watcher) {
                 let accessed = match result {
                     Ok(report) => VariableReply::from(report),
                     Err(why) => VariableReply::refused(&why),
                 };
-                replies.push((answer, accessed));
+                replies.push((waiting, accessed));
             }
         }
         drop(inner);
-        replies.into_iter().for_each(|(answer, accessed)| answer.give(accessed));
+        for (WaitingWatch { permit, answer }, accessed) in replies {
+            answer.give(permit().map_or_else(|why| VariableReply::refused(&why), |()| accessed));
+        }
+    }
+}
+
+#[cfg(all(test, feature = "network"))]
+mod tests {
+    use super::*;
+    use crate::registry::MessageMetadata;
+    use crate::variable::access::VariableReply;
+    use blastema_core::Contract;
+    use blastema_core::NodeName;
+    use blastema_core::net::NodeId;
+    use blastema_core::net::trust::access::AccessPolicy;
+    use blastema_core::net::trust::crypto::Seed;
+    use blastema_core::net::trust::policy::Role;
+    use blastema_core::net::trust::roster::{NodeRoster, RosterNode};
+
+    #[derive(Clone, Debug, PartialEq, blastema_macros::Variable)]
+    #[contract(crate = "crate")]
+    struct Limit(u32);
+
+    fn node(name: &str) -> NodeName {
+        NodeName::new(name).unwrap()
+    }
+
+    /// The rights at `base`, where these alone may read the limit.
+    fn only(readers: &str) -> AccessPolicy {
+        let listed = ["base", "arm"].iter().zip(1..).map(|(name, seed)| RosterNode {
+            name: node(name),
+            keys: Seed::new([seed; 32]).public_keys(),
+            role: Role::Node,
+        });
+        let roster = NodeRoster::new(node("ranger"), listed).unwrap();
+        let lines = format!("policy\nonly {readers} may read on base/wheels\nend");
+        let roster = NodeRoster::parse(&roster.to_text().replace("end", &lines)).unwrap();
+        AccessPolicy::new(node("base"), &roster)
+    }
+
+    #[test]
+    fn a_watch_that_waits_when_the_roster_closes_the_variable_gets_no_value_any_more() {
+        let (store, rights) = (VariableStore::default(), AccessControl::default());
+        let wheels = ObjectName::new("wheels").unwrap();
+        let limit = DeclaredVariable::new(&Limit(1), RestorePolicy::Restore, |_| Ok(()));
+        let port = store.declare(&wheels, vec![limit], || false, rights.clone()).unwrap();
+        let skeleton = port.into_skeleton();
+        let identity = ContractIdentity::of::<Limit>().brief().encode();
+        let variable = VariableSelector { object: wheels.clone(), identity };
+        let watch = |after| {
+            let answered = Arc::new(Mutex::new(None));
+            let keep = answered.clone();
+            let access = VariableRequest::Watch { variable: variable.clone(), after };
+            let mut bytes = Vec::new();
+            codec::encode(&access, &mut bytes).unwrap();
+            let from = Some(NodeId::of(&node("arm")));
+            let metadata = MessageMetadata { from, ..MessageMetadata::default() };
+            let reply_to = Box::new(move |reply| *keep.lock().unwrap() = Some(reply));
+            skeleton.deliver(&bytes.into(), metadata, Some(reply_to)).unwrap();
+            move || {
+                let reply: Option<Result<blastema_core::GatherBuffer, DeliveryError>> =
+                    answered.lock().unwrap().take();
+                let bytes = reply?.unwrap().into_bytes();
+                Some(codec::decode_reply::<VariableRequest>(&bytes).unwrap())
+            }
+        };
+        let write = |value| {
+            let variable = (wheels.clone(), Limit::NAME.to_owned());
+            let value = encoded(&Limit(value)).unwrap().into();
+            let mut inner = store.lock();
+            let write = ValueWrite { variable, value, if_revision: None };
+            inner.machine.handle_write(vec![write], platform::now()).unwrap();
+            store.answer(inner);
+        };
+        rights.replace(only("arm"));
+        let Some(VariableReply::Value { revision, .. }) = watch(0)() else { panic!("it may") };
+
+        let answer = watch(revision);
+        write(2);
+        let Some(VariableReply::Value { revision, .. }) = answer() else { panic!("it may") };
+
+        let answer = watch(revision);
+        rights.replace(only("base"));
+        write(3);
+        assert!(matches!(answer(), Some(VariableReply::Refused { .. })));
+        assert_eq!(rights.refusals().len(), 1);
     }
 }

@@ -4,7 +4,7 @@
 //! not count.
 
 use super::types::{ClaimRefused, GlobalNamesOutput};
-use super::{GlobalNames, NameClaim};
+use super::{EPOCH_OF_CLOCKS, EPOCH_STEP, GlobalNames, NameClaim};
 use crate::net::NodeId;
 use crate::net::trust::access::{AccessDenied, AccessPolicy};
 use crate::net::trust::policy::Verb;
@@ -38,7 +38,9 @@ impl GlobalNames {
     pub(super) fn believe(&mut self, node: &NodeName, name: &ObjectName, claim: NameClaim) {
         match self.may_claim(node, name) {
             Ok(()) => {
-                self.last_epoch = self.last_epoch.max(claim.epoch.unwrap_or_default());
+                let bound = self.last_epoch.max(EPOCH_OF_CLOCKS).saturating_add(EPOCH_STEP);
+                let epoch = claim.epoch.unwrap_or_default().min(bound);
+                self.last_epoch = self.last_epoch.max(epoch);
                 self.known.entry(name.clone()).or_default().insert(node.clone(), claim);
             }
             Err(denied) => {

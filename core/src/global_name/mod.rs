@@ -17,6 +17,20 @@
 //! by name. A node that has just started grants itself nothing until it has heard the others, so
 //! that it takes no name from its holder. That is enough for finding things. Where two at a time
 //! would do harm, use a service, which needs a majority.
+//!
+//! Epochs do not run out, whatever a claimant tells. It is believed to hold the name under the
+//! epoch that it tells, but how far that raises the epochs of others is bounded:
+//!
+//! ```text
+//!  up to 2^60    all the way: clocks reach it until the year 2527, so that any epoch below it may
+//!                be honest
+//!  above it      by 2^10 for each claim: honest nodes come there by single steps alone
+//!  from 2^62 on  refused
+//! ```
+//!
+//! A hostile claimant takes 3 * 2^50 claims to use them up: a thousand years at 100,000 claims in a
+//! second. It cannot be refused instead: a node that has just started cannot know which epochs the
+//! others have reached. After such a claim the next holder's epoch may be the smaller one.
 
 pub use self::types::{
     ClaimPolicy, ClaimRefused, ClaimRequest, GlobalNamesConfig, GlobalNamesOutput, Holder, NameHeld,
@@ -37,9 +51,14 @@ use std::collections::VecDeque;
 pub const CLAIMS_MAX: usize = 10_000;
 /// The most names that are known in all: some of several nodes that claim as much as they may.
 pub const NAMES_MAX: usize = 100_000;
-/// No epoch is greater: no node can use up all that there are. Milliseconds of the wall clock times
-/// 2^16 come near it in the year 4199.
+/// Epochs are below it.
 const EPOCH_MAX: u64 = 1 << 62;
+/// The greatest epoch that an incarnation begins with: the milliseconds of its clock times 2^16,
+/// until the year 2527.
+const EPOCH_OF_CLOCKS: u64 = 1 << 60;
+/// How far one claim of another node raises epochs above that. Greater ones keep epochs in their
+/// order for longer after a claimant has told one above it, and use them up sooner.
+const EPOCH_STEP: u64 = 1 << 10;
 /// How many claims go into one message; at 280 bytes each it stays below any limit.
 const CLAIMS_PER_MESSAGE: usize = 200;
 /// The most bytes of one message.
@@ -102,7 +121,7 @@ impl GlobalNames {
     pub fn new(config: GlobalNamesConfig, now: Instant) -> Self {
         // Above what an earlier incarnation of this node gave out, should no node be left that
         // remembers.
-        let last_epoch = config.incarnation.0.saturating_mul(1 << 16).min(EPOCH_MAX - (1 << 32));
+        let last_epoch = config.incarnation.0.saturating_mul(1 << 16).min(EPOCH_OF_CLOCKS);
         let alive_at = now + config.lease / 4;
         let settles = (!config.settle.is_zero()).then(|| now + config.settle);
         GlobalNames {

@@ -248,6 +248,39 @@ fn an_epoch_that_leaves_no_greater_one_is_refused() {
 }
 
 #[test]
+fn a_claimant_that_tells_the_greatest_epoch_again_and_again_leaves_greater_ones_to_others() {
+    let mut robot = Robot::new(&["a", "b"]);
+    let claims = robot.nodes.get_mut(&node("b")).unwrap();
+    for n in 0..CLAIMS_MAX {
+        claims.hear(&node("a"), outputs(&format!("name{n}"), EPOCH_MAX - 1), ms(0));
+    }
+    claims.hear(&node("a"), outputs("map", EPOCH_MAX - 1), ms(0));
+    claims.unhear(&node("a"), &ObjectName::new("name0").unwrap(), ms(0));
+    claims.hear(&node("a"), outputs("map", EPOCH_MAX - 1), ms(0));
+    assert_eq!(claims.holder(&map()).map(|holder| holder.node), Some(node("a")));
+
+    claims.handle_left(&node("a"), ms(0));
+    let mut taken = Vec::new();
+    for _ in 0..3 {
+        taken.extend(robot.claim("b", ClaimPolicy::Refuse).unwrap());
+        robot.nodes.get_mut(&node("b")).unwrap().handle_withdrawn(&map());
+    }
+    assert!(taken.is_sorted_by(|a, b| a < b) && taken.len() == 3, "{taken:?}");
+    assert!(taken[2] < EPOCH_MAX / 2, "{taken:?}");
+}
+
+#[test]
+fn an_epoch_that_a_clock_can_bring_forth_is_exceeded_by_the_next_claim() {
+    let mut robot = Robot::new(&["a", "b"]);
+    let claims = robot.nodes.get_mut(&node("b")).unwrap();
+    claims.hear(&node("a"), outputs("map", EPOCH_OF_CLOCKS), ms(0));
+    claims.hear(&node("a"), outputs("plan", EPOCH_OF_CLOCKS + EPOCH_STEP), ms(0));
+    claims.handle_left(&node("a"), ms(0));
+    let taken = robot.claim("b", ClaimPolicy::Refuse).unwrap();
+    assert_eq!(taken, Some(EPOCH_OF_CLOCKS + EPOCH_STEP + 1));
+}
+
+#[test]
 fn a_node_that_starts_takes_no_name_before_it_has_heard_who_holds_it() {
     let mut robot = Robot::new(&["a", "b"]);
     robot.claim("a", ClaimPolicy::Refuse).unwrap();
