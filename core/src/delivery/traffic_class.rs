@@ -9,13 +9,15 @@ use std::fmt;
 /// From its sender to the peer's session each class has capacity of its own, so that no class fills
 /// that of another. In a session each has its own ordered stream; messages of different classes
 /// overtake each other. Control goes first, redundant messages take every path at once, and the
-/// three others share what is left by their [weights](TrafficClass::WEIGHTED).
+/// others share what is left by their [weights](TrafficClass::WEIGHTED).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum TrafficClass {
     /// What keeps the robot together: bindings, faults, commands, leases, votes.
     Control,
     /// What is sent over every path at once: contracts with [`Delivery::Redundant`].
     Redundant,
+    /// What the replicas of a service say to each other: hellos, and the state.
+    Replication,
     /// Messages to objects, and replies.
     Request,
     /// Events of topics.
@@ -24,16 +26,17 @@ pub enum TrafficClass {
     Bulk,
 }
 
-/// The contracts that robots stand still without: commands and leases of actuators, what the
-/// machines of services and of isolation say to their like, rosters, claims of names, and the watch
-/// of an object of another node.
+/// The contract of replicas.
+const REPLICATION: &str = "blastema/replica";
+/// The contracts that robots stand still without: commands and leases of actuators, who serves, what
+/// the machines of isolation say to their like, rosters, claims of names, and the watch of an object
+/// of another node. All of them are small.
 ///
 /// `blastema/serve` and the variables are not among them, for they carry what users send.
-const CONTROL: [&str; 7] = [
+const CONTROL: [&str; 6] = [
     "blastema/actor-message",
     "blastema/await-end",
     "blastema/command",
-    "blastema/replica",
     "blastema/service-terms",
     "blastema/votes",
     "blastema/who-serves",
@@ -41,25 +44,31 @@ const CONTROL: [&str; 7] = [
 
 impl TrafficClass {
     /// How many there are.
-    pub const COUNT: usize = 5;
+    pub const COUNT: usize = 6;
     /// All, in the order of their numbers.
     pub const ALL: [TrafficClass; Self::COUNT] = [
         TrafficClass::Control,
         TrafficClass::Redundant,
+        TrafficClass::Replication,
         TrafficClass::Request,
         TrafficClass::Event,
         TrafficClass::Bulk,
     ];
-    /// Those that share a path, and by how many parts each: of seven parts, where all three wait,
-    /// four are of requests, two of events and one of bulk.
-    pub const WEIGHTED: [(TrafficClass, i32); 3] =
-        [(TrafficClass::Request, 4), (TrafficClass::Event, 2), (TrafficClass::Bulk, 1)];
+    /// Those that share a path, and by how many parts each: where requests, events and bulk wait,
+    /// four parts of seven are of requests, two of events and one of bulk.
+    pub const WEIGHTED: [(TrafficClass, i32); 4] = [
+        (TrafficClass::Replication, 8),
+        (TrafficClass::Request, 4),
+        (TrafficClass::Event, 2),
+        (TrafficClass::Bulk, 1),
+    ];
 
     /// The class of messages of this contract to an object, and of the replies to them.
     pub fn of_message(contract: &str, delivery: Delivery, bulk: bool) -> Self {
         match delivery {
             Delivery::Redundant => TrafficClass::Redundant,
             Delivery::Reliable if CONTROL.contains(&contract) => TrafficClass::Control,
+            Delivery::Reliable if contract == REPLICATION => TrafficClass::Replication,
             _ if bulk => TrafficClass::Bulk,
             _ => TrafficClass::Request,
         }
@@ -76,7 +85,7 @@ impl TrafficClass {
 
     /// It shares the path with others by its weight.
     pub fn is_weighted(self) -> bool {
-        matches!(self, TrafficClass::Request | TrafficClass::Event | TrafficClass::Bulk)
+        !matches!(self, TrafficClass::Control | TrafficClass::Redundant)
     }
 }
 
@@ -85,6 +94,7 @@ impl fmt::Display for TrafficClass {
         f.write_str(match self {
             TrafficClass::Control => "control messages",
             TrafficClass::Redundant => "redundant messages",
+            TrafficClass::Replication => "what replicas say",
             TrafficClass::Request => "requests",
             TrafficClass::Event => "events",
             TrafficClass::Bulk => "bulk",
@@ -103,6 +113,8 @@ mod tests {
         assert_eq!(TrafficClass::of_message("map", Delivery::Newest, false), Request);
         assert_eq!(TrafficClass::of_message("stop", Delivery::Redundant, true), Redundant);
         assert_eq!(TrafficClass::of_message("blastema/command", Delivery::Reliable, true), Control);
+        let replica = TrafficClass::of_message("blastema/replica", Delivery::Reliable, false);
+        assert_eq!(replica, Replication);
         assert_eq!(TrafficClass::of_event(Delivery::Reliable, false), Event);
         assert_eq!(TrafficClass::of_event(Delivery::Newest, true), Bulk);
         assert_eq!(TrafficClass::of_event(Delivery::Redundant, true), Redundant);

@@ -384,8 +384,8 @@ impl Session {
                 }
                 self.close_when_done();
             }
-            Ok(Segment::AcknowledgeRedundant { tag, ack }) if self.meant_for_us(tag) => {
-                self.handle_ack(TrafficClass::Redundant, &ack);
+            Ok(Segment::AcknowledgeOne { tag, stream, ack }) if self.meant_for_us(tag) => {
+                self.handle_ack(stream.class(), &ack);
                 self.close_when_done();
             }
             Ok(Segment::Close { tag }) if self.meant_for_us(tag) => self.handle_peers_close(),
@@ -399,7 +399,7 @@ impl Session {
                 Segment::Data(Data { tag, .. })
                 | Segment::Datagram(Datagram { tag, .. })
                 | Segment::Acknowledge { tag, .. }
-                | Segment::AcknowledgeRedundant { tag, .. },
+                | Segment::AcknowledgeOne { tag, .. },
             ) => {
                 self.refusals.stale += 1;
                 self.transmit(PacketPriority::Control, Segment::Reset { tag });

@@ -8,7 +8,7 @@ mod paths;
 
 use super::*;
 use crate::NodeName;
-use crate::net::wire::segment::{Ack, DelayTicks, OpenSegment};
+use crate::net::wire::segment::{Ack, DelayTicks, OpenSegment, SeparateStream};
 
 const MS: Duration = Duration::from_millis(1);
 

@@ -38,6 +38,7 @@ impl Timers for Session {
             Idle,
             Loss(TrafficClass::Control),
             Loss(TrafficClass::Redundant),
+            Loss(TrafficClass::Replication),
             Loss(TrafficClass::Request),
             Loss(TrafficClass::Event),
             Loss(TrafficClass::Bulk),

@@ -9,7 +9,8 @@ use super::{Session, State};
 use crate::net::is_narrow;
 use crate::net::wire::packet::{PacketPriority, UndeliveredReason, WAY_MAX};
 use crate::net::wire::segment::{
-    ACKNOWLEDGED_TOGETHER, Ack, Data, DatagramAck, DelayTicks, PIECE_HEADER, Segment, data_header,
+    ACKNOWLEDGED_TOGETHER, Ack, Data, DatagramAck, DelayTicks, PIECE_HEADER, Segment,
+    SeparateStream, data_header,
 };
 use crate::{DeliveryError, Instant, TrafficClass};
 use std::time::Duration;
@@ -195,8 +196,12 @@ impl Session {
 
     fn transmit_ack(&mut self, tag: u32, stream: TrafficClass, ack: Ack) {
         if stream == TrafficClass::Redundant {
-            let segment = Segment::AcknowledgeRedundant { tag, ack };
+            let segment = Segment::AcknowledgeOne { tag, stream: SeparateStream::Redundant, ack };
             return self.transmit_everywhere(PacketPriority::Control, segment);
+        }
+        if stream == TrafficClass::Replication {
+            let segment = Segment::AcknowledgeOne { tag, stream: SeparateStream::Replication, ack };
+            return self.transmit(PacketPriority::Control, segment);
         }
         let streams = ACKNOWLEDGED_TOGETHER.map(|other| (other == stream).then(|| ack.clone()));
         let segment = Segment::Acknowledge { tag, streams, datagrams: None };
@@ -234,7 +239,10 @@ impl Session {
                     self.transmit_everywhere(PacketPriority::Control, segment);
                 }
                 TrafficClass::Redundant => self.transmit_everywhere(PacketPriority::Data, segment),
-                TrafficClass::Request | TrafficClass::Event | TrafficClass::Bulk => {
+                TrafficClass::Replication
+                | TrafficClass::Request
+                | TrafficClass::Event
+                | TrafficClass::Bulk => {
                     self.transmit(PacketPriority::Data, segment);
                 }
             }
@@ -258,10 +266,12 @@ impl Session {
     /// Acknowledges what has waited for it.
     pub(super) fn acknowledge_owed(&mut self) {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
-        let redundant = &mut self.streams[TrafficClass::Redundant as usize].inbound;
-        if redundant.owed().is_some() {
-            let ack = redundant.acknowledge();
-            self.transmit_ack(peer.tag, TrafficClass::Redundant, ack);
+        for stream in [TrafficClass::Redundant, TrafficClass::Replication] {
+            let inbound = &mut self.streams[stream as usize].inbound;
+            if inbound.owed().is_some() {
+                let ack = inbound.acknowledge();
+                self.transmit_ack(peer.tag, stream, ack);
+            }
         }
         if self.ack_owed().is_some() {
             self.acknowledge();

@@ -38,7 +38,7 @@ impl WeightedTurns {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use TrafficClass::*;
+    use TrafficClass::{Bulk, Event, Replication, Request};
 
     fn turns(
         turns: &mut WeightedTurns,
@@ -61,6 +61,8 @@ mod tests {
         assert_eq!(turns(&mut all, &[Bulk], 3), [Bulk; 3], "who is alone has all");
         let two = turns(&mut all, &[Event, Bulk], 300);
         assert_eq!(two.iter().filter(|class| **class == Bulk).count(), 100);
+        let two = turns(&mut all, &[Replication, Request], 300);
+        assert_eq!(two.iter().filter(|class| **class == Request).count(), 100);
         assert_eq!(WeightedTurns::default().next(|_| false), None);
     }
 

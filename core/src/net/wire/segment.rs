@@ -6,20 +6,21 @@
 //! `v` is a number of one byte up to 127, two up to 16383, and so on.
 //!
 //! ```text
-//! open         000 00000 │ version 1 │ tag 4 │ echo 4 │ incarnation 8 │ number 4
+//! open         100 00011 │ version 1 │ tag 4 │ echo 4 │ incarnation 8 │ number 4
 //! data         001 palfs │ tag 4 │ sequence v │ p: index v, count v │ a: ack │ payload
-//!              101 palfs │ the same of the two classes that wait for the others
+//!              101 palfs, 000 palf0 │ the same
 //! redundant    111 palfr │ as data, and a copy goes over every path
 //! datagram     010 p000n │ tag 4 │ channel v │ sequence v │ n: number v │ p: index v, count v │
 //!                        payload
 //! acknowledge  011 nbeqc │ tag 4 │ ack of each stream: c control, q requests, e events, b bulk │ n:
 //!                        next v, received v, arrived 2
-//!              110 00000 │ tag 4 │ ack of the redundant stream; a copy goes over every path
+//!              110 0000t │ tag 4 │ ack of one stream: t 0 redundant, and a copy goes over every path;
+//!                        1 replication
 //! close        100 00000 │ tag 4
 //! closed       100 00001 │ tag 4
 //! reset        100 00010 │ tag 4, the one of the unknown segment
 //!
-//! s     stream: with 001 0 control, 1 requests; with 101 0 events, 1 bulk
+//! s     stream: with 001 0 control, 1 requests; with 101 0 events, 1 bulk; with 000 replication
 //! r     sent again: no copy of what was sent before
 //! f, l  the first, the last part of a message; with both the payload is one or more whole messages,
 //!       each after its length v; the first of several parts begins with the whole length v
@@ -52,6 +53,25 @@ pub(crate) fn data_header(sequence: u64) -> usize {
     1 + 4 + varint_length(sequence)
 }
 
+/// A stream that is acknowledged by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SeparateStream {
+    /// Redundant messages: their acknowledgements go over every path as well.
+    Redundant,
+    /// What replicas say, which few nodes send.
+    Replication,
+}
+
+impl SeparateStream {
+    /// Its class.
+    pub fn class(self) -> TrafficClass {
+        match self {
+            SeparateStream::Redundant => TrafficClass::Redundant,
+            SeparateStream::Replication => TrafficClass::Replication,
+        }
+    }
+}
+
 /// What two sessions say to each other.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Segment {
@@ -70,10 +90,12 @@ pub enum Segment {
         /// For datagrams.
         datagrams: Option<DatagramAck>,
     },
-    /// What has arrived of the redundant stream.
-    AcknowledgeRedundant {
+    /// What has arrived of a stream that is acknowledged by itself.
+    AcknowledgeOne {
         /// The receiver's tag.
         tag: u32,
+        /// Of the redundant stream, or of replication.
+        stream: SeparateStream,
         /// What.
         ack: Ack,
     },
@@ -209,19 +231,20 @@ pub struct DatagramAck {
     pub arrived: DelayTicks,
 }
 
-const OPEN: u8 = 0;
+const REPLICATION_DATA: u8 = 0;
 const DATA: u8 = 1;
 const DATAGRAM: u8 = 2;
 const ACKNOWLEDGE: u8 = 3;
 const END: u8 = 4;
 const LATER_DATA: u8 = 5;
-const ACKNOWLEDGE_REDUNDANT: u8 = 6;
+const ACKNOWLEDGE_ONE: u8 = 6;
 const REDUNDANT: u8 = 7;
 
 /// What an [`END`] says, in its flags.
 const CLOSE: u8 = 0;
 const CLOSED: u8 = 1;
 const RESET: u8 = 2;
+const OPEN: u8 = 3;
 
 /// The streams that one acknowledgement may speak of, in its order.
 pub const ACKNOWLEDGED_TOGETHER: [TrafficClass; 4] =
@@ -237,7 +260,7 @@ impl Segment {
     pub fn parcel(&self) -> GatherBuffer {
         match self {
             Segment::Open(open) => {
-                let mut bytes = begin(OPEN, 0, 22);
+                let mut bytes = begin(END, OPEN, 22);
                 bytes.put_u8(open.version);
                 bytes.put_u32(open.tag);
                 bytes.put_u32(open.echo);
@@ -262,8 +285,8 @@ impl Segment {
                 }
                 bytes.freeze().into()
             }
-            Segment::AcknowledgeRedundant { tag, ack } => {
-                let mut bytes = begin(ACKNOWLEDGE_REDUNDANT, 0, 32);
+            Segment::AcknowledgeOne { tag, stream, ack } => {
+                let mut bytes = begin(ACKNOWLEDGE_ONE, *stream as u8, 32);
                 bytes.put_u32(*tag);
                 ack.put(&mut bytes);
                 bytes.freeze().into()
@@ -284,19 +307,20 @@ impl Segment {
         let (kind, flags) = (first >> 5, first & 0x1f);
         let allowed = match kind {
             DATA | LATER_DATA | REDUNDANT | ACKNOWLEDGE => 0b11111,
+            REPLICATION_DATA => 0b11110,
             DATAGRAM => 0b10001,
             END => 0b00011,
-            _ => 0,
+            _ => 0b00001,
         };
         if flags & !allowed != 0 {
             return Err(WireError::Malformed { what: "a segment's flags" });
         }
-        if kind == OPEN {
+        if (kind, flags) == (END, OPEN) {
             return OpenSegment::read(reader).map(Segment::Open);
         }
         let tag = reader.u32()?;
         match kind {
-            DATA | LATER_DATA | REDUNDANT => {
+            REPLICATION_DATA | DATA | LATER_DATA | REDUNDANT => {
                 Data::read(kind, tag, flags, reader).map(Segment::Data)
             }
             DATAGRAM => Datagram::read(tag, flags, reader).map(Segment::Datagram),
@@ -308,20 +332,20 @@ impl Segment {
                 reader.end("an acknowledgement")?;
                 Ok(Segment::Acknowledge { tag, streams, datagrams })
             }
-            ACKNOWLEDGE_REDUNDANT => {
+            ACKNOWLEDGE_ONE => {
                 let ack = Ack::read(&mut reader)?;
                 reader.end("an acknowledgement")?;
-                Ok(Segment::AcknowledgeRedundant { tag, ack })
+                let of = [SeparateStream::Redundant, SeparateStream::Replication];
+                Ok(Segment::AcknowledgeOne { tag, stream: of[usize::from(flags)], ack })
             }
             // Three bits have no other value.
             _ => {
                 reader.end("a segment")?;
-                match flags {
-                    CLOSE => Ok(Segment::Close { tag }),
-                    CLOSED => Ok(Segment::Closed { tag }),
-                    RESET => Ok(Segment::Reset { tag }),
-                    _ => Err(WireError::Malformed { what: "a segment's flags" }),
-                }
+                Ok(match flags {
+                    CLOSE => Segment::Close { tag },
+                    CLOSED => Segment::Closed { tag },
+                    _ => Segment::Reset { tag },
+                })
             }
         }
     }
@@ -361,6 +385,7 @@ impl Data {
             TrafficClass::Event => (LATER_DATA, false),
             TrafficClass::Bulk => (LATER_DATA, true),
             TrafficClass::Redundant => (REDUNDANT, self.again),
+            TrafficClass::Replication => (REPLICATION_DATA, false),
         };
         let flags = u8::from(lowest)
             | u8::from(self.first) << 1
@@ -383,8 +408,9 @@ impl Data {
             (REDUNDANT, again) => (TrafficClass::Redundant, again),
             (DATA, false) => (TrafficClass::Control, false),
             (DATA, true) => (TrafficClass::Request, false),
-            (_, false) => (TrafficClass::Event, false),
-            (_, true) => (TrafficClass::Bulk, false),
+            (LATER_DATA, false) => (TrafficClass::Event, false),
+            (LATER_DATA, true) => (TrafficClass::Bulk, false),
+            (_, _) => (TrafficClass::Replication, false),
         };
         let sequence = reader.varint()?;
         let piece = Fragment::read(flags, &mut reader)?;
@@ -517,6 +543,7 @@ mod tests {
         let copied = Data { stream: TrafficClass::Redundant, again: true, ..data.clone() };
         let event = Data { stream: TrafficClass::Event, ..data.clone() };
         let bulk = Data { stream: TrafficClass::Bulk, ..data.clone() };
+        let replication = Data { stream: TrafficClass::Replication, ..data.clone() };
         let datagram = Datagram {
             tag: 1,
             channel: 4,
@@ -530,11 +557,12 @@ mod tests {
         vec![
             (
                 Segment::Open(open),
-                &[0, 4, 0, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3],
+                &[0x83, 4, 0, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3],
             ),
             (Segment::Data(copied), b"\xe7\x01\x02\x03\x04\xac\x02\x02hi"),
             (Segment::Data(data), b"\x27\x01\x02\x03\x04\xac\x02\x02hi"),
             (Segment::Data(event), b"\xa6\x01\x02\x03\x04\xac\x02\x02hi"),
+            (Segment::Data(replication), b"\x06\x01\x02\x03\x04\xac\x02\x02hi"),
             (Segment::Data(bulk), b"\xa7\x01\x02\x03\x04\xac\x02\x02hi"),
             (
                 Segment::Data(acking),
@@ -547,7 +575,11 @@ mod tests {
                 b"\x70\0\0\0\x01\xad\x02\xab\x02\x12\x34",
             ),
             (
-                Segment::AcknowledgeRedundant { tag: 1, ack: ack.clone() },
+                Segment::AcknowledgeOne {
+                    tag: 1,
+                    stream: SeparateStream::Redundant,
+                    ack: ack.clone(),
+                },
                 b"\xc0\0\0\0\x01\x05\xc8\x01\x12\x34\x02\x02\x01\xa4\x02\x00",
             ),
             (
@@ -586,8 +618,9 @@ mod tests {
             let refused = Segment::decode(Bytes::from_static(bytes));
             assert!(matches!(refused, Err(WireError::Malformed { .. })), "{refused:?}");
         };
-        check(b"\xc1\0\0\0\x01");
-        check(b"\x83\0\0\0\x01");
+        check(b"\xc2\0\0\0\x01");
+        check(b"\x84\0\0\0\x01");
+        check(b"\x01\0\0\0\x01");
         check(b"\x42\0\0\0\x01");
         check(b"\x30\0\0\0\x01\x01\x02\x02");
         check(b"\x62\0\0\0\x01\x05\x05\0\0\x11");

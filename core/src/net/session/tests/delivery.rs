@@ -267,7 +267,7 @@ fn a_peer_that_promises_an_absurd_window_is_sent_no_more_than_ours() {
     }
     let tag = pair.ends[0].tag;
     let ack = Ack { next: 1, window: u32::MAX, arrived: DelayTicks::default(), ranges: vec![] };
-    let greedy = Segment::AcknowledgeRedundant { tag, ack };
+    let greedy = Segment::AcknowledgeOne { tag, stream: SeparateStream::Redundant, ack };
     pair.ends[0].handle_segment(greedy.encode(), at(pair.now));
     pair.drain();
 
