@@ -31,6 +31,7 @@ impl ReplicaBody {
                 found.map(|found| found.address.node.clone()).collect::<Vec<_>>()
             };
             let now = platform::now();
+            body.machine.handle_claimants(|node| access.may_claim(node, &name), now);
             body.machine.handle_reached(&nodes(false));
             body.machine.handle_carriers(&nodes(true), now);
             body.drive(context);
@@ -41,6 +42,9 @@ impl ReplicaBody {
 
     /// Says what this node was told, and asks what that one was.
     pub(super) fn compare(&self, with: NodeName, context: &mut Context<Self>) {
+        if !self.may_claim(&with) {
+            return;
+        }
         let address = format!("{with}:{}", self.carried.name);
         let Ok(sender) = self.registry.sender::<CompareTerms>(&address) else { return };
         let from = self.carried.config.own.to_string();
@@ -48,6 +52,10 @@ impl ReplicaBody {
         let asked = async move { sender.ask_within(terms, ANSWER_WITHIN).await };
         context.spawn(wrap_future::<_, Self>(asked).map(move |answer, body, context| {
             let now = platform::now();
+            // By another roster since it was asked.
+            if !body.may_claim(&with) {
+                return;
+            }
             match answer.map_err(|error| error.kind) {
                 Ok(theirs) => body.machine.handle_terms(&with, &theirs, now),
                 Err(DeliveryError::Unknown { .. } | DeliveryError::NotServed { .. }) => {
@@ -59,6 +67,10 @@ impl ReplicaBody {
             }
             body.drive(context);
         }));
+    }
+
+    fn may_claim(&self, node: &NodeName) -> bool {
+        self.registry.access().may_claim(node, &self.carried.name)
     }
 
     /// A fault of the service is over.

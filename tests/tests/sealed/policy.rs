@@ -8,8 +8,8 @@ use super::{PATIENCE, until};
 use blastema::core::net::trust::policy::Role;
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, ClaimError, ClaimPolicy, ClaimState, FaultKind, FaultLocation, Network,
-    NodeBuilder, ServiceSpec, StartError, Stateful, VariableSpec,
+    ActuatorSpec, ClaimError, ClaimPolicy, ClaimState, DeadReason, FaultKind, FaultLocation,
+    Network, NodeBuilder, ServiceSpec, StartError, Stateful, VariableSpec,
 };
 use blastema_tests::{RobotKeys, free_addresses};
 use std::fs;
@@ -304,6 +304,9 @@ fn a_guest_may_do_what_a_line_gives_it_and_nothing_else() {
         may_ask(&arm, true).await;
         assert_eq!(use_wheels(&head).await, ["set", "lease"]);
         assert!(!robot.wheels().contains(&"told by head".to_owned()), "{:?}", robot.wheels());
+        let wheels = "wheels".parse().expect("a name");
+        let is_dead = async || head.dead_letters().count(&wheels, DeadReason::Forbidden) == 1;
+        until(is_dead, "the message is a dead letter of its sender").await;
         let verbs: Vec<_> = base.refusals().iter().map(|row| row.verb).collect();
         for verb in ["tell", "set", "lease", "listen"] {
             assert!(verbs.contains(&verb), "{verbs:?}");

@@ -4,8 +4,8 @@ use super::access::{PeerBound, PeerSubscription};
 use super::peer::{Binding, PendingCall, QueuedMessage};
 use super::reply_cache::RequestVerdict;
 use super::{
-    BINDINGS_MAX, CALLS_MAX, PeerProtocol, PeerProtocolOutput, RemoteTopic, TopicContract, control,
-    refuse,
+    BINDINGS_MAX, CALLS_MAX, MessageTarget, PeerProtocol, PeerProtocolOutput, RemoteTopic,
+    TopicContract, control, refuse,
 };
 use crate::net::peer_protocol::naming::DirectoryUpdate;
 use crate::net::wire::message::{PeerMessage, TICK_US};
@@ -87,8 +87,8 @@ impl PeerProtocol {
                 let (call, age, until) = (None, session.age(timestamp_us, now), None);
                 let bound = session.bound.get(&binding);
                 if let Some(denied) = bound.and_then(|bound| bound.access.refusal(false)) {
-                    self.refuse_access(denied);
-                    return;
+                    let why = self.refuse_access(denied);
+                    return self.tell(peer, &PeerMessage::TellRefused { binding, why });
                 }
                 self.outputs.push_back(PeerProtocolOutput::Serve {
                     peer,
@@ -101,6 +101,13 @@ impl PeerProtocol {
                     payload: payload.into_bytes(),
                 });
             }
+            PeerMessage::TellRefused { binding, why } => match session.numbers.get(&binding) {
+                Some((object, contract, _)) => {
+                    let to = MessageTarget::Object(object.clone(), contract);
+                    self.outputs.push_back(PeerProtocolOutput::Lost { peer, to, why });
+                }
+                None => self.refusals.unexpected += 1,
+            },
             PeerMessage::Reply { call, result } => match session.calls.remove(&call) {
                 Some(PendingCall { reply_as, .. }) => {
                     let result = result.map(GatherBuffer::into_bytes);

@@ -96,6 +96,13 @@ pub enum PeerMessage {
         /// The message.
         payload: GatherBuffer,
     },
+    /// A message that wants no reply may not come this way.
+    TellRefused {
+        /// The binding that it came through.
+        binding: u32,
+        /// Why.
+        why: DeliveryError,
+    },
     /// Send me what is published with you on this topic.
     Subscribe {
         /// The number, chosen by the listener; good for this session. Events of the n-th version
@@ -190,6 +197,7 @@ const BYE: u8 = 14;
 const FULL: u8 = 15;
 const ROOM: u8 = 16;
 const SUBSCRIBE_AGAIN: u8 = 17;
+const TELL_REFUSED: u8 = 18;
 
 impl PeerMessage {
     /// The message's bytes. A large payload is not copied.
@@ -247,6 +255,10 @@ impl PeerMessage {
                 numbered(bytes, TELL, *binding);
                 bytes.varint(*timestamp_us);
                 put_id(bytes, *id);
+            }
+            PeerMessage::TellRefused { binding, why } => {
+                numbered(bytes, TELL_REFUSED, *binding);
+                bytes.sized(&encode_why(why));
             }
             PeerMessage::Subscribe { subscription, topic, identities } => {
                 numbered(bytes, SUBSCRIBE, *subscription);
@@ -336,6 +348,12 @@ impl PeerMessage {
                 id: read_id(&mut reader)?,
                 payload: reader.rest().into(),
             },
+            TELL_REFUSED => {
+                let binding = number(&mut reader)?;
+                let why = read_why(&mut reader)?;
+                reader.end(what)?;
+                PeerMessage::TellRefused { binding, why }
+            }
             SUBSCRIBE => PeerMessage::Subscribe {
                 subscription: number(&mut reader)?,
                 topic: reader.text(TOPIC_MAX, "a topic's name")?,
@@ -523,6 +541,7 @@ mod tests {
                 },
                 b"\x06\x01\x09\0xy",
             ),
+            (PeerMessage::TellRefused { binding: 1, why: unknown.clone() }, b"\x12\x01\x01\x02"),
             (
                 PeerMessage::Subscribe {
                     subscription: 3,

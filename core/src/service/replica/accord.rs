@@ -296,6 +296,20 @@ impl Replica {
         self.accord.reached = reached.iter().cloned().collect();
     }
 
+    /// What was heard of nodes that may not claim the service, or may no more, does not count. To
+    /// be told before [`Replica::handle_carriers`], as the policy of the robot may change.
+    pub fn handle_claimants(&mut self, may_claim: impl Fn(&NodeName) -> bool, now: Instant) {
+        let counts = |node: &NodeName, known: &Known| {
+            known.opinion == ConfigComparison::Unheard || may_claim(node)
+        };
+        let before = self.accord.known.len();
+        self.accord.known.retain(|node, known| counts(node, known));
+        if self.accord.known.len() != before {
+            self.accord.forget_rivals(now);
+            self.settle_dispute(now);
+        }
+    }
+
     /// These other nodes have an object of the service's name, be there a path to them or not. To
     /// be told several times a second.
     pub fn handle_carriers(&mut self, found: &[NodeName], now: Instant) {

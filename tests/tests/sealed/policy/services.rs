@@ -85,3 +85,32 @@ fn a_node_that_may_not_claim_a_service_answers_no_caller_and_does_not_stop_it() 
         }
     });
 }
+
+#[test]
+fn a_node_that_may_claim_a_service_no_more_does_not_stop_it_any_more() {
+    blastema::run(async {
+        let open: Vec<_> = NODES.map(|node| (node, Role::Node)).into();
+        let robot = Robot::new(&open, &[]);
+        // The longer list leads, and has no majority: the head does not carry the service.
+        let carry = |own, node: NodeBuilder| match own {
+            0 => node.service(map("base", 0)),
+            1 => node.service(ServiceSpec::new("map", ["arm", "head"], || Map(0))),
+            _ => node,
+        };
+        let [base, arm, head] = robot.start_all_with(carry).await;
+        let is_stopped = async || {
+            let faults = base.faults().await.entries;
+            faults
+                .iter()
+                .any(|entry| entry.stands() && entry.fault.kind == FaultKind::ContractMismatch)
+        };
+        until(is_stopped, "the two were told different things").await;
+
+        robot.put(&open, &["only base may claim on map".to_owned()], 2);
+        until(async || ask(&head).await.is_ok(), "the base serves").await;
+        until(async || !is_stopped().await, "nothing is disputed any more").await;
+        for node in [base, arm, head] {
+            node.shutdown().await;
+        }
+    });
+}

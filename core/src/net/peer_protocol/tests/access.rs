@@ -87,6 +87,43 @@ fn a_peer_that_may_only_tell_is_refused_what_it_asks_and_the_reverse() {
     assert!(matches!(&pair.take(1)[..], [PeerProtocolOutput::Serve { call: Some(_), .. }]));
     pair.call(count(), None);
     assert_eq!(refused(&mut pair), ["tell"]);
+    let lost = pair.take(0);
+    assert!(matches!(&lost[..], [output] if is_forbidden(output)), "{lost:?}");
+}
+
+#[test]
+fn a_message_on_its_way_when_another_policy_closes_its_binding_is_lost_to_its_sender_by_name() {
+    let mut pair = guarded(Role::Node, &[]);
+    pair.call(count(), None);
+    pair.agree();
+    pair.take(1);
+    let (left, right) = (pair.ids[0], pair.ids[1]);
+    pair.ends[1].handle_access(policy(Role::Node, &["only other may ask tell on right/arm"]));
+    let tell =
+        PeerMessage::Tell { binding: 1, timestamp_us: 0, id: None, payload: payload().into() };
+    pair.ends[1].handle_message(left, tell.encode().into_bytes(), at(0));
+    pair.run();
+
+    assert_eq!(refused(&mut pair), ["tell"]);
+    let lost = pair.take(0);
+    let [PeerProtocolOutput::Lost { peer, to, why }] = &lost[..] else { panic!("{lost:?}") };
+    assert_eq!((*peer, to), (right, &MessageTarget::Object(arm(), "count")));
+    assert!(matches!(why, DeliveryError::Forbidden { .. }), "{why}");
+}
+
+#[test]
+fn a_peer_says_only_of_what_was_sent_to_it_that_it_was_refused() {
+    let mut pair = guarded(Role::Node, &[]);
+    pair.call(count(), None);
+    pair.agree();
+    pair.take(1);
+    let why = DeliveryError::Stopped;
+    for binding in [1, 7] {
+        let refused = PeerMessage::TellRefused { binding, why: why.clone() };
+        pair.ends[0].handle_message(pair.ids[1], refused.encode().into_bytes(), at(0));
+    }
+    pair.run();
+    assert_eq!((pair.take(0).len(), pair.ends[0].refusals().unexpected), (1, 1));
 }
 
 #[test]

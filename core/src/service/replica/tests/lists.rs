@@ -199,6 +199,25 @@ fn beyond_the_most_others_of_whom_it_is_remembered_what_they_say_it_says_so_too(
 }
 
 #[test]
+fn what_a_node_was_told_that_may_claim_the_service_no_more_does_not_count() {
+    let mut own = begun(listing(0, &[0]));
+    let agrees = own.terms();
+    own.handle_terms(&node(1), &agrees, at(1));
+    let hostile = begun(listing(2, &[2, 3, 4]));
+    own.handle_terms(&node(2), &hostile.terms(), at(1));
+    assert!(own.dispute().is_some());
+    outputs(&mut own);
+
+    own.handle_claimants(|other| *other != node(2), at(2));
+
+    assert_eq!((own.dispute(), own.accord.reckons_with(at(2)).len()), (None, 0));
+    assert_eq!(outputs(&mut own), [ReplicaOutput::Agreed]);
+    assert!(own.accord.known.contains_key(&node(1)), "what others were told counts");
+    own.handle_claimants(|other| *other != node(2), at(3));
+    assert_eq!(outputs(&mut own), []);
+}
+
+#[test]
 fn terms_that_somebody_out_of_sight_still_has_are_not_forgotten() {
     let divided = |config| ReplicaConfig { on_partition: OnPartition::Continue, ..config };
     let mut own = begun(divided(listing(0, &[0, 1])));
