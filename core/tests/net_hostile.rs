@@ -3,9 +3,13 @@
 
 use blastema_core::net::OrderingKey;
 use blastema_core::net::link::LinkConfig;
-use blastema_core::net::peer_protocol::PeerProtocolOutput;
+use blastema_core::net::peer_protocol::{PeerProtocolOutput, TopicContract};
 use blastema_core::net::routing::{LinkHealth, LinkStatus};
 use blastema_core::net::session::VERSION;
+use blastema_core::net::trust::access::AccessPolicy;
+use blastema_core::net::trust::crypto::Seed;
+use blastema_core::net::trust::policy::Role;
+use blastema_core::net::trust::roster::{NodeRoster, RosterNode};
 use blastema_core::net::wire::advertisement::{
     Advertisement, AdvertisementId, Edge, RoutingMessage,
 };
@@ -20,10 +24,24 @@ use blastema_core::net::{
     Link, LinkId, Neighbour, NodeId, PacketPriority, PeerProtocol, Router, RouterConfig, Session,
     SessionConfig, SessionOutput,
 };
-use blastema_core::{Incarnation, Instant, Machine, NodeName, TrafficClass};
+use blastema_core::{
+    ContractIdentity, DeliveryError, Incarnation, Instant, Machine, NodeName, ObjectName,
+    TrafficClass,
+};
+use blastema_macros::Event;
 use bytes::Bytes;
 use proptest::collection::vec;
 use proptest::prelude::*;
+use std::collections::BTreeSet;
+
+mod facade {
+    pub(crate) use blastema_core::{self as core, serde};
+}
+
+/// What peers send and listen to.
+#[derive(Clone, Event)]
+#[contract(name = "note", crate = "crate::facade")]
+struct Note(u8);
 
 fn name(name: &str) -> NodeName {
     NodeName::new(name).unwrap()
@@ -130,11 +148,59 @@ fn genuine() -> Vec<Bytes> {
     ]
 }
 
+/// What a peer sends to whom it asks, tells and listens to.
+fn genuine_of_peer() -> Vec<Bytes> {
+    let identity = Bytes::from(ContractIdentity::of::<Note>().full().encode());
+    let object = ObjectName::new("arm").unwrap();
+    let payload = Bytes::from_static(b"\x05hello");
+    let (topic, identities) = ("news".to_owned(), vec![identity.clone()]);
+    let messages = [
+        PeerMessage::Bind { binding: 1, object, identity },
+        PeerMessage::Tell {
+            binding: 1,
+            timestamp_us: 1,
+            id: None,
+            payload: payload.clone().into(),
+        },
+        PeerMessage::TellRefused { binding: 1, why: DeliveryError::Stopped },
+        PeerMessage::Subscribe { subscription: 1, topic, identities },
+        PeerMessage::SubscribeRefused { subscription: 1, why: DeliveryError::Stopped },
+        PeerMessage::SubscribeAgain { subscription: 1 },
+        PeerMessage::Unsubscribe { subscription: 1 },
+        PeerMessage::Event { subscription: 1, timestamp_us: 1, payload: payload.clone().into() },
+        PeerMessage::Notice { number: 1, payload: payload.into() },
+    ];
+    messages.into_iter().map(|message| message.encode().into_bytes()).collect()
+}
+
+/// The rights at `own`: `peer` may ask there, and listen to all but news; nothing else.
+fn policy() -> AccessPolicy {
+    let listed = ["own", "peer", "other"].into_iter().zip(1..).map(|(node, seed)| RosterNode {
+        name: name(node),
+        keys: Seed::new([seed; 32]).public_keys(),
+        role: Role::Node,
+    });
+    let roster = NodeRoster::new(name("robot"), listed).unwrap();
+    let lines = [
+        "policy",
+        "only other may tell publish on **",
+        "only other may listen on news",
+        "only other may recover on own",
+        "end",
+    ];
+    let text = roster.to_text().replace("end", &lines.join("\n"));
+    AccessPolicy::new(name("own"), &NodeRoster::parse(&text).unwrap())
+}
+
 /// Garbage, or something genuine with a few bytes changed and its end cut off or doubled.
 fn hostile() -> impl Strategy<Value = Bytes> {
-    let changed = (0..genuine().len(), vec((any::<usize>(), any::<u8>()), 0..4), 0..4usize);
-    let changed = changed.prop_map(|(which, changes, end)| {
-        let mut bytes = genuine()[which].to_vec();
+    changed_of([genuine(), genuine_of_peer()].concat())
+}
+
+fn changed_of(genuine: Vec<Bytes>) -> impl Strategy<Value = Bytes> {
+    let changed = (0..genuine.len(), vec((any::<usize>(), any::<u8>()), 0..4), 0..4usize);
+    let changed = changed.prop_map(move |(which, changes, end)| {
+        let mut bytes = genuine[which].to_vec();
         for (at, byte) in changes {
             let at = at % bytes.len();
             bytes[at] = byte;
@@ -147,6 +213,10 @@ fn hostile() -> impl Strategy<Value = Bytes> {
         Bytes::from(bytes)
     });
     prop_oneof![vec(any::<u8>(), 0..200).prop_map(Bytes::from), changed]
+}
+
+fn news() -> TopicContract {
+    TopicContract { topic: "news".to_owned(), contract: "note".to_owned() }
 }
 
 fn link() -> Link {
@@ -259,6 +329,46 @@ proptest! {
             while let Some(output) = exchange.poll_output() {
                 let answers = matches!(output, PeerProtocolOutput::Resolve { .. });
                 prop_assert!(!answers, "nothing was asked");
+            }
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn no_messages_get_around_the_policy(
+        messages in vec(changed_of(genuine_of_peer()), 0..60),
+        late in 0..3usize,
+    ) {
+        let mut exchange = PeerProtocol::default();
+        exchange.handle_interest(news(), vec![ContractIdentity::of::<Note>()]);
+        let peer = NodeId::of(&name("peer"));
+        exchange.handle_opened(peer, Incarnation(1), Instant::ORIGIN);
+        let mut bound = BTreeSet::new();
+        for (n, message) in messages.into_iter().enumerate() {
+            // At once, or while the session goes on.
+            if n == late {
+                exchange.handle_access(policy());
+            }
+            exchange.handle_message(peer, message, Instant::ORIGIN);
+            while let Some(output) = exchange.poll_output() {
+                match output {
+                    PeerProtocolOutput::Bind { peer, epoch, binding, .. } => {
+                        bound.insert(binding);
+                        exchange.handle_bound(peer, epoch, binding, Ok(()));
+                    }
+                    output if n < late => drop(output),
+                    PeerProtocolOutput::Serve { binding, call, .. } => {
+                        let was_told = bound.contains(&binding) && call.is_none();
+                        prop_assert!(!was_told, "it may not tell");
+                    }
+                    PeerProtocolOutput::Subscribe { topic, .. } => {
+                        prop_assert!(topic.topic != "news", "it may not listen");
+                    }
+                    PeerProtocolOutput::Notice { .. } => prop_assert!(false, "it may not recover"),
+                    PeerProtocolOutput::Event { .. } => prop_assert!(false, "it may not publish"),
+                    _ => {}
+                }
             }
         }
     }

@@ -436,7 +436,7 @@ fn a_slow_wire_behind_a_relay_is_filled_and_nothing_waits_for_what_is_large() {
 #[contract(name = "slow/paint", reply = u64)]
 struct Paint(u8);
 
-/// A map that each request paints anew.
+/// A map that each request paints.
 struct Atlas {
     colour: u8,
     painted: u64,
