@@ -63,7 +63,7 @@
 //! | write a component | [`Component`], [`Handle`], [`Ports`], [`Context`], [`Failure`] |
 //! | describe messages | [`Event`](derive@Event), [`Request`](derive@Request), [`Structure`] |
 //! | run components | [`Node`], [`NodeBuilder`], [`ChildSpec`], [`SupervisorSpec`] |
-//! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`DeliveryError`], [`Outcome`] |
+//! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`DeliveryError`], [`TrafficClass`], [`Outcome`] |
 //! | share values | [`Variable`](derive@Variable), [`VariableSpec`], [`VariableRef`], [`Transaction`] |
 //! | set a component up | [`Parameters`](derive@Parameters), [`NodeBuilder::parameters_from`] |
 //! | command actuators | [`ActuatorSpec`], [`Commander`] |
@@ -171,6 +171,7 @@ pub use blastema_core::delivery::dead_letters::{DeadLetterCount, DeadReason};
 pub use blastema_core::lease::{CommanderId, LeaseStatus};
 pub use blastema_core::{
     DeliveryError, Incarnation, NodeName, ObjectAddress, ObjectName, Outcome, RetryPolicy,
+    TrafficClass,
 };
 #[cfg(feature = "network")]
 pub use service::{

@@ -102,7 +102,7 @@ impl MachineActor for DetectorActor {
             DetectorOutput::HandOver { number, notice } => self.hand_over(number, notice, context),
             DetectorOutput::Tell { fault, at, turn } => self.tell(FaultEvent { fault, at, turn }),
             DetectorOutput::GivenUp { notice, tries } => {
-                error!(?notice, tries, "the notifier never confirmed what the detector found");
+                error!(%notice, tries, "the notifier never confirmed what the detector found");
             }
         }
     }

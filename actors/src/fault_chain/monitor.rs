@@ -84,7 +84,8 @@ impl MachineActor for MonitorActor {
                 }));
             }
             MonitorOutput::GivenUp { observation, tries } => {
-                error!(?observation, tries, "the detector never confirmed what the monitor saw");
+                let object = &observation.location;
+                error!(%object, tries, "the detector never confirmed what the monitor saw of an object");
             }
         }
     }

@@ -90,7 +90,7 @@ impl MachineActor for NotifierActor {
                 self.hand_over(port, number, notice, context);
             }
             NotifierOutput::GivenUp { port, notice, tries } => {
-                error!(%port, ?notice, tries, "a recoverer never confirmed what the notifier told it");
+                error!(%port, %notice, tries, "a recoverer never confirmed what the notifier told it");
             }
         }
     }

@@ -80,6 +80,15 @@ pub enum FaultNotice {
     },
 }
 
+impl fmt::Display for FaultNotice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            FaultNotice::Found(fault) => write!(f, "{} of {}", fault.kind, fault.location),
+            FaultNotice::Cleared { location, .. } => write!(f, "the end of a fault of {location}"),
+        }
+    }
+}
+
 impl FaultNotice {
     /// Which fault it is about.
     pub fn id(&self) -> FaultId {

@@ -123,6 +123,8 @@ const TABLES: [(&str, &str, &[Column]); 15] = [
             ("window", "window"),
             ("queueing", "queueing_ms"),
             ("sent", "sent"),
+            ("bytes sent", "bytes_sent"),
+            ("bytes received", "bytes_received"),
             ("retransmitted", "retransmitted"),
             ("duplicates", "duplicates"),
             ("superseded", "superseded"),

@@ -161,6 +161,8 @@ fn session(row: &SessionRow) -> Value {
         "window": status.window,
         "queueing_ms": millis(status.queueing),
         "sent": counters.sent,
+        "bytes_sent": counters.bytes_sent,
+        "bytes_received": counters.bytes_received,
         "retransmitted": counters.retransmitted,
         "duplicates": counters.duplicates,
         "superseded": counters.superseded,

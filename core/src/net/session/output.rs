@@ -68,6 +68,10 @@ pub type Refused = (DeliveryError, Bytes);
 pub struct SessionCounters {
     /// Chunks sent, retransmissions included.
     pub sent: u64,
+    /// Bytes of chunks and best-effort messages sent, retransmissions included.
+    pub bytes_sent: u64,
+    /// Bytes of chunks and best-effort messages received, duplicates included.
+    pub bytes_received: u64,
     /// Chunks sent again.
     pub retransmitted: u64,
     /// Chunks and best-effort messages that had been received before.

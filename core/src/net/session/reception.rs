@@ -11,6 +11,7 @@ use std::time::Duration;
 impl Session {
     pub(super) fn handle_data(&mut self, data: Data) {
         let Data { stream, sequence, first, last, again, piece, ack, payload, .. } = data;
+        self.counters.bytes_received += payload.len() as u64;
         if let Some(ack) = ack {
             self.handle_ack(stream, &ack);
         }
@@ -67,6 +68,7 @@ impl Session {
 
     pub(super) fn handle_datagram(&mut self, datagram: Datagram) {
         let channel = datagram.channel;
+        self.counters.bytes_received += datagram.payload.len() as u64;
         match self.datagrams_in.handle(datagram, self.now, self.ack_delay()) {
             DatagramStatus::Newest(message) => {
                 self.outputs.push_back(SessionOutput::Newest { channel, message });

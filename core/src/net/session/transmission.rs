@@ -119,6 +119,8 @@ impl Session {
         let redundant = Some(TrafficClass::Redundant);
         let order = if due { [redundant, shared, control] } else { [control, redundant, shared] };
         order.into_iter().flatten().any(|class| self.transmit_of(class, peer.tag, mtu))
+            // A datagram that the path does not carry any more is dropped: others have their turn.
+            || shared.is_some_and(|class| !self.waits(class)) && self.transmit_part()
     }
 
     /// Sends the next part of this class.
@@ -183,6 +185,7 @@ impl Session {
         let way = (capacity, is_numbered);
         let Some(datagram) = self.datagrams_out.transmit(tag, way, self.now) else { return false };
         self.is_datagrams_turn = false;
+        self.counters.bytes_sent += datagram.payload.len() as u64;
         if is_numbered {
             let due = self.now + self.retransmit_timeout(TrafficClass::Event);
             self.datagrams_lost_at.get_or_insert(due);
@@ -219,6 +222,7 @@ impl Session {
     ) {
         let again = part.latest.again;
         self.counters.sent += 1;
+        self.counters.bytes_sent += part.payload.len() as u64;
         self.counters.retransmitted += u64::from(again);
         let due = self.now + self.retransmit_timeout(stream);
         self.retransmit_at[stream as usize].get_or_insert(due);

@@ -77,6 +77,9 @@ fn waiting_messages_travel_together_and_large_ones_in_parts() {
     pair.run(50);
 
     assert_eq!(pair.take(1), [message(large)]);
+    let (sent, received) = (pair.ends[0].counters(), pair.ends[1].counters());
+    assert!((101_000..101_200).contains(&sent.bytes_sent), "{sent:?}");
+    assert_eq!(sent.bytes_sent, received.bytes_received);
 }
 
 #[test]
