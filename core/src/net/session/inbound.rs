@@ -14,6 +14,8 @@ const SPARE_FROM: usize = 128 * 1024;
 /// One is put together while the one before is read.
 const SPARES: usize = 2;
 
+/// The bytes that may have arrived ahead of their turn: four times what a sender has on its way.
+const AHEAD_MAX: usize = 4 << 20;
 /// A part from this size on is large, in bytes.
 const LARGE: usize = 16 * 1024;
 
@@ -23,6 +25,7 @@ pub(crate) struct Inbound {
     next: u64,
     /// Arrived ahead of their turn; all within the window.
     ahead: SortedMap<u64, Part>,
+    ahead_bytes: usize,
     partial: Option<Partial>,
     /// Where large messages were put together before: taken again once no receiver holds those any
     /// more. Two of the largest message for each stream at most, once such have come.
@@ -66,6 +69,7 @@ impl Inbound {
         Inbound {
             next: 0,
             ahead: SortedMap::new(),
+            ahead_bytes: 0,
             partial: None,
             spare: VecDeque::new(),
             window,
@@ -99,15 +103,20 @@ impl Inbound {
             let beyond = sequence >= self.limit();
             return Ok(if beyond { ChunkStatus::Beyond } else { ChunkStatus::Again });
         }
+        if sequence != self.next && self.ahead_bytes + payload.len() > AHEAD_MAX {
+            return Ok(ChunkStatus::Beyond);
+        }
         self.arrived = DelayTicks::of(now);
         let in_order = sequence == self.next && self.ahead.is_empty();
         // Every second part at once (RFC 9000, 13.2.2). Of large ones, where an acknowledgement
         // costs a quarter of what a part does, every fourth: half of what may be on its way at the
         // least.
         let many = if payload.len() >= LARGE { 4 } else { 2 };
+        self.ahead_bytes += payload.len();
         self.ahead.insert(sequence, Part { first, last, payload });
         while let Some(part) = self.ahead.remove(&self.next) {
             self.next += 1;
+            self.ahead_bytes -= part.payload.len();
             self.put_together(part, deliver)?;
         }
         self.unacknowledged += 1;
@@ -210,6 +219,25 @@ mod tests {
         inbound.handle(inbound.next, (true, false, first), now, &mut deliver).unwrap();
         inbound.handle(inbound.next, (false, true, second), now, &mut deliver).unwrap();
         deliver.pop().unwrap()
+    }
+
+    #[test]
+    fn what_arrives_ahead_of_a_gap_is_bounded_in_bytes_and_the_gap_can_be_filled() {
+        let mut inbound = Inbound::new(256, 1 << 20);
+        let mut deliver = Vec::new();
+        let mut arrive = |inbound: &mut Inbound, sequence| {
+            let mut part = BytesMut::new();
+            part.varint(60_000);
+            part.resize(part.len() + 60_000, 7);
+            let (part, times) = (part.freeze(), (Instant::ORIGIN, Duration::ZERO));
+            inbound.handle(sequence, (true, true, part), times, &mut deliver).unwrap()
+        };
+        let taken = (1..256).filter(|n| arrive(&mut inbound, *n) == ChunkStatus::New).count();
+        assert_eq!(taken, AHEAD_MAX / 60_003);
+
+        assert_eq!(arrive(&mut inbound, 0), ChunkStatus::New);
+        assert_eq!((inbound.next, inbound.ahead_bytes), (taken as u64 + 1, 0));
+        assert_eq!(deliver.len(), taken + 1);
     }
 
     #[test]

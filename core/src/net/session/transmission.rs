@@ -115,8 +115,9 @@ impl Session {
         let may_share = !(congested || is_paced) || due && !self.is_shared();
         let control = may_control.then_some(TrafficClass::Control);
         let shared = may_share.then(|| self.turns.next(|class| self.waits(class))).flatten();
-        // It keeps its time whatever one of the paths is like; the peer's window bounds it.
-        let redundant = Some(TrafficClass::Redundant);
+        // It keeps its time whatever one of the paths is like; two windows bound it.
+        let flying = self.streams[TrafficClass::Redundant as usize].outbound.flying_bytes();
+        let redundant = (flying < self.config.window_bytes).then_some(TrafficClass::Redundant);
         let order = if due { [redundant, shared, control] } else { [control, redundant, shared] };
         order.into_iter().flatten().any(|class| self.transmit_of(class, peer.tag, mtu))
             // A datagram that the path does not carry any more is dropped: others have their turn.
