@@ -1,4 +1,4 @@
-use blastema::{Event, Request, Structure};
+use blastema::{Event, Request, Structure, Variable};
 
 #[derive(Clone, Event)]
 #[contract(nmae = "laser/scan")]
@@ -50,5 +50,9 @@ struct RequestWithoutReply;
 #[derive(Request)]
 #[contract(reply = (), max_age = "1s")]
 struct RequestWithAge;
+
+#[derive(Clone, Variable)]
+#[contract(bulk)]
+struct BulkVariable(f32);
 
 fn main() {}
