@@ -13,7 +13,15 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// As many as the component's guard has restarted it in one turn, and one.
 #[derive(Default)]
-pub(crate) struct UntoldExits(Mutex<Vec<UntoldExit>>);
+pub(crate) struct UntoldExits(Mutex<Untold>);
+
+#[derive(Default)]
+struct Untold {
+    exits: Vec<UntoldExit>,
+    /// The ends of the incarnations up to this one were reported, or are no news: one that was
+    /// abandoned may end later, while others report.
+    told: Incarnation,
+}
 
 /// An end that was not reported yet.
 struct UntoldExit {
@@ -37,13 +45,13 @@ pub(crate) enum DueExits {
 }
 
 impl UntoldExits {
-    fn lock(&self) -> MutexGuard<'_, Vec<UntoldExit>> {
+    fn lock(&self) -> MutexGuard<'_, Untold> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn change(&self, incarnation: Incarnation, change: impl FnOnce(&mut UntoldExit)) {
         let mut untold = self.lock();
-        let exited = untold.iter_mut().find(|exited| exited.incarnation == incarnation);
+        let exited = untold.exits.iter_mut().find(|exited| exited.incarnation == incarnation);
         if let Some(exited) = exited {
             change(exited);
         }
@@ -55,8 +63,9 @@ impl UntoldExits {
         let (restarted_as, supervisor, is_settled) = (None, None, false);
         let exited = UntoldExit { incarnation, exit, restarted_as, supervisor, is_settled };
         let mut untold = self.lock();
-        if untold.iter().all(|known| known.incarnation != incarnation) {
-            untold.push(exited);
+        let is_known = untold.exits.iter().any(|known| known.incarnation == incarnation);
+        if !is_known && incarnation > untold.told {
+            untold.exits.push(exited);
         }
     }
 
@@ -80,7 +89,7 @@ impl UntoldExits {
 
     /// That incarnation had been given up before it ended: its end is no news.
     pub(crate) fn forget(&self, incarnation: Incarnation) {
-        self.lock().retain(|exited| exited.incarnation != incarnation);
+        self.lock().exits.retain(|exited| exited.incarnation != incarnation);
     }
 
     /// Reports each end once to the monitor and the supervisor.
@@ -89,7 +98,15 @@ impl UntoldExits {
             DueExits::Until(until) => exited.incarnation <= until,
             DueExits::Settled => exited.is_settled,
         };
-        let reported: Vec<UntoldExit> = self.lock().extract_if(.., is_reported).collect();
+        let mut untold = self.lock();
+        let reported: Vec<UntoldExit> = untold.exits.extract_if(.., is_reported).collect();
+        let last = reported.iter().map(|exited| exited.incarnation).max();
+        let until = match which {
+            DueExits::Until(until) => Some(until),
+            DueExits::Settled => last,
+        };
+        untold.told = untold.told.max(until.unwrap_or_default());
+        drop(untold);
         for UntoldExit { incarnation, exit, restarted_as, supervisor, .. } in reported {
             let exit = Arc::unwrap_or_clone(exit);
             if let Some(exits) = &reports.exits {
@@ -101,5 +118,35 @@ impl UntoldExits {
                 supervisor.do_send(ChildReport { object: object.clone(), incarnation, event });
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_doubles::{Probe, paused};
+    use std::time::Duration;
+
+    #[test]
+    fn an_end_is_reported_once_though_the_abandoned_incarnation_ends_while_others_report() {
+        paused(async {
+            let probe = Probe::<Exited>::start();
+            let reports =
+                FaultReports { exits: Some(probe.recipient()), ..FaultReports::default() };
+            let (exits, object) = (UntoldExits::default(), ObjectName::new("arm").unwrap());
+            let [first, second] = [Incarnation(1), Incarnation(2)];
+
+            exits.keep(first, ExitReason::Aborted);
+            exits.tell(DueExits::Until(first), &object, &reports);
+            // The thread of the first goes on, and comes here before it knows that it was abandoned.
+            exits.keep(first, ExitReason::Aborted);
+            exits.keep(second, ExitReason::Stopped);
+            exits.tell(DueExits::Until(second), &object, &reports);
+            exits.forget(first);
+
+            let told = [probe.expect().await.incarnation, probe.expect().await.incarnation];
+            assert_eq!(told, [first, second]);
+            probe.expect_none_for(Duration::from_secs(1)).await;
+        });
     }
 }

@@ -87,7 +87,7 @@ impl PeerProtocol {
     pub fn handle_access(&mut self, policy: AccessPolicy) {
         for (peer, state) in &mut self.peers {
             let Some(session) = &mut state.session else { continue };
-            let PeerSession { bound, subscriptions, barred, .. } = session;
+            let PeerSession { bound, subscriptions, barred, forbidden, .. } = session;
             let mut tell = |message| self.outputs.push_back(control(*peer, &message));
             for (binding, bound) in bound {
                 let access = BindingAccess::of(&policy, *peer, &bound.object, &bound.contract);
@@ -98,11 +98,13 @@ impl PeerProtocol {
                     tell(PeerMessage::BindRefused { binding, why, identity });
                 }
             }
+            let mut are_allowed = false;
             for (topic, interest) in &self.interests {
                 let subscription = interest.subscription;
                 if !may(&policy, *peer, Verb::Publish, topic) {
                     if barred.insert(subscription) {
                         tell(PeerMessage::Unsubscribe { subscription });
+                        are_allowed |= forbidden.remove(&subscription) && forbidden.is_empty();
                     }
                 } else if barred.remove(&subscription) {
                     tell(subscribe(topic, interest));
@@ -128,6 +130,9 @@ impl PeerProtocol {
                 .into_iter()
                 .map(|subscription| PeerProtocolOutput::Unsubscribe { peer: *peer, subscription });
             self.outputs.extend(ended);
+            if are_allowed {
+                self.outputs.push_back(PeerProtocolOutput::SubscriptionsAllowed { peer: *peer });
+            }
         }
         self.access = Some(policy);
     }

@@ -54,7 +54,7 @@ pub struct SessionConfig {
     pub retransmit_min: Duration,
     /// The longest.
     pub retransmit_max: Duration,
-    /// The most best-effort channels of the peer that are remembered.
+    /// The most best-effort channels of the peer that are remembered: those that were used last.
     pub channels_max: usize,
 }
 

@@ -124,15 +124,22 @@ impl CongestionControl {
     /// What is sent takes this path from now on.
     pub(super) fn enter_path(&mut self, mtu: usize, is_narrow: bool) {
         (self.is_narrow, self.part) = (is_narrow, mtu.min(PART));
-        (self.base, self.probing_until) = (None, None);
-        self.recent.iter_mut().for_each(|(recent, _)| recent.clear());
+        self.forget_delays();
+        (self.carried_at, self.burst) = (Instant::ORIGIN, BURST);
         // What the path before carried says nothing of this one, which may be a radio in the place
         // of a cable (RFC 9000, 9.4).
         (self.window, self.is_slow_start) = (self.initial(), true);
     }
 
-    /// A session begins from nothing.
+    /// Delays are differences of two clocks, and one of them may be another now.
+    fn forget_delays(&mut self) {
+        (self.base, self.probing_until) = (None, None);
+        self.recent.iter_mut().for_each(|(recent, _)| recent.clear());
+    }
+
+    /// A session begins from nothing, perhaps with another incarnation of the peer.
     pub(super) fn restart(&mut self, now: Instant) {
+        self.forget_delays();
         (self.window, self.is_slow_start, self.reduced_at) = (self.initial(), true, now);
     }
 
@@ -217,7 +224,9 @@ impl CongestionControl {
             signal;
         let queueing = self.queueing();
         let target = if self.is_narrow { TARGET_NARROW } else { TARGET };
-        let is_crowded = is_measured && queueing.is_some_and(|queueing| queueing > 2 * target);
+        // By a base delay that is measured again, queues may seem to be where none are.
+        let is_known = is_measured && self.probing_until.is_none();
+        let is_crowded = is_known && queueing.is_some_and(|queueing| queueing > 2 * target);
         // Once per round trip, as in RFC 9002: one burst of losses is one sign.
         if (has_lost || is_crowded) && sent > self.reduced_at {
             self.reduced_at = now;

@@ -76,7 +76,6 @@ impl Session {
             DatagramStatus::InPart => {}
             DatagramStatus::Again => self.counters.duplicates += 1,
             DatagramStatus::Overtaken => self.counters.superseded += 1,
-            DatagramStatus::TooMany => self.refusals.too_large += 1,
         }
     }
 }

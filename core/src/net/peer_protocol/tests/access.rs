@@ -319,6 +319,22 @@ fn a_peer_is_believed_once_that_it_refuses_a_subscription_and_only_one_that_ther
     pair.run();
     let allowed = PeerProtocolOutput::SubscriptionsAllowed { peer: pair.ids[0] };
     assert_eq!(pair.take(1), [allowed]);
+
+    // Nor is one on whose topic the peer may not publish any more: it is not listened to there.
+    pair.ends[1].handle_interest(topic(), vec![count()]);
+    pair.run();
+    let told = pair.take(0).pop();
+    let Some(PeerProtocolOutput::Subscribe { subscription, .. }) = told else {
+        panic!("{told:?}");
+    };
+    let refused = PeerMessage::SubscribeRefused { subscription, why };
+    pair.ends[1].handle_message(pair.ids[0], refused.encode().into_bytes(), at(0));
+    pair.run();
+    assert!(matches!(&pair.take(1)[..], [output] if is_forbidden(output)));
+    pair.ends[1].handle_access(policy(Role::Node, &["only other may publish on news"]));
+    pair.run();
+    let allowed = PeerProtocolOutput::SubscriptionsAllowed { peer: pair.ids[0] };
+    assert_eq!(pair.take(1), [allowed]);
 }
 
 #[test]

@@ -10,8 +10,9 @@ use std::time::Duration;
 /// What has arrived of the channels of one session.
 #[derive(Debug)]
 pub(crate) struct BestEffortInbound {
-    /// The newest that was delivered, by channel.
-    delivered: SortedMap<u32, u64>,
+    /// The newest that was delivered, and the how manieth delivery that was, by channel.
+    delivered: SortedMap<u32, (u64, u64)>,
+    deliveries: u64,
     channels_max: usize,
     pieces: Reassembly<(u32, u64)>,
     /// What is told of numbered datagrams.
@@ -33,8 +34,6 @@ pub(crate) enum DatagramStatus {
     Again,
     /// A newer one was.
     Overtaken,
-    /// The peer has too many channels.
-    TooMany,
 }
 
 impl BestEffortInbound {
@@ -44,6 +43,7 @@ impl BestEffortInbound {
     pub(crate) fn new(channels_max: usize, pieces: Reassembly<(u32, u64)>) -> Self {
         BestEffortInbound {
             delivered: SortedMap::new(),
+            deliveries: 0,
             channels_max,
             pieces,
             arrived: DatagramAck::default(),
@@ -85,11 +85,9 @@ impl BestEffortInbound {
             self.note(number, now, delay);
         }
         let payload = payload.into_bytes();
-        let full = self.delivered.len() >= self.channels_max;
         match self.delivered.get(&channel) {
-            Some(newest) if sequence == *newest => return DatagramStatus::Again,
-            Some(newest) if sequence < *newest => return DatagramStatus::Overtaken,
-            None if full => return DatagramStatus::TooMany,
+            Some((newest, _)) if sequence == *newest => return DatagramStatus::Again,
+            Some((newest, _)) if sequence < *newest => return DatagramStatus::Overtaken,
             _ => {}
         }
         let message = match piece {
@@ -98,10 +96,24 @@ impl BestEffortInbound {
         };
         match message {
             Some(message) => {
-                self.delivered.insert(channel, sequence);
+                self.deliveries += 1;
+                self.delivered.insert(channel, (sequence, self.deliveries));
+                self.forget_oldest();
                 DatagramStatus::Newest(message)
             }
             None => DatagramStatus::InPart,
+        }
+    }
+
+    /// Of more channels than are remembered, the one that was used last before all others is
+    /// forgotten: subscriptions and bindings that have ended use theirs no more.
+    fn forget_oldest(&mut self) {
+        if self.delivered.len() <= self.channels_max {
+            return;
+        }
+        let oldest = self.delivered.iter().min_by_key(|(_, (_, delivery))| *delivery);
+        if let Some(channel) = oldest.map(|(channel, _)| *channel) {
+            self.delivered.remove(&channel);
         }
     }
 

@@ -163,9 +163,11 @@ impl BestEffortOutbound {
         self.flying_bytes -= arrived.1;
         let lost = ack.next.saturating_sub(ack.received);
         let has_lost = self.lost.is_some_and(|noticed| lost >= noticed + REORDERING);
-        if has_lost || self.lost.is_none() {
-            self.lost = Some(lost);
-        }
+        // Some that were taken for lost may be there by now.
+        self.lost = Some(match self.lost {
+            Some(noticed) if !has_lost => noticed.min(lost),
+            _ => lost,
+        });
         Ok(latest.map(|latest| DatagramProgress { arrived, latest, has_lost }))
     }
 

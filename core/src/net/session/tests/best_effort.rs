@@ -150,3 +150,26 @@ fn what_waits_when_the_path_goes_is_not_sent_when_there_is_another() {
     assert_eq!(pair.take(1), [new]);
     assert_eq!(pair.ends[0].counters().replaced, 2);
 }
+
+#[test]
+fn a_session_of_more_channels_than_are_remembered_goes_on_and_forgets_those_long_unused() {
+    let mut pair = Pair::open();
+    for channel in 0..3_000 {
+        let now = at(pair.now);
+        pair.ends[0].handle_send_newest(channel, text("reading"), now).unwrap();
+        pair.ends[0].handle_send_newest(9_999, text("always"), now).unwrap();
+        pair.run(5);
+    }
+    assert_eq!(pair.take(1).len(), 6_000, "of each");
+
+    let late = |channel, sequence| {
+        let (number, piece, payload) = (None, None, text("late").into());
+        let tag = pair.ends[1].tag;
+        Segment::Datagram(Datagram { tag, channel, sequence, number, piece, payload }).encode()
+    };
+    let (late_always, late_reading) = (late(9_999, 2_999), late(2_999, 1));
+    pair.ends[1].handle_segment(late_always, at(pair.now));
+    pair.ends[1].handle_segment(late_reading, at(pair.now));
+    pair.drain();
+    assert_eq!(pair.take(1), [], "what is in use is remembered");
+}
