@@ -162,7 +162,7 @@ fn nothing_is_overwritten_and_what_is_wrong_changes_no_file() {
     bench.refused(&["replace", "leg"], &["leg is not listed"]);
     // An old copy of the signer's file would make a second list of serial 2.
     bench.refused(&["add", "leg", "--robot", "old"], &["has serial 2", "it is an old copy"]);
-    let other = bench.text("ranger.roster").replace("end", "end\nmore");
+    let other = bench.text("ranger.roster").replace("\nend\n", "\nend\nmore\n");
     fs::write(bench.at("text"), other).expect("it can be written");
     bench.refused(&["edit", "--from", "text"], &["text: line 8", "keys edit --from text"]);
     fs::remove_file(bench.at("text")).expect("it is there");
