@@ -100,9 +100,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 mod actuator;
 mod arbiter;
 mod component;
-mod fault_chain;
 #[cfg(feature = "network")]
-mod global_name;
+mod directory;
+mod fault_chain;
 mod host;
 mod liveness;
 mod messaging;
@@ -187,8 +187,8 @@ pub use variable::{
 
 // Names of the whole robot.
 #[cfg(feature = "network")]
-pub use crate::global_name::{
-    Claim, ClaimError, ClaimPolicy, ClaimRow, ClaimState, Holder, NameHeld, NameWatch,
+pub use crate::directory::{
+    Claim, ClaimError, ClaimPolicy, ClaimRow, ClaimState, Holder, NameHeld, NameWatch, NodeRow,
 };
 
 // Nodes, their trees and their networks.
@@ -198,8 +198,6 @@ pub use crate::net::RosterRow;
 pub use crate::registry::access::AccessRefusal;
 #[cfg(feature = "network")]
 pub use blastema_contract::link::LinkRow;
-#[cfg(feature = "network")]
-pub use blastema_contract::naming::NodeRow;
 #[cfg(feature = "network")]
 pub use blastema_contract::session::SessionRow;
 pub use blastema_contract::supervisor::SupervisionTree;

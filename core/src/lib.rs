@@ -13,9 +13,9 @@ mod timer;
 pub mod contract;
 pub mod delivery;
 pub mod detection;
-pub mod fault;
 #[cfg(feature = "network")]
-pub mod global_name;
+pub mod directory;
+pub mod fault;
 pub mod incarnation;
 pub mod lease;
 pub mod lifecycle;

@@ -2,8 +2,8 @@
 //! and what keeping them costs. Run with `--nocapture` for the figures.
 #![allow(clippy::print_stdout, reason = "the figures are the point")]
 
-use blastema_core::global_name::{
-    ClaimPolicy, ClaimRequest, GlobalNames, GlobalNamesConfig, GlobalNamesOutput,
+use blastema_core::directory::{
+    ClaimPolicy, ClaimRequest, Directory, DirectoryConfig, DirectoryOutput,
 };
 use blastema_core::random::Random;
 use blastema_core::sorted::SortedSet;
@@ -25,7 +25,7 @@ const OVERHEAD: usize = 60;
 struct Robot {
     now: Instant,
     random: Random,
-    nodes: Vec<Option<GlobalNames>>,
+    nodes: Vec<Option<Directory>>,
     incarnations: Vec<u64>,
     /// When each node wants to be woken.
     due: Vec<Option<Instant>>,
@@ -72,8 +72,8 @@ impl Robot {
         let (settle, expected) = (Duration::ZERO, SortedSet::new());
         let node_name = name(node);
         let config =
-            GlobalNamesConfig { node: node_name, incarnation, lease: LEASE, settle, expected };
-        let mut claims = GlobalNames::new(config, self.now);
+            DirectoryConfig { node: node_name, incarnation, lease: LEASE, settle, expected };
+        let mut claims = Directory::new(config, self.now);
         for n in 0..NAMES / NODES {
             let own = ObjectName::new(&format!("module{node:02}/object{n}")).unwrap();
             claims.handle_claim(ClaimRequest::new(own, ClaimPolicy::Refuse), self.now).unwrap();
@@ -89,8 +89,8 @@ impl Robot {
     }
 
     fn settle(&mut self, node: usize) {
-        while let Some(output) = self.nodes[node].as_mut().and_then(GlobalNames::poll_output) {
-            let GlobalNamesOutput::Send { to, message } = output else { continue };
+        while let Some(output) = self.nodes[node].as_mut().and_then(Directory::poll_output) {
+            let DirectoryOutput::Send { to, message } = output else { continue };
             let size = (message.len() + OVERHEAD) as u64;
             self.bytes += size;
             self.messages += 1;

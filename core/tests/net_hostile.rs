@@ -106,8 +106,7 @@ fn genuine() -> Vec<Bytes> {
         },
         ..packet.clone()
     };
-    let names =
-        PeerMessage::Names { timestamp_us: 0, complete: true, added: vec![], removed: vec![] };
+    let names = PeerMessage::Announced { timestamp_us: 0 };
     let datagram = Datagram {
         tag: 1,
         channel: 1,

@@ -242,7 +242,7 @@ fn a_service_goes_on_counting_when_the_processes_that_serve_it_are_killed() {
             assert_eq!(asked.await.unwrap(), Ok(sum), "round {round}, across the kill");
             carriers[primary - 1] = start(primary);
             // It is in step again when a majority could do without either of the others.
-            while node.neighbourhood().await.len() < 3 {
+            while node.neighbourhood().len() < 3 {
                 tokio::task::yield_now().await;
             }
         }

@@ -30,7 +30,6 @@ use blastema_contract::session::{
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::isolation::Isolation;
-use blastema_core::net::peer_protocol::naming::NodeDirectory;
 use blastema_core::net::peer_protocol::{
     PeerProtocol, PeerProtocolOutput, SessionEpoch, TopicContract,
 };
@@ -47,9 +46,8 @@ use tokio::sync::oneshot;
 use tracing::{debug, error, info, warn};
 use undelivered::EndedSubscription;
 
-/// How often the registry is looked at for objects that came or went, and what was lost is brought
-/// together.
-const NAMES_INTERVAL: Duration = Duration::from_millis(200);
+/// How often what was lost is brought together, and what has waited too long given up.
+const TIME_INTERVAL: Duration = Duration::from_millis(200);
 /// How long a node that ends waits for peers to agree to contracts of messages it has accepted.
 const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
 
@@ -80,7 +78,6 @@ pub(super) struct SessionRecipients {
 pub(super) struct GatewayActor {
     wiring: GatewaySetup,
     exchange: PeerProtocol,
-    naming: NodeDirectory,
     peers: SortedMap<NodeId, GatewayPeer>,
     /// Where replies go, by our number of the request.
     replies: SortedMap<u64, (NodeName, ReplyTo)>,
@@ -99,8 +96,6 @@ pub(super) struct GatewayActor {
     forbidden: ForbiddenAlarm,
     /// The node ends; the sessions follow once nothing waits here.
     leaving: bool,
-    /// As of which revision of the registry the peers know our names.
-    revision: Option<u64>,
 }
 
 impl GatewayActor {
@@ -159,7 +154,6 @@ impl GatewayActor {
         GatewayActor {
             wiring,
             exchange,
-            naming: NodeDirectory::default(),
             peers: SortedMap::new(),
             replies: SortedMap::new(),
             skeletons: SortedMap::new(),
@@ -171,7 +165,6 @@ impl GatewayActor {
             of_isolated: 0,
             forbidden: ForbiddenAlarm::default(),
             leaving: false,
-            revision: None,
         }
     }
 
@@ -261,14 +254,14 @@ impl GatewayActor {
                 self.end_forward((peer, subscription));
             }
             PeerProtocolOutput::Event { peer, topic, form, age, payload } => {
-                let Some(from) = self.peers.get(&peer).map(|peer| (&peer.node, age)) else {
+                if !self.peers.contains_key(&peer) {
                     return;
-                };
+                }
                 let key = TopicKey::new(&topic.topic, &topic.contract);
                 let topics = &self.wiring.topics;
                 // An event that cannot be read is among the topic's dead letters; a topic that is
                 // not known has no listeners.
-                let given = key.and_then(|key| topics.inject(&key.topic, form, &payload, from));
+                let given = key.and_then(|key| topics.inject(&key.topic, form, &payload, age));
                 if let Err(why) = given {
                     debug!(topic = %topic.topic, %why, "an event did not arrive");
                 }
@@ -282,13 +275,8 @@ impl GatewayActor {
                     let _ = confirm.send(Confirmed);
                 }
             }
-            PeerProtocolOutput::Names { peer, announcement } => {
-                // The peer tells what it listens to before it tells its objects.
-                let is_all = announcement.complete;
-                self.naming.handle_announcement(peer, announcement);
-                if is_all {
-                    self.with_send_state(peer, PeerSendState::handle_announced);
-                }
+            PeerProtocolOutput::Announced { peer } => {
+                self.with_send_state(peer, PeerSendState::handle_announced)
             }
             PeerProtocolOutput::Bye { peer } => self.handle_bye(peer),
             PeerProtocolOutput::Forget { peer, why } => self.forget(peer, &why),
@@ -390,7 +378,6 @@ impl GatewayActor {
         self.end_lines(peer, why);
         if let Some(peer) = self.peers.get(&peer) {
             peer.send_state.forget_backlog();
-            self.wiring.topics.forget_node(&peer.node);
         }
         let all = (peer, 0)..=(peer, u32::MAX);
         let skeletons: Vec<_> = self.skeletons.range(all.clone()).map(|(key, _)| *key).collect();
@@ -420,18 +407,6 @@ impl GatewayActor {
             peer.send_state.set(condition);
         }
     }
-
-    fn look_for_names(&mut self, context: &mut Context<Self>) {
-        let revision = Some(self.wiring.registry.revision());
-        if std::mem::replace(&mut self.revision, revision) == revision {
-            return;
-        }
-        let objects = self.wiring.registry.objects().into_iter().map(|(name, _)| name).collect();
-        for announcement in self.naming.handle_own(objects) {
-            self.exchange.handle_own_names(None, &announcement, platform::now());
-        }
-        self.drive(context);
-    }
 }
 
 fn topic(key: &TopicKey) -> TopicContract {
@@ -455,10 +430,8 @@ impl Actor for GatewayActor {
 
     fn started(&mut self, context: &mut Context<Self>) {
         self.take_interest(context);
-        self.look_for_names(context);
-        context.run_interval(NAMES_INTERVAL, |gateway, context| {
+        context.run_interval(TIME_INTERVAL, |gateway, context| {
             gateway.exchange.handle_time(platform::now());
-            gateway.look_for_names(context);
             gateway.collect_losses();
             gateway.drive(context);
         });
@@ -485,8 +458,6 @@ impl Supervised for GatewayActor {
         self.skeletons.clear();
         self.notices.clear();
         self.exchange = self.exchange.restarted(&why);
-        self.naming = NodeDirectory::default();
-        self.revision = None;
         self.peers.keys().for_each(|peer| self.set(*peer, PeerCondition::Opening));
         let peers: Vec<_> = self.peers.keys().copied().collect();
         peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer));

@@ -54,14 +54,13 @@ use actix::prelude::*;
 use actix_rt::ArbiterHandle;
 use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
-use blastema_contract::naming::{FindObject, NodeRow, ReadDifferences, ReadNames};
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::{
     AreYouAlive, DeclaredFaultCleared, FaultDeclared, LivenessReported,
 };
 use blastema_contract::router::{AddSessions, InjectPanic, ReadRoutes, Routes};
 use blastema_contract::session::{
-    AddGateway, CloseSessions, PeerStatusChanged, ReadSessions, SessionRow,
+    AddGateway, CloseSessions, PeerStatusChanged, ReadDifferences, ReadSessions, SessionRow,
 };
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, ReadCounters, Transport, TransportCounters};
@@ -475,11 +474,6 @@ impl NetHandle {
         rows
     }
 
-    /// Every node that a session is open with, and its objects.
-    pub(crate) async fn read_names(&self) -> Vec<NodeRow> {
-        self.gateway.send(ReadNames).await.unwrap_or_default()
-    }
-
     /// Whether this node has met another, or others have voted on it.
     pub(crate) fn knows(&self, node: &NodeName) -> bool {
         self.stubs.has_met(node) || self.wardens.get().is_some_and(|wardens| wardens.know(node))
@@ -500,11 +494,6 @@ impl NetHandle {
 
     /// Takes the decisions of recovery strategies about other nodes.
     pub(crate) fn isolation(&self) -> Recipient<IsolateNode> {
-        self.gateway.clone().recipient()
-    }
-
-    /// Finds objects of other nodes.
-    pub(crate) fn finder(&self) -> Recipient<FindObject> {
         self.gateway.clone().recipient()
     }
 

@@ -321,6 +321,10 @@ impl StubFactory for PeerStubs {
         let gateway = self.gateway.get().cloned();
         Arc::new(PeerStub { to, contract, send_state, gateway })
     }
+
+    fn is_reachable(&self, node: &NodeName) -> bool {
+        self.send_state(node).path.load(Relaxed)
+    }
 }
 
 /// The way to one object for one contract.

@@ -27,10 +27,10 @@ use crate::arbiter::pool::{ArbiterPool, CULPRITS_LIMIT};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::extension::Extensions;
 use crate::component::spec_error::SpecError;
+#[cfg(feature = "network")]
+use crate::directory::DirectoryTable;
 use crate::fault_chain::strategy::StrategyTable;
 use crate::fault_chain::supervisor::SupervisorChild;
-#[cfg(feature = "network")]
-use crate::global_name::GlobalNameTable;
 use crate::liveness::sampler;
 use crate::parameters::Configured;
 use crate::platform;
@@ -402,7 +402,10 @@ pub(crate) fn with_features(
         .with(VariableStore::default())
         .with(Configured::default());
     #[cfg(feature = "network")]
-    let extensions = extensions.with(Roster::default()).with(GlobalNameTable::default());
+    let extensions = {
+        let directory = DirectoryTable::default();
+        extensions.with(Roster::new(directory.clone())).with(directory)
+    };
     ComponentEnvironment { extensions, ..environment }
 }
 

@@ -5,7 +5,7 @@ use crate::messaging::reply::ReplyFuture;
 use crate::messaging::sender::Sender;
 use crate::messaging::sink::MessageSink;
 use crate::registry::Registry;
-use blastema_core::global_name::Holder;
+use blastema_core::directory::Holder;
 use blastema_core::{Contract, DeliveryError, MessageId, ObjectName};
 use std::future::Future;
 use std::pin::Pin;

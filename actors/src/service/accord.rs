@@ -13,7 +13,7 @@ use blastema_core::{DeliveryError, FaultKind, NodeName};
 use std::time::Duration;
 
 /// How often it is looked who else has an object of the service's name. Shorter finds out sooner
-/// that two do not mean the same; each look is one message within the node.
+/// that two do not mean the same; each look costs little.
 const LOOK_AROUND: Duration = Duration::from_millis(500);
 /// How long another replica is given to say what it was told.
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);
@@ -21,23 +21,17 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 impl ReplicaBody {
     /// Looks who else carries the service, now and again.
     pub(super) fn look_around(&mut self, context: &mut Context<Self>) {
-        let (roster, name) = (self.roster.clone(), self.carried.name.clone());
-        let found = async move { roster.carriers(&name).await };
-        context.spawn(wrap_future::<_, Self>(found).map(|found, body, context| {
-            let (access, name) = (body.registry.access(), body.carried.name.clone());
-            let nodes = |all: bool| {
-                let found = found.iter().filter(|found| all || found.reachable);
-                let found = found.filter(|found| access.may_claim(&found.address.node, &name));
-                found.map(|found| found.address.node.clone()).collect::<Vec<_>>()
-            };
-            let now = platform::now();
-            body.machine.handle_claimants(|node| access.may_claim(node, &name), now);
-            body.machine.handle_reached(&nodes(false));
-            body.machine.handle_carriers(&nodes(true), now);
-            body.drive(context);
-            body.show();
-            context.run_later(LOOK_AROUND, Self::look_around);
-        }));
+        let (access, name) = (self.registry.access(), self.carried.name.clone());
+        let mut carriers = self.roster.carriers(&name);
+        carriers.retain(|node| access.may_claim(node, &name));
+        let now = platform::now();
+        self.machine.handle_claimants(|node| access.may_claim(node, &name), now);
+        let reached = carriers.iter().filter(|node| self.registry.is_reachable(node));
+        self.machine.handle_reached(&reached.cloned().collect::<Vec<_>>());
+        self.machine.handle_carriers(&carriers, now);
+        self.drive(context);
+        self.show();
+        context.run_later(LOOK_AROUND, Self::look_around);
     }
 
     /// Says what this node was told, and asks what that one was.

@@ -146,7 +146,7 @@ impl Finder {
 
     /// Asks all who carry the service who serves; `besides` is no answer, and is not asked.
     pub(super) async fn find(&self, besides: Option<&NodeName>) -> Result<Found, Missing> {
-        let members = self.members().await;
+        let members = self.members();
         let others = members.iter().filter(|member| Some(*member) != besides);
         let mut told: FuturesUnordered<_> =
             others.map(|member| self.who_serves(member, besides)).collect();
@@ -247,8 +247,8 @@ impl Finder {
 
     /// The nodes that carry the service, as far as is known: each tells its names when it is met,
     /// and any of them knows the others.
-    async fn members(&self) -> Vec<NodeName> {
-        let mut members = self.roster.members(&self.name).await;
+    fn members(&self) -> Vec<NodeName> {
+        let mut members = self.roster.members(&self.name);
         let known = self.lock();
         members.extend(known.members.iter().cloned());
         members.retain(|member| self.registry.access().may_claim(member, &self.name));

@@ -1,12 +1,12 @@
 //! Which services this node carries, and who serves them.
 
+use crate::directory::DirectoryTable;
 use crate::platform;
-use actix::Recipient;
-use blastema_contract::naming::{FindObject, FoundObject};
+use blastema_core::directory::DirectoryKey;
 use blastema_core::service::{ReplicaConfig, Role, ServiceState, ServiceView, StandbyKind};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{Instant, NodeName, ObjectName};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// What is known of one service.
@@ -55,22 +55,20 @@ pub struct ServiceRow {
 }
 
 /// The services of a node. Clones share them.
-#[derive(Clone, Default)]
+#[derive(Clone)]
 pub(crate) struct Roster {
     /// As many as the node carries.
     services: Arc<Mutex<SortedMap<ObjectName, Entry>>>,
-    finder: Arc<OnceLock<Recipient<FindObject>>>,
+    directory: DirectoryTable,
 }
 
 impl Roster {
-    fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, Entry>> {
-        self.services.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(crate) fn new(directory: DirectoryTable) -> Self {
+        Roster { services: Arc::default(), directory }
     }
 
-    /// Objects of other nodes are found there.
-    pub(crate) fn find_by(&self, finder: Recipient<FindObject>) {
-        // A node has one network, or none.
-        let _ = self.finder.set(finder);
+    fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, Entry>> {
+        self.services.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// This node carries a service.
@@ -133,16 +131,15 @@ impl Roster {
 
     /// The nodes that carry the service: as declared here, and as others say. What was declared
     /// here may be wrong.
-    pub(crate) async fn members(&self, name: &ObjectName) -> Vec<NodeName> {
+    pub(crate) fn members(&self, name: &ObjectName) -> Vec<NodeName> {
         let mut members =
             self.lock().get(name).map_or_else(Vec::new, |entry| entry.members.clone());
-        members.extend(self.carriers(name).await.into_iter().map(|found| found.address.node));
+        members.extend(self.carriers(name));
         members
     }
 
     /// The other nodes that have an object of the service's name, whatever was declared.
-    pub(crate) async fn carriers(&self, name: &ObjectName) -> Vec<FoundObject> {
-        let Some(finder) = self.finder.get() else { return Vec::new() };
-        finder.send(FindObject { object: name.clone() }).await.unwrap_or_default()
+    pub(crate) fn carriers(&self, name: &ObjectName) -> Vec<NodeName> {
+        self.directory.nodes_with(&DirectoryKey::Object(name.clone()))
     }
 }

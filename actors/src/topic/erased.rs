@@ -5,7 +5,7 @@ use crate::messaging::message_log;
 use crate::platform;
 use crate::platform::panics;
 use blastema_core::contract::codec;
-use blastema_core::{ContractIdentity, DeliveryError, Event, Instant, NodeName};
+use blastema_core::{ContractIdentity, DeliveryError, Event, Instant};
 use bytes::Bytes;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
@@ -23,7 +23,7 @@ pub(super) trait AnyTopic: Send + Sync {
         &self,
         form: usize,
         event: &Bytes,
-        from: (&NodeName, Duration),
+        age: Duration,
     ) -> Result<(), DeliveryError>;
     fn has_listeners(&self) -> bool;
     /// The same. Without a listener it forgets the event of another node that it keeps. One that
@@ -35,8 +35,6 @@ pub(super) trait AnyTopic: Send + Sync {
     fn has_publishers(&self) -> bool;
     /// For display, without the other nodes that listen: the table knows them.
     fn row(&self, now: Instant) -> TopicRow;
-    /// The session with this node has ended.
-    fn forget_node(&self, node: &NodeName);
     /// Says whether it has publishers and no listeners, although they have had the time to join.
     fn is_unheard(&self, now: Instant) -> bool;
     /// The names of its publishers and listeners of this node.
@@ -80,10 +78,6 @@ impl<E: Event> AnyTopic for Topic<E> {
         self.traffic.row(&self.key, E::LATCHED, now)
     }
 
-    fn forget_node(&self, node: &NodeName) {
-        self.traffic.forget_node(node);
-    }
-
     fn is_unheard(&self, now: Instant) -> bool {
         !self.has_listeners()
             && !self.is_forwarded.load(Relaxed)
@@ -98,7 +92,7 @@ impl<E: Event> AnyTopic for Topic<E> {
         &self,
         form: usize,
         event: &Bytes,
-        (from, age): (&NodeName, Duration),
+        age: Duration,
     ) -> Result<(), DeliveryError> {
         let former = form.checked_sub(1).and_then(|place| self.former.get(place));
         // To read it runs what is the user's, on the network's thread.
@@ -119,7 +113,6 @@ impl<E: Event> AnyTopic for Topic<E> {
                 let captured_at = now.as_nanos().saturating_sub(nanos(age));
                 let captured_at = Some(Instant::from_nanos(captured_at));
                 self.traffic.count();
-                self.traffic.came_from(from);
                 let logged = message_log::sent(E::NAME, &self.key.topic, String::new);
                 self.hand_out(event, Times { posted_at: now, captured_at, logged }, true);
                 Ok(())

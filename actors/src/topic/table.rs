@@ -91,13 +91,15 @@ pub(crate) struct Topics {
     reports: FaultReports,
     /// When a listener joined a topic last, in nanoseconds.
     joined: Arc<AtomicU64>,
+    /// How often a publisher came or went.
+    publishing: Arc<AtomicU64>,
     ended: NodeEnd,
 }
 
 impl Topics {
     pub(crate) fn new(dead_letters: DeadLetterLog, reports: FaultReports) -> Self {
-        let (inner, interest, joined, ended) = Default::default();
-        Topics { inner, interest, dead_letters, reports, joined, ended }
+        let (inner, interest, joined, publishing, ended) = Default::default();
+        Topics { inner, interest, dead_letters, reports, joined, publishing, ended }
     }
 
     /// This node was shut down: publishers outside of its components get an error.
@@ -135,7 +137,10 @@ impl Topics {
             is_forwarded: AtomicBool::new(false),
             listeners: AtomicU64::new(0),
             latch: Mutex::default(),
-            traffic: Traffic::new(platform::now(), self.joined.clone()),
+            traffic: {
+                let (joined, publishing) = (self.joined.clone(), self.publishing.clone());
+                Traffic::new(platform::now(), joined, publishing)
+            },
             matched: watch::Sender::new(0),
             all: Arc::downgrade(&self.inner),
             dead_letters: self.dead_letters.clone(),
@@ -235,26 +240,19 @@ impl Topics {
         inner.renew_forwards(&forward.topic);
     }
 
-    /// Gives an event that came from this other node to the listeners here, read by this version of
+    /// Gives an event that came from another node to the listeners here, read by this version of
     /// its contract, 0 for the present one; it took so long.
     pub(crate) fn inject(
         &self,
         topic: &ObjectName,
         form: usize,
         event: &Bytes,
-        from: (&NodeName, Duration),
+        age: Duration,
     ) -> Result<(), DeliveryError> {
         let known = lock(&self.inner).topics.get(topic).map(|known| known.erased.clone());
         match known {
-            Some(known) => known.publish_remote(form, event, from),
+            Some(known) => known.publish_remote(form, event, age),
             None => Err(DeliveryError::Unknown { name: topic.to_string() }),
-        }
-    }
-
-    /// The session with this node has ended: it publishes here no more, until its next event.
-    pub(crate) fn forget_node(&self, node: &NodeName) {
-        for known in lock(&self.inner).topics.values() {
-            known.erased.forget_node(node);
         }
     }
 
@@ -284,6 +282,20 @@ impl Topics {
         let inner = lock(&self.inner);
         let here = inner.topics.get(&topic).is_some_and(|known| known.erased.has_listeners());
         here || inner.forwards.get(&topic).is_some_and(|forwards| !forwards.is_empty())
+    }
+
+    /// Tells by another number that a publisher came or went.
+    #[cfg(feature = "network")]
+    pub(crate) fn revision(&self) -> u64 {
+        self.publishing.load(Relaxed)
+    }
+
+    /// All topics that have publishers here.
+    #[cfg(feature = "network")]
+    pub(crate) fn published(&self) -> Vec<TopicKey> {
+        let inner = lock(&self.inner);
+        let published = inner.topics.values().filter(|known| known.erased.has_publishers());
+        published.map(|known| known.erased.key().clone()).collect()
     }
 
     /// All topics that have listeners here, and what they carry.

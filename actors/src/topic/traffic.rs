@@ -2,7 +2,7 @@
 
 use super::{TopicKey, lock};
 use crate::platform;
-use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{Instant, NodeName, ObjectName};
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize};
@@ -28,8 +28,7 @@ pub struct TopicRow {
     pub publishers: Vec<String>,
     /// The objects of this node that listen to it.
     pub listeners: Vec<ObjectName>,
-    /// The other nodes whose events came, since they have joined; only while this node listens do
-    /// they come.
+    /// The other nodes that have publishers of this contract on it.
     pub publishing_nodes: Vec<NodeName>,
     /// The other nodes that have listeners.
     pub listening_nodes: Vec<NodeName>,
@@ -51,6 +50,8 @@ pub(super) struct Traffic {
     unmeasured: AtomicBool,
     /// When a listener joined some topic of the node last, in nanoseconds.
     joined: Arc<AtomicU64>,
+    /// How often a publisher of some topic of the node came or went.
+    publishing: Arc<AtomicU64>,
     /// When its name was compared with those of other topics last, in nanoseconds.
     judged: AtomicU64,
     since: Instant,
@@ -62,8 +63,6 @@ struct Shown {
     publishers: SortedMap<Box<str>, usize>,
     /// How many subscriptions of this name there are.
     listeners: SortedMap<ObjectName, usize>,
-    /// Those whose events came: as many as have sessions at most.
-    publishing_nodes: SortedSet<NodeName>,
     /// The window that began last: when, and after how many events.
     window: (Instant, u64),
     rate_hz: f64,
@@ -78,18 +77,18 @@ fn count<K: Ord>(counts: &mut SortedMap<K, usize>, key: K, more: bool) {
 }
 
 impl Traffic {
-    pub(super) fn new(now: Instant, joined: Arc<AtomicU64>) -> Self {
+    pub(super) fn new(now: Instant, joined: Arc<AtomicU64>, publishing: Arc<AtomicU64>) -> Self {
         Traffic {
             events: AtomicU64::new(0),
             bytes: AtomicUsize::new(0),
             unmeasured: AtomicBool::new(true),
             joined,
+            publishing,
             judged: AtomicU64::new(0),
             since: now,
             shown: Mutex::new(Shown {
                 publishers: SortedMap::new(),
                 listeners: SortedMap::new(),
-                publishing_nodes: SortedSet::new(),
                 window: (now, 0),
                 rate_hz: 0.0,
             }),
@@ -132,22 +131,10 @@ impl Traffic {
         now - self.since >= JOINED_WITHIN && is_used
     }
 
-    /// An event came from this node.
-    pub(super) fn came_from(&self, node: &NodeName) {
-        let mut shown = lock(&self.shown);
-        if !shown.publishing_nodes.contains(node) {
-            shown.publishing_nodes.insert(node.clone());
-        }
-    }
-
-    /// No more events come from this node: its session has ended.
-    pub(super) fn forget_node(&self, node: &NodeName) {
-        lock(&self.shown).publishing_nodes.remove(node);
-    }
-
     /// One publisher more or less.
     pub(super) fn publishes(&self, by: &str, more: bool) {
         count(&mut lock(&self.shown).publishers, by.into(), more);
+        self.publishing.fetch_add(1, Relaxed);
     }
 
     pub(super) fn has_publishers(&self) -> bool {
@@ -187,7 +174,7 @@ impl Traffic {
             latched,
             publishers: shown.publishers.keys().map(|name| name.to_string()).collect(),
             listeners: shown.listeners.keys().cloned().collect(),
-            publishing_nodes: shown.publishing_nodes.iter().cloned().collect(),
+            publishing_nodes: Vec::new(),
             listening_nodes: Vec::new(),
             events,
             rate_hz: shown.rate_hz,

@@ -12,7 +12,6 @@ pub mod detector;
 pub mod link;
 pub mod monitor;
 #[cfg(feature = "network")]
-pub mod naming;
 pub mod notifier;
 pub mod recoverer;
 pub mod reports;

@@ -9,6 +9,7 @@ use blastema_core::net::session::SessionStatus;
 use blastema_core::net::{NodeId, OrderingKey};
 use blastema_core::{Credit, DeliveryError, GatherBuffer, Incarnation, NodeName, TrafficClass};
 use bytes::Bytes;
+use std::collections::BTreeMap;
 
 /// Sends a message, exactly once and in the order of its stream. If it cannot be, it comes back as
 /// [`SessionReported::Returned`].
@@ -155,3 +156,8 @@ pub enum PeerStatusChanged {
         node: NodeName,
     },
 }
+
+/// Which contracts do nodes not mean alike?
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "BTreeMap<NodeName, Vec<String>>")]
+pub struct ReadDifferences;

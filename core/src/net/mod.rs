@@ -1,7 +1,7 @@
 //! The network below the objects, as pure machines: what travels from node to node, and how.
 //!
 //! ```text
-//! naming, message      what objects say to each other across nodes
+//! message              what objects say to each other across nodes
 //!       session        end to end with one peer node: exactly once, in order, over any path
 //!       router         which neighbour is next; which one if that fails
 //!       link           one use of one transport towards one neighbour: is it alive, how good

@@ -20,8 +20,8 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("net", &["platform", "runtime", "arbiter", "messaging", "registry", "topic"]),
     ("variable", TO_NET),
     ("actuator", TO_NET),
-    ("service", TO_NET),
-    ("global_name", TO_NET),
+    ("directory", TO_NET),
+    ("service", TO_DIRECTORY),
     ("parameters", &["arbiter", "component", "variable"]),
 ];
 const TO_REGISTRY: &[&str] =
@@ -41,6 +41,19 @@ const TO_NET: &[&str] = &[
     "host",
     "topic",
     "net",
+];
+const TO_DIRECTORY: &[&str] = &[
+    "platform",
+    "runtime",
+    "arbiter",
+    "messaging",
+    "liveness",
+    "registry",
+    "component",
+    "host",
+    "topic",
+    "net",
+    "directory",
 ];
 /// The top layer imports all others.
 const TOP: &str = "node";

@@ -163,7 +163,7 @@ async fn of_two_halves_that_meet_the_later_claim_stays_and_the_other_is_a_fault(
         assert!(first.epoch().is_some() && second.epoch().is_some(), "each half has one");
 
         robot.clear(0);
-        let fault = robot.nodes[0].await_fault(FaultKind::NameTaken, "net/claims").await;
+        let fault = robot.nodes[0].await_fault(FaultKind::NameTaken, "net/directory").await;
 
         assert!(fault.detail.contains("the name map is lost to module2"), "{}", fault.detail);
         robot.advance(20 * MS).await;
@@ -217,7 +217,7 @@ async fn a_component_that_has_to_go_without_its_name_is_a_fault() {
     let spec = ChildSpec::new("other", || Map("other")).claim("map", ClaimPolicy::Refuse);
     nodes[0].add_child(spec).await.expect("it is sound");
 
-    let fault = nodes[0].await_fault(FaultKind::NameTaken, "net/claims").await;
+    let fault = nodes[0].await_fault(FaultKind::NameTaken, "net/directory").await;
     assert!(fault.detail.contains("other goes without the name map"), "{}", fault.detail);
 }
 
@@ -381,4 +381,27 @@ async fn a_component_that_goes_without_a_name_that_has_become_free_or_anothers_s
         told.contains("brief goes without the name map: map is claimed by module2:other"),
         "{told}"
     );
+}
+
+#[blastema_testkit::test]
+async fn every_node_knows_the_objects_of_the_others_until_their_sessions_end() {
+    let robot = Robot::start().await;
+    let objects = |node: &TestNode| -> Vec<String> {
+        let rows = node.neighbourhood().into_iter();
+        rows.flat_map(|row| row.objects).map(|object| object.to_string()).collect()
+    };
+    assert_eq!(objects(&robot.nodes[0]), ["module2:map", "module3:map"]);
+
+    robot.nodes[1].remove_child("map").await.expect("it is there");
+    let spec = ChildSpec::new("plan", || Map("module2"));
+    robot.nodes[1].add_child(spec).await.expect("it is sound");
+    robot.advance(210 * MS).await;
+    assert_eq!(objects(&robot.nodes[0]), ["module2:plan", "module3:map"]);
+
+    robot.cut(0);
+    robot.advance(20 * LEASE).await;
+    assert_eq!(objects(&robot.nodes[0]), [""; 0]);
+    robot.clear(0);
+    robot.advance(JOINED).await;
+    assert_eq!(objects(&robot.nodes[0]), ["module2:plan", "module3:map"]);
 }

@@ -196,11 +196,11 @@ fn a_topic_names_the_nodes_that_publish_on_it_and_those_that_listen() {
         let [base, arm, head] = &nodes;
         let poses = arm.publisher::<Pose>("sealed/pose").expect("a topic");
         assert!(arm.connected("base", PATIENCE).await && arm.connected("head", PATIENCE).await);
-        poses.publish(Pose(1)).expect("the node runs");
 
         let here = row(arm, "topics", "topic", "sealed/pose").await;
         assert_eq!(here["listening_nodes"], json!(["base", "head"]), "{here}");
         assert_eq!(here["publishing_nodes"], json!([]), "{here}");
+        // Before the first event.
         for other in [base, head] {
             let is_heard = async || {
                 let there = row(other, "topics", "topic", "sealed/pose").await;
@@ -213,11 +213,15 @@ fn a_topic_names_the_nodes_that_publish_on_it_and_those_that_listen() {
             json!(["head"])
         );
 
-        arm.shutdown().await;
         let is_gone = async || {
             let there = row(base, "topics", "topic", "sealed/pose").await;
             there["publishing_nodes"] == json!([])
         };
+        drop(poses);
+        until(is_gone, "a publisher that is dropped is gone").await;
+        let _poses = arm.publisher::<Pose>("sealed/pose").expect("a topic");
+        until(async || !is_gone().await, "another one is seen").await;
+        arm.shutdown().await;
         until(is_gone, "a node that has left publishes no more").await;
         end(nodes).await;
     });

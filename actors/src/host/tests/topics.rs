@@ -247,9 +247,9 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         let shipped = Arc::new(Mutex::new(vec![]));
         let kept = shipped.clone();
         let wanted = vec![ContractIdentity::of::<Sample>().brief()];
-        let forward = topics.forward(&key, (far.clone(), wanted), Arc::new(Shipped(kept)));
+        let forward = topics.forward(&key, (far, wanted), Arc::new(Shipped(kept)));
         assert!(matches!(
-            topics.inject(&key.topic, 0, &Bytes::from_static(&[1]), (&far, Duration::ZERO)),
+            topics.inject(&key.topic, 0, &Bytes::from_static(&[1]), Duration::ZERO),
             Err(DeliveryError::Unknown { .. })
         ));
         let interest = Arc::new(Mutex::new(vec![]));
@@ -265,12 +265,12 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         publish(&stage, "other", 5);
         settle().await;
         let bytes = shipped.lock().unwrap().pop().unwrap();
-        topics.inject(&key.topic, 0, &bytes.into_bytes(), (&far, Duration::ZERO)).unwrap();
+        topics.inject(&key.topic, 0, &bytes.into_bytes(), Duration::ZERO).unwrap();
         settle().await;
         assert_eq!(logged(&log), [5, 5]);
         assert!(shipped.lock().unwrap().is_empty(), "what came in is not sent out again");
         assert!(matches!(
-            topics.inject(&key.topic, 0, &Bytes::from_static(&[9, 9, 9]), (&far, Duration::ZERO)),
+            topics.inject(&key.topic, 0, &Bytes::from_static(&[9, 9, 9]), Duration::ZERO),
             Err(DeliveryError::Undecodable { .. })
         ));
 

@@ -9,15 +9,16 @@ use crate::net::isolation::IsolationChanged;
 use crate::net::stub::PeerCondition;
 use crate::platform;
 use actix::prelude::*;
-use blastema_contract::naming::{FindObject, FoundObject, NodeRow, ReadDifferences, ReadNames};
 use blastema_contract::router::InjectPanic;
-use blastema_contract::session::{CloseSessions, PeerStatusChanged, ResetSession, SessionReported};
+use blastema_contract::session::{
+    CloseSessions, PeerStatusChanged, ReadDifferences, ResetSession, SessionReported,
+};
 use blastema_contract::strategy::IsolateNode;
 use blastema_core::net::NodeId;
 use blastema_core::net::isolation::{IsolationDecision, VoteRefused};
 use blastema_core::net::peer_protocol::{Call, TransmitState};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
-use blastema_core::{DeliveryError, Incarnation, NodeName, ObjectAddress, ObjectName};
+use blastema_core::{DeliveryError, Incarnation, NodeName, ObjectAddress};
 use tracing::debug;
 
 impl Handler<SessionReported> for GatewayActor {
@@ -72,11 +73,7 @@ impl GatewayActor {
         let (id, send_state) = self.meet(&node);
         self.begin_peer(id, session, incarnation);
         self.forget_past(id);
-        let now = platform::now();
-        self.exchange.handle_opened(id, incarnation, now);
-        for announcement in self.naming.handle_opened(node.clone(), incarnation) {
-            self.exchange.handle_own_names(Some(id), &announcement, now);
-        }
+        self.exchange.handle_opened(id, incarnation, platform::now());
         send_state.begin();
         self.wiring.wardens.opened(node.clone());
         self.report_peer(&PeerStatusChanged::Opened { node, incarnation });
@@ -90,7 +87,6 @@ impl GatewayActor {
         self.set(peer, condition);
         let why = self.because(peer, why);
         self.exchange.handle_ended(peer, &why);
-        self.naming.handle_ended(peer);
         self.forget_forbidden(peer);
         if let Some(peer) = self.peers.get(&peer) {
             self.wiring.wardens.ended(&peer.node);
@@ -109,7 +105,6 @@ impl Handler<IsolationChanged> for GatewayActor {
             // What is under way with it is resolved, and what it has here goes.
             let why = DeliveryError::Isolated { object: node.to_string() };
             self.exchange.handle_ended(peer, &why);
-            self.naming.handle_ended(peer);
             self.forget_forbidden(peer);
             self.report_peer(&PeerStatusChanged::Ended { node });
         } else {
@@ -220,31 +215,6 @@ impl Handler<CloseSessions> for GatewayActor {
         self.leaving = true;
         context.run_later(LEAVE_TIMEOUT, |gateway, context| gateway.leave(context));
         self.drive(context);
-    }
-}
-
-impl Handler<FindObject> for GatewayActor {
-    type Result = MessageResult<FindObject>;
-
-    fn handle(&mut self, message: FindObject, _: &mut Context<Self>) -> Self::Result {
-        let found = self.naming.find(&message.object).into_iter().map(|address| {
-            let reachable = self.exchange.is_reachable(NodeId::of(&address.node));
-            FoundObject { address, reachable }
-        });
-        MessageResult(found.collect())
-    }
-}
-
-impl Handler<ReadNames> for GatewayActor {
-    type Result = MessageResult<ReadNames>;
-
-    fn handle(&mut self, _: ReadNames, _: &mut Context<Self>) -> Self::Result {
-        let rows = self.naming.nodes().map(|(node, incarnation, objects)| {
-            let address = |object: &ObjectName| ObjectAddress::new(node.clone(), object.clone());
-            let objects = objects.iter().map(address).collect();
-            NodeRow { node: node.clone(), incarnation, objects }
-        });
-        MessageResult(rows.collect())
     }
 }
 

@@ -4,7 +4,7 @@ use super::chain::FaultChainParts;
 use super::{NodeAssembly, middleware, named};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
-use crate::global_name::actor::{GlobalNamesActor, GlobalNamesSetup};
+use crate::directory::actor::{DirectoryActor, DirectorySetup};
 use crate::net::keys::NodeKeys;
 use crate::net::safe_state::{RestSetup, SafeStateActor};
 use crate::net::{self, NetEnvironment, NetHandle, NetworkSpec};
@@ -94,10 +94,10 @@ impl NodeAssembly {
         let networks = std::mem::take(&mut description.networks);
         let who = (&self.node, self.incarnation);
         if networks.is_empty() {
-            let setup = claims_setup(who, &self.parts, &self.environment);
+            let setup = directory_setup(who, &self.parts, &self.environment);
             let arbiter = self.parts.chain.arbiter.as_ref();
-            let claims = GlobalNamesActor::start(setup, &self.parts.guardian, arbiter);
-            self.enrolments.push(middleware(named("net/claims"), Some(claims.pings)));
+            let directory = DirectoryActor::start(setup, &self.parts.guardian, arbiter);
+            self.enrolments.push(middleware(named("net/directory"), Some(directory.pings)));
             return Ok(());
         }
         let judges = description.judges()?;
@@ -110,7 +110,6 @@ impl NodeAssembly {
         let transports = &mut self.undone.transports;
         let (networks, enrolments) =
             make_networks(networks, (arbiter, transports), who, &self.parts, &self.environment)?;
-        self.environment.services().find_by(networks.handle.finder());
         self.enrolments.extend(enrolments);
         self.networks = Some(networks);
         Ok(())
@@ -206,20 +205,21 @@ fn make_networks(
         keys,
     };
     let slowest = specs.iter().flat_map(|spec| &spec.links).map(|link| link.hello_interval).max();
-    let setup = claims_setup((node, incarnation), parts, environment);
-    let setup = GlobalNamesSetup {
+    let setup = directory_setup((node, incarnation), parts, environment);
+    let setup = DirectorySetup {
         settle: settling(slowest.unwrap_or_default()),
         expected: neighbours.iter().cloned().collect(),
         ..setup
     };
-    let claims = GlobalNamesActor::start(setup, guardian, arbiter.as_ref());
-    enrolments.push(middleware(named("net/claims"), Some(claims.pings)));
+    let directory = DirectoryActor::start(setup, guardian, arbiter.as_ref());
+    enrolments.push(middleware(named("net/directory"), Some(directory.pings)));
     let setup =
         RestSetup { registry: environment.registry.clone(), nodes: monitor.clone().recipient() };
     let rest = SafeStateActor::start(setup, guardian, arbiter.as_ref());
     parts.controller.do_send(SubscribeSafeState(rest.own));
     enrolments.push(middleware(named("net/rest"), Some(rest.pings)));
-    let (observers, roster_observers) = (vec![claims.peers, rest.peers], vec![claims.rosters]);
+    let (observers, roster_observers) =
+        (vec![directory.peers, rest.peers], vec![directory.rosters]);
     let net_environment = NetEnvironment { observers, roster_observers, ..net_environment };
     let handle = net::start(net_environment, specs)
         .map_err(|error| StartError::Network(error.to_string()))?;
@@ -245,19 +245,20 @@ fn admitted(spec: &NetworkSpec) -> impl Iterator<Item = &NodeName> {
     names.into_iter().flatten()
 }
 
-/// The configuration of global names for a node without a network.
-fn claims_setup(
+/// The setup of the directory for a node without a network.
+fn directory_setup(
     (node, incarnation): (&NodeName, Incarnation),
     parts: &FaultChainParts,
     environment: &ComponentEnvironment,
-) -> GlobalNamesSetup {
-    GlobalNamesSetup {
+) -> DirectorySetup {
+    DirectorySetup {
         node: node.clone(),
         incarnation,
         settle: Duration::ZERO,
         expected: Vec::new(),
         registry: environment.registry.clone(),
-        names: environment.names().clone(),
+        topics: environment.topics().clone(),
+        names: environment.directory().clone(),
         faults: Some(parts.monitor.clone().recipient()),
         cleared: Some(parts.monitor.clone().recipient()),
     }

@@ -1,9 +1,9 @@
 //! Names of the whole robot, as a node claims them and knows them.
 
-use crate::global_name::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch};
+use crate::directory::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch};
 use crate::node::Node;
 use crate::registry::lookup::NameResolver;
-use blastema_core::global_name::ClaimRequest;
+use blastema_core::directory::ClaimRequest;
 use blastema_core::{NameError, ObjectName};
 
 /// Names of the whole robot; with the feature `network`.
@@ -32,12 +32,12 @@ impl Node {
         policy: ClaimPolicy,
     ) -> Result<Claim, ClaimError> {
         let (name, object) = (ObjectName::new(name)?, ObjectName::new(object)?);
-        Claim::make(self.0.environment.names(), ClaimRequest { name, object, policy }).await
+        Claim::make(self.0.environment.directory(), ClaimRequest { name, object, policy }).await
     }
 
     /// Returns the holder of a global name, as known to this node.
     pub fn holder(&self, name: &str) -> Option<Holder> {
-        self.0.environment.names().holder(&ObjectName::new(name).ok()?)
+        self.0.environment.directory().holder(&ObjectName::new(name).ok()?)
     }
 
     /// Reports the holder of a global name, now and at each change.
@@ -45,11 +45,11 @@ impl Node {
     /// # Errors
     /// The name does not parse.
     pub fn watch_name(&self, name: &str) -> Result<NameWatch, NameError> {
-        Ok(NameWatch::new(self.0.environment.names(), ObjectName::new(name)?))
+        Ok(NameWatch::new(self.0.environment.directory(), ObjectName::new(name)?))
     }
 
     /// Returns the global names that have a holder.
     pub fn claims(&self) -> Vec<ClaimRow> {
-        self.0.environment.names().rows()
+        self.0.environment.directory().rows()
     }
 }

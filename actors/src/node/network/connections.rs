@@ -1,14 +1,16 @@
 //! The methods of a node that show its networks.
 
 use super::Cable;
+use crate::directory::NodeRow;
 use crate::net::RosterRow;
 use crate::node::{MediumRow, Node};
+use crate::topic::TopicRow;
 use blastema_contract::link::LinkRow;
-use blastema_contract::naming::NodeRow;
 use blastema_contract::router::InjectPanic;
 use blastema_contract::session::SessionRow;
-use blastema_core::NodeName;
+use blastema_core::directory::DirectoryKey;
 use blastema_core::net::Route;
+use blastema_core::{NodeName, ObjectName};
 use std::time::Duration;
 
 /// Links, routes and sessions; with the feature `network`.
@@ -61,12 +63,17 @@ impl Node {
         }
     }
 
+    /// Completes a row by what other nodes have.
+    pub(in crate::node) fn with_publishing_nodes(&self, row: TopicRow) -> TopicRow {
+        let Ok(topic) = ObjectName::new(&row.topic) else { return row };
+        let key = DirectoryKey::Publisher { topic, contract: row.contract.clone() };
+        let publishing_nodes = self.0.environment.directory().nodes_with(&key);
+        TopicRow { publishing_nodes, ..row }
+    }
+
     /// Every other node that a session is open with, and its objects.
-    pub async fn neighbourhood(&self) -> Vec<NodeRow> {
-        match &self.0.networks {
-            Some(networks) => networks.handle.read_names().await,
-            None => Vec::new(),
-        }
+    pub fn neighbourhood(&self) -> Vec<NodeRow> {
+        self.0.environment.directory().node_rows()
     }
 
     /// The cable of a network that was described [`with_faults`](crate::Network::with_faults).

@@ -2,6 +2,7 @@
 
 use crate::node::Node;
 use crate::platform;
+use blastema_core::directory::DirectoryKey;
 use blastema_core::{NodeName, ObjectName};
 use std::fmt;
 use std::time::Duration;
@@ -47,7 +48,7 @@ impl Node {
     ) -> Result<(), NotReady> {
         let until = platform::now() + within;
         loop {
-            let missing = self.missing(names, topics).await;
+            let missing = self.missing(names, topics);
             if missing.is_empty() {
                 return Ok(());
             }
@@ -59,10 +60,10 @@ impl Node {
         }
     }
 
-    async fn missing(&self, names: &[&str], topics: &[&str]) -> Vec<(String, String)> {
+    fn missing(&self, names: &[&str], topics: &[&str]) -> Vec<(String, String)> {
         let mut missing = Vec::new();
         for name in names {
-            if let Some(why) = self.absence(name).await {
+            if let Some(why) = self.absence(name) {
                 missing.push(((*name).to_owned(), why));
             }
         }
@@ -76,7 +77,7 @@ impl Node {
     }
 
     /// Why a name cannot be sent to now.
-    async fn absence(&self, name: &str) -> Option<String> {
+    fn absence(&self, name: &str) -> Option<String> {
         let Some((node, object)) = name.split_once(':') else {
             return self.own_absence(name);
         };
@@ -95,10 +96,8 @@ impl Node {
         if !networks.handle.is_connected(&node) {
             return Some(format!("{node} is not connected"));
         }
-        let rows = self.neighbourhood().await;
-        let has = rows.iter().any(|row| {
-            row.node == node && row.objects.iter().any(|address| address.object == object)
-        });
+        let having = self.0.environment.directory().nodes_with(&DirectoryKey::Object(object));
+        let has = having.contains(&node);
         (!has).then(|| format!("{node} has no object of this name"))
     }
 

@@ -1,7 +1,7 @@
 //! Everything that a node knows of other nodes at one moment.
 
 use crate::AccessRefusal;
-use crate::global_name::ClaimRow;
+use crate::directory::ClaimRow;
 use crate::net::RosterRow;
 use crate::node::Node;
 use crate::node::medium_row::MediumRow;

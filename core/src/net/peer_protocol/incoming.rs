@@ -7,7 +7,6 @@ use super::{
     BINDINGS_MAX, CALLS_MAX, MessageTarget, PeerProtocol, PeerProtocolOutput, RemoteTopic,
     TopicContract, control, refuse,
 };
-use crate::net::peer_protocol::naming::DirectoryUpdate;
 use crate::net::wire::message::{PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
 use crate::{DeliveryError, GatherBuffer, Instant, ObjectName, PeerIdentity, TrafficClass};
@@ -152,10 +151,9 @@ impl PeerProtocol {
                     self.outputs.push_back(PeerProtocolOutput::Noticed { number, arrived: true });
                 }
             }
-            PeerMessage::Names { timestamp_us, complete, added, removed } => {
+            PeerMessage::Announced { timestamp_us } => {
                 session.age(timestamp_us, now);
-                let announcement = DirectoryUpdate { complete, added, removed };
-                self.outputs.push_back(PeerProtocolOutput::Names { peer, announcement });
+                self.outputs.push_back(PeerProtocolOutput::Announced { peer });
             }
             PeerMessage::Leaving => self.outputs.push_back(PeerProtocolOutput::Bye { peer }),
             PeerMessage::NotReady { binding } => match session.handle_not_ready(binding) {

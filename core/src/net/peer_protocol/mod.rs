@@ -15,7 +15,6 @@ mod peer;
 mod reply_cache;
 mod types;
 
-pub mod naming;
 pub mod receive_backlog;
 
 pub use self::types::{
@@ -36,7 +35,6 @@ use crate::{
     TrafficClass,
 };
 use bytes::Bytes;
-use naming::DirectoryUpdate;
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -154,6 +152,7 @@ impl PeerProtocol {
         let again = std::mem::take(&mut state.again);
         let topics: Vec<_> = self.interests.keys().cloned().collect();
         topics.iter().for_each(|topic| self.offer_interest(peer, topic));
+        self.outputs.push_back(control(peer, &PeerMessage::Announced { timestamp_us: 0 }));
         again.into_iter().for_each(|call| self.handle_call(call));
     }
 
@@ -404,25 +403,6 @@ impl PeerProtocol {
     pub fn handle_noticed(&mut self, peer: NodeId, epoch: SessionEpoch, number: u64) {
         if self.session(peer, epoch).is_some() {
             self.outputs.push_back(control(peer, &PeerMessage::Confirmed { number }));
-        }
-    }
-
-    /// Tells one peer, or all, which objects this node has.
-    pub fn handle_own_names(
-        &mut self,
-        to: Option<NodeId>,
-        announcement: &DirectoryUpdate,
-        now: Instant,
-    ) {
-        for (peer, state) in &self.peers {
-            if let Some(session) = &state.session
-                && to.is_none_or(|to| to == *peer)
-            {
-                let DirectoryUpdate { complete, added, removed } = announcement.clone();
-                let timestamp_us = session.timestamp_us(now);
-                let message = PeerMessage::Names { timestamp_us, complete, added, removed };
-                self.outputs.push_back(control(*peer, &message));
-            }
         }
     }
 

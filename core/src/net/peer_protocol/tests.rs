@@ -3,7 +3,6 @@
 use super::*;
 use crate::CreditPool;
 use crate::contract::layout::{Described, Layout};
-use crate::net::peer_protocol::naming::DirectoryUpdate;
 use crate::{Delivery, Incarnation, NodeName};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -60,14 +59,16 @@ struct Pair {
     ends: [PeerProtocol; 2],
     ids: [NodeId; 2],
     outputs: [Vec<PeerProtocolOutput>; 2],
+    /// After how many outputs the other end had told all that it listens to.
+    announced: [Option<usize>; 2],
     now: u64,
 }
 
 impl Pair {
     fn new() -> Self {
         let ids = [NodeId::of(&node("left")), NodeId::of(&node("right"))];
-        let outputs = [vec![], vec![]];
-        Pair { ends: [PeerProtocol::default(), PeerProtocol::default()], ids, outputs, now: 0 }
+        let (ends, outputs) = Default::default();
+        Pair { ends, ids, outputs, announced: [None; 2], now: 0 }
     }
 
     fn open() -> Self {
@@ -95,6 +96,10 @@ impl Pair {
                                 message.into_bytes(),
                                 at(self.now),
                             );
+                        }
+                        PeerProtocolOutput::Announced { peer } => {
+                            assert_eq!(peer, self.ids[1 - end]);
+                            self.announced[end] = Some(self.outputs[end].len());
                         }
                         other => self.outputs[end].push(other),
                     }
@@ -330,6 +335,7 @@ fn an_interest_is_told_now_and_to_every_later_session() {
         pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
     }
     pair.run();
+    assert_eq!(pair.announced, [Some(0), Some(1)]);
     let outputs = pair.take(1);
     let [PeerProtocolOutput::Subscribe { peer, subscription, topic: wanted, .. }] = &outputs[..]
     else {
@@ -432,8 +438,6 @@ fn a_peer_that_binds_without_end_is_refused_beyond_the_limit() {
 #[test]
 fn what_waited_on_the_way_arrives_with_its_age() {
     let mut pair = Pair::open();
-    let nothing = DirectoryUpdate { complete: true, added: vec![], removed: vec![] };
-    pair.ends[0].handle_own_names(None, &nothing, at(0));
     pair.run();
     pair.call(count(), None);
     // The peer agrees 300 ms later.

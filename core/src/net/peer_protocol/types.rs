@@ -1,6 +1,5 @@
 //! Inputs and outputs of the peer protocol.
 
-use crate::net::peer_protocol::naming::DirectoryUpdate;
 use crate::net::session::ordering_key::OrderingKey;
 use crate::net::trust::access::AccessDenied;
 use crate::net::wire::node_id::NodeId;
@@ -252,12 +251,10 @@ pub enum PeerProtocolOutput {
         /// It has arrived.
         arrived: bool,
     },
-    /// A peer told of its objects.
-    Names {
-        /// Whose.
+    /// A peer has told all that it listens to.
+    Announced {
+        /// Who.
         peer: NodeId,
-        /// Which.
-        announcement: DirectoryUpdate,
     },
     /// The peer ends in order.
     Bye {

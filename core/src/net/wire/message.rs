@@ -1,4 +1,4 @@
-//! The messages between nodes within a session: bindings, requests, events, names, faults.
+//! The messages between nodes within a session: bindings, requests, events, faults.
 //!
 //! ```text
 //! kind 1 │ fields in the order of the variant
@@ -152,17 +152,11 @@ pub enum PeerMessage {
         /// Which.
         number: u64,
     },
-    /// Objects of this node have come and gone.
-    Names {
-        /// When this was sent. A session begins with such a message, so that the age of what
-        /// follows can be measured against one that came without delay.
+    /// All that this node listens to was told. Each session begins so, that the age of what follows
+    /// can be measured against a message that came without delay.
+    Announced {
+        /// When this was sent.
         timestamp_us: u64,
-        /// Everything said before is void: these are all.
-        complete: bool,
-        /// Who came.
-        added: Vec<ObjectName>,
-        /// Who went.
-        removed: Vec<ObjectName>,
     },
     /// This node ends in order and will not be back soon: do not take it for lost.
     Leaving,
@@ -192,7 +186,7 @@ const UNSUBSCRIBE: u8 = 9;
 const EVENT: u8 = 10;
 const NOTICE: u8 = 11;
 const CONFIRMED: u8 = 12;
-const NAMES: u8 = 13;
+const ANNOUNCED: u8 = 13;
 const BYE: u8 = 14;
 const FULL: u8 = 15;
 const ROOM: u8 = 16;
@@ -287,14 +281,9 @@ impl PeerMessage {
                 bytes.put_u8(CONFIRMED);
                 bytes.varint(*number);
             }
-            PeerMessage::Names { timestamp_us, complete, added, removed } => {
-                bytes.put_u8(NAMES);
+            PeerMessage::Announced { timestamp_us } => {
+                bytes.put_u8(ANNOUNCED);
                 bytes.varint(*timestamp_us);
-                bytes.put_u8((*complete).into());
-                for names in [added, removed] {
-                    bytes.varint(names.len() as u64);
-                    names.iter().for_each(|name| bytes.sized(name.as_str().as_bytes()));
-                }
             }
             PeerMessage::Leaving => bytes.put_u8(BYE),
             PeerMessage::NotReady { binding } => numbered(bytes, FULL, *binding),
@@ -388,13 +377,10 @@ impl PeerMessage {
                 reader.end(what)?;
                 PeerMessage::Confirmed { number }
             }
-            NAMES => {
+            ANNOUNCED => {
                 let timestamp_us = reader.varint()?;
-                let complete = reader.u8()? != 0;
-                let added = read_names(&mut reader)?;
-                let removed = read_names(&mut reader)?;
                 reader.end(what)?;
-                PeerMessage::Names { timestamp_us, complete, added, removed }
+                PeerMessage::Announced { timestamp_us }
             }
             BYE => {
                 reader.end(what)?;
@@ -475,16 +461,6 @@ fn read_why(reader: &mut Reader) -> Result<DeliveryError, WireError> {
         .map_err(|_| WireError::Malformed { what: "an error" })
 }
 
-fn read_names(reader: &mut Reader) -> Result<Vec<ObjectName>, WireError> {
-    let count = reader.varint()?;
-    // No room is taken on the strength of a promise: each name costs at least two bytes.
-    let mut names = Vec::new();
-    for _ in 0..count {
-        names.push(reader.parsed("an object's name")?);
-    }
-    Ok(names)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -563,15 +539,7 @@ mod tests {
             ),
             (PeerMessage::Notice { number: 4, payload: payload.into() }, b"\x0b\x04xy"),
             (PeerMessage::Confirmed { number: 4 }, b"\x0c\x04"),
-            (
-                PeerMessage::Names {
-                    timestamp_us: 0,
-                    complete: true,
-                    added: vec![object.clone()],
-                    removed: vec![object],
-                },
-                b"\x0d\0\x01\x01\x03arm\x01\x03arm",
-            ),
+            (PeerMessage::Announced { timestamp_us: 300 }, b"\x0d\xac\x02"),
             (PeerMessage::Leaving, b"\x0e"),
             (PeerMessage::NotReady { binding: 200 }, b"\x0f\xc8\x01"),
             (PeerMessage::Ready { binding: 200 }, b"\x10\xc8\x01"),

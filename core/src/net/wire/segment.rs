@@ -557,7 +557,7 @@ mod tests {
         vec![
             (
                 Segment::Open(open),
-                &[0x83, 4, 0, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3],
+                &[0x83, 5, 0, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3],
             ),
             (Segment::Data(copied), b"\xe7\x01\x02\x03\x04\xac\x02\x02hi"),
             (Segment::Data(data), b"\x27\x01\x02\x03\x04\xac\x02\x02hi"),

@@ -88,7 +88,7 @@ impl UnmetClaims {
 mod tests {
     use super::*;
     use crate::NodeName;
-    use crate::global_name::NameHeld;
+    use crate::directory::NameHeld;
 
     fn name(text: &str) -> ObjectName {
         ObjectName::new(text).unwrap()

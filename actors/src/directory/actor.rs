@@ -1,6 +1,6 @@
-//! The actor of the global names.
+//! The actor of the directory.
 
-use crate::global_name::{ClaimCommand, ClaimState, GlobalNameTable};
+use crate::directory::{ClaimCommand, ClaimState, DirectoryTable};
 use crate::net::RosterChanged;
 use crate::net::fault_reporter::FaultReporter;
 use crate::net::peer_messages::{ActorMessageReceived, PeerChannel};
@@ -8,12 +8,13 @@ use crate::platform;
 use crate::registry::Registry;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::{Guardian, answers_the_monitor};
+use crate::topic::{TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
 use blastema_contract::router::InjectPanic;
 use blastema_contract::session::PeerStatusChanged;
-use blastema_core::global_name::{
-    ClaimRefused, ClaimRequest, GlobalNames, GlobalNamesConfig, GlobalNamesOutput, Holder,
+use blastema_core::directory::{
+    ClaimRefused, ClaimRequest, Directory, DirectoryConfig, DirectoryKey, DirectoryOutput, Holder,
     NameHeld, UnmetClaims,
 };
 use blastema_core::net::active_alarms::ActiveAlarms;
@@ -27,14 +28,16 @@ use tokio::sync::watch;
 use tracing::{error, info, warn};
 
 /// How long a name is kept for a node that is not heard of any more. It is heard of four times as
-/// often, which costs some 60 bytes each, and nothing where a node claims nothing.
+/// often, which costs some 60 bytes each; and every four seconds where it claims nothing.
 const CLAIM_LEASE: Duration = Duration::from_secs(1);
+/// How often it is looked for objects and publishers of this node that came or went.
+const OWN_INTERVAL: Duration = Duration::from_millis(200);
 /// How often it is looked at what was refused.
 const REFUSAL_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// What the body is made of.
 #[derive(Clone)]
-pub(crate) struct GlobalNamesSetup {
+pub(crate) struct DirectorySetup {
     pub(crate) node: NodeName,
     pub(crate) incarnation: Incarnation,
     /// How long nothing is granted after the start.
@@ -42,7 +45,8 @@ pub(crate) struct GlobalNamesSetup {
     /// Nodes after whose word that is over.
     pub(crate) expected: Vec<NodeName>,
     pub(crate) registry: Registry,
-    pub(crate) names: GlobalNameTable,
+    pub(crate) topics: Topics,
+    pub(crate) names: DirectoryTable,
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
     pub(crate) cleared: Option<Recipient<DeclaredFaultCleared>>,
 }
@@ -56,9 +60,9 @@ struct Own {
 }
 
 /// The body.
-pub(crate) struct GlobalNamesActor {
-    setup: GlobalNamesSetup,
-    machine: GlobalNames,
+pub(crate) struct DirectoryActor {
+    setup: DirectorySetup,
+    machine: Directory,
     wake: WakeTimer,
     channel: PeerChannel,
     own: SortedMap<ObjectName, Own>,
@@ -74,10 +78,14 @@ pub(crate) struct GlobalNamesActor {
     /// Who goes without a name, and what was said of that last.
     without: UnmetClaims,
     reported_conflict: Option<String>,
+    /// As of which revisions of the registry and the topics other nodes know what is here.
+    revisions: Option<(u64, u64)>,
+    /// How many objects and publishers they are not told of.
+    untold: usize,
 }
 
 /// Where the body is told and asked.
-pub(crate) struct GlobalNamesRecipients {
+pub(crate) struct DirectoryRecipients {
     pub(crate) peers: Recipient<PeerStatusChanged>,
     pub(crate) rosters: Recipient<RosterChanged>,
     pub(crate) pings: Recipient<AreYouAlive>,
@@ -85,35 +93,37 @@ pub(crate) struct GlobalNamesRecipients {
     panic: Recipient<InjectPanic>,
 }
 
-impl GlobalNamesActor {
+impl DirectoryActor {
     /// Starts it under the guardian, and leads those who claim to it.
     pub(crate) fn start(
-        setup: GlobalNamesSetup,
+        setup: DirectorySetup,
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
-    ) -> GlobalNamesRecipients {
+    ) -> DirectoryRecipients {
         let names = setup.names.clone();
         setup.registry.set_name_resolver(Arc::new(names.clone()));
         let make = move |context: &mut Context<Self>| {
             let reader = context.address().recipient();
-            GlobalNamesActor {
-                machine: GlobalNames::new(config(&setup), platform::now()),
+            DirectoryActor {
+                machine: Directory::new(config(&setup), platform::now()),
                 wake: WakeTimer::default(),
-                channel: PeerChannel::at(crate::net::named("claims"), &setup.registry, reader),
+                channel: PeerChannel::at(crate::net::named("directory"), &setup.registry, reader),
                 own: SortedMap::new(),
                 forbidden: SortedMap::new(),
                 peers: SortedMap::new(),
                 complaints: RefusalAlarms::default(),
-                faults: FaultReporter::of("claims", setup.faults.clone(), setup.cleared.clone()),
+                faults: FaultReporter::of("directory", setup.faults.clone(), setup.cleared.clone()),
                 lost: ActiveAlarms::default(),
                 without: UnmetClaims::default(),
                 reported_conflict: None,
+                revisions: None,
+                untold: 0,
                 setup,
             }
         };
-        let body = guardian.start(crate::net::named("claims"), arbiter, make);
+        let body = guardian.start(crate::net::named("directory"), arbiter, make);
         names.lead_to(body.clone().recipient());
-        GlobalNamesRecipients {
+        DirectoryRecipients {
             #[cfg(test)]
             panic: body.clone().recipient(),
             peers: body.clone().recipient(),
@@ -211,6 +221,24 @@ impl GlobalNamesActor {
         }
     }
 
+    /// Tells other nodes which objects and publishers there are here, if they have changed.
+    fn look_at_own(&mut self) {
+        let DirectorySetup { registry, topics, .. } = &self.setup;
+        let revisions = Some((registry.revision(), topics.revision()));
+        if std::mem::replace(&mut self.revisions, revisions) == revisions {
+            return;
+        }
+        let objects = registry.objects().into_iter().map(|(name, _)| DirectoryKey::Object(name));
+        let publishers = topics.published().into_iter().map(|TopicKey { topic, contract }| {
+            DirectoryKey::Publisher { topic, contract: contract.to_string() }
+        });
+        let untold = self.machine.handle_present(objects.chain(publishers).collect());
+        if untold > self.untold {
+            warn!(untold, "other nodes are not told of objects and publishers: there are too many");
+        }
+        self.untold = untold;
+    }
+
     /// Raises an alarm for a node whose messages are refused for seconds, and clears it when none
     /// was refused for a while.
     fn look_at_refusals(&mut self) {
@@ -219,7 +247,8 @@ impl GlobalNamesActor {
             self.machine.refusals().map(|(node, refusals)| (node.clone(), refusals)).collect();
         for (node, refusals) in looks {
             if let Some(since) = self.complaints.handle_look(node.clone(), refusals, now) {
-                let detail = format!("what {node} claims is refused all the time: {since}");
+                let detail =
+                    format!("what {node} says that it has is refused all the time: {since}");
                 self.declare(FaultKind::CheckFailed, detail);
             }
         }
@@ -232,8 +261,8 @@ impl GlobalNamesActor {
     }
 }
 
-fn config(setup: &GlobalNamesSetup) -> GlobalNamesConfig {
-    GlobalNamesConfig {
+fn config(setup: &DirectorySetup) -> DirectoryConfig {
+    DirectoryConfig {
         node: setup.node.clone(),
         incarnation: setup.incarnation,
         lease: CLAIM_LEASE,
@@ -242,9 +271,9 @@ fn config(setup: &GlobalNamesSetup) -> GlobalNamesConfig {
     }
 }
 
-answers_the_monitor!(GlobalNamesActor);
+answers_the_monitor!(DirectoryActor);
 
-impl Actor for GlobalNamesActor {
+impl Actor for DirectoryActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
@@ -252,11 +281,16 @@ impl Actor for GlobalNamesActor {
             self.machine.handle_access((*policy).clone(), platform::now());
         }
         context.run_interval(REFUSAL_CHECK_INTERVAL, |body, _| body.look_at_refusals());
+        context.run_interval(OWN_INTERVAL, |body, context| {
+            body.look_at_own();
+            body.drive(context);
+        });
+        self.look_at_own();
         self.drive(context);
     }
 }
 
-impl Supervised for GlobalNamesActor {
+impl Supervised for DirectoryActor {
     /// What is claimed here stays so; what others claim, they are asked for.
     fn restarting(&mut self, context: &mut Context<Self>) {
         let (now, mut own) = (platform::now(), Vec::new());
@@ -268,7 +302,9 @@ impl Supervised for GlobalNamesActor {
             own.push((wanted.clone(), epoch));
         }
         self.setup.names.forget_all();
-        self.machine = GlobalNames::restarted(config(&self.setup), own, now);
+        self.machine = Directory::restarted(config(&self.setup), own, now);
+        self.revisions = None;
+        self.look_at_own();
         for (node, incarnation) in self.peers.values() {
             self.machine.handle_opened(node.clone(), *incarnation, now);
         }
@@ -277,29 +313,29 @@ impl Supervised for GlobalNamesActor {
     }
 }
 
-impl MachineActor for GlobalNamesActor {
-    type Machine = GlobalNames;
+impl MachineActor for DirectoryActor {
+    type Machine = Directory;
 
-    fn driven(&mut self) -> (&mut GlobalNames, &mut WakeTimer) {
+    fn driven(&mut self) -> (&mut Directory, &mut WakeTimer) {
         (&mut self.machine, &mut self.wake)
     }
 
-    fn carry_out(&mut self, output: GlobalNamesOutput, _: &mut Context<Self>) {
+    fn carry_out(&mut self, output: DirectoryOutput, _: &mut Context<Self>) {
         match output {
-            GlobalNamesOutput::Send { to, message } => self.channel.send(&to, &message),
-            GlobalNamesOutput::Granted { name, epoch } => {
+            DirectoryOutput::Send { to, message } => self.channel.send(&to, &message),
+            DirectoryOutput::Granted { name, epoch } => {
                 info!(%name, epoch, "a name is ours");
                 self.tell(&name, ClaimState::Held { epoch });
                 if let Some(number) = self.own.get(&name).map(|own| own.number) {
                     self.has_its_name(name, number);
                 }
             }
-            GlobalNamesOutput::StandsBy { name } => self.tell(&name, ClaimState::StandsBy),
-            GlobalNamesOutput::Refused { name, refused } => self.refused(&name, refused),
-            GlobalNamesOutput::AccessDenied { denied } => {
+            DirectoryOutput::StandsBy { name } => self.tell(&name, ClaimState::StandsBy),
+            DirectoryOutput::Refused { name, refused } => self.refused(&name, refused),
+            DirectoryOutput::AccessDenied { denied } => {
                 self.setup.registry.access().record(*denied)
             }
-            GlobalNamesOutput::Lost { name, to, epoch, stands_by } => {
+            DirectoryOutput::Lost { name, to, epoch, stands_by } => {
                 let what = if stands_by {
                     "it stands by for it from now on"
                 } else {
@@ -318,7 +354,9 @@ impl MachineActor for GlobalNamesActor {
                     false => self.end(&name, ClaimState::Lost { to, epoch }),
                 }
             }
-            GlobalNamesOutput::Held { name, holder } => {
+            DirectoryOutput::RecordAdded { node, key } => self.setup.names.add(node, key),
+            DirectoryOutput::RecordRemoved { node, key } => self.setup.names.remove(&node, &key),
+            DirectoryOutput::Held { name, holder } => {
                 self.without.handle_holder(&name, holder.as_ref());
                 self.say_who_goes_without();
                 let with_incarnation = |holder: Holder| {
@@ -331,7 +369,7 @@ impl MachineActor for GlobalNamesActor {
     }
 }
 
-impl Handler<ClaimCommand> for GlobalNamesActor {
+impl Handler<ClaimCommand> for DirectoryActor {
     type Result = ();
 
     fn handle(&mut self, wish: ClaimCommand, context: &mut Context<Self>) {
@@ -373,7 +411,7 @@ impl Handler<ClaimCommand> for GlobalNamesActor {
     }
 }
 
-impl Handler<PeerStatusChanged> for GlobalNamesActor {
+impl Handler<PeerStatusChanged> for DirectoryActor {
     type Result = ();
 
     fn handle(&mut self, seen: PeerStatusChanged, context: &mut Context<Self>) {
@@ -381,19 +419,25 @@ impl Handler<PeerStatusChanged> for GlobalNamesActor {
         match seen {
             PeerStatusChanged::Opened { node, incarnation } => {
                 self.peers.insert(NodeId::of(&node), (node.clone(), incarnation));
+                self.setup.names.note_opened(node.clone(), incarnation);
+                self.look_at_own();
                 self.machine.handle_opened(node, incarnation, now);
             }
             PeerStatusChanged::Ended { node } => {
                 self.peers.remove(&NodeId::of(&node));
+                self.setup.names.note_ended(&node);
                 self.machine.handle_ended(&node);
             }
-            PeerStatusChanged::Left { node } => self.machine.handle_left(&node, now),
+            PeerStatusChanged::Left { node } => {
+                self.setup.names.note_ended(&node);
+                self.machine.handle_left(&node, now);
+            }
         }
         self.drive(context);
     }
 }
 
-impl Handler<RosterChanged> for GlobalNamesActor {
+impl Handler<RosterChanged> for DirectoryActor {
     type Result = ();
 
     fn handle(&mut self, message: RosterChanged, context: &mut Context<Self>) {
@@ -410,7 +454,7 @@ impl Handler<RosterChanged> for GlobalNamesActor {
     }
 }
 
-impl Handler<ActorMessageReceived> for GlobalNamesActor {
+impl Handler<ActorMessageReceived> for DirectoryActor {
     type Result = ();
 
     fn handle(&mut self, letter: ActorMessageReceived, context: &mut Context<Self>) {
@@ -422,33 +466,36 @@ impl Handler<ActorMessageReceived> for GlobalNamesActor {
     }
 }
 
-impl Handler<InjectPanic> for GlobalNamesActor {
+impl Handler<InjectPanic> for DirectoryActor {
     type Result = ();
 
     fn handle(&mut self, _: InjectPanic, _: &mut Context<Self>) {
-        panic!("the claims panic on purpose");
+        panic!("the directory panics on purpose");
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::global_name::Claim;
+    use crate::directory::Claim;
+    use crate::messaging::dead_letters::DeadLetterLog;
     use crate::registry::lookup::NameResolver;
-    use blastema_core::global_name::ClaimPolicy;
+    use crate::runtime::reports::FaultReports;
+    use blastema_core::directory::ClaimPolicy;
     use blastema_doubles::{Probe, advance, paused, settle};
 
     fn wanted() -> ClaimRequest {
         ClaimRequest::new(ObjectName::new("map").unwrap(), ClaimPolicy::Refuse)
     }
 
-    fn setup(names: &GlobalNameTable) -> GlobalNamesSetup {
-        GlobalNamesSetup {
+    fn setup(names: &DirectoryTable) -> DirectorySetup {
+        DirectorySetup {
             node: NodeName::new("a").unwrap(),
             incarnation: Incarnation(1),
             settle: Duration::ZERO,
             expected: Vec::new(),
             registry: Registry::default(),
+            topics: Topics::new(DeadLetterLog::default(), FaultReports::default()),
             names: names.clone(),
             faults: None,
             cleared: None,
@@ -461,9 +508,9 @@ mod tests {
             let (declared, cleared) =
                 (Probe::<FaultDeclared>::start(), Probe::<DeclaredFaultCleared>::start());
             let (faults, over) = (Some(declared.recipient()), Some(cleared.recipient()));
-            let names = GlobalNameTable::default();
-            let setup = GlobalNamesSetup { faults, cleared: over, ..setup(&names) };
-            let _ports = GlobalNamesActor::start(setup, &Guardian::default(), None);
+            let names = DirectoryTable::default();
+            let setup = DirectorySetup { faults, cleared: over, ..setup(&names) };
+            let _ports = DirectoryActor::start(setup, &Guardian::default(), None);
             let claim = Claim::make(&names, wanted()).await.unwrap();
 
             names.claim_unattended(wanted(), 98);
@@ -484,9 +531,9 @@ mod tests {
     fn that_a_component_goes_without_its_name_is_over_when_it_is_removed() {
         paused(async {
             let cleared = Probe::<DeclaredFaultCleared>::start();
-            let names = GlobalNameTable::default();
-            let setup = GlobalNamesSetup { cleared: Some(cleared.recipient()), ..setup(&names) };
-            let _ports = GlobalNamesActor::start(setup, &Guardian::default(), None);
+            let names = DirectoryTable::default();
+            let setup = DirectorySetup { cleared: Some(cleared.recipient()), ..setup(&names) };
+            let _ports = DirectoryActor::start(setup, &Guardian::default(), None);
             let _claim = Claim::make(&names, wanted()).await.unwrap();
             names.claim_unattended(wanted(), 98);
             names.claim_unattended(wanted(), 99);
@@ -502,9 +549,9 @@ mod tests {
     #[test]
     fn what_is_claimed_outlives_a_panic_of_those_who_keep_it() {
         paused(async {
-            let names = GlobalNameTable::default();
+            let names = DirectoryTable::default();
             let setup = setup(&names);
-            let ports = GlobalNamesActor::start(setup, &Guardian::default(), None);
+            let ports = DirectoryActor::start(setup, &Guardian::default(), None);
             let claim = Claim::make(&names, wanted()).await.unwrap();
             let epoch = claim.epoch().unwrap();
 

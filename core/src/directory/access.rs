@@ -1,16 +1,17 @@
-//! Which nodes may claim which names, by the policy of the robot.
+//! Which nodes may claim which names and publish on which topics, by the policy of the robot.
 //!
 //! What a node may not claim is remembered of it, so that both agree on what it has told, and does
 //! not count.
 
-use super::types::{ClaimRefused, GlobalNamesOutput};
-use super::{EPOCH_OF_CLOCKS, EPOCH_STEP, GlobalNames, NameClaim};
+use super::claims::{EPOCH_OF_CLOCKS, EPOCH_STEP};
+use super::types::{ClaimRefused, DirectoryOutput};
+use super::{Directory, DirectoryKey, NameClaim};
 use crate::net::NodeId;
 use crate::net::trust::access::{AccessDenied, AccessPolicy};
 use crate::net::trust::policy::Verb;
 use crate::{Instant, NodeName, ObjectName};
 
-impl GlobalNames {
+impl Directory {
     /// From now on this policy counts, for what is claimed already as well.
     pub fn handle_access(&mut self, policy: AccessPolicy, now: Instant) {
         self.access = Some(policy);
@@ -20,16 +21,22 @@ impl GlobalNames {
             if let Err(denied) = self.may_claim(&node, name) {
                 self.handle_withdrawn(name);
                 let (name, refused) = (name.clone(), ClaimRefused::from(&*denied));
-                self.outputs.push_back(GlobalNamesOutput::Refused { name, refused });
+                self.outputs.push_back(DirectoryOutput::Refused { name, refused });
             }
         }
         let told = self.peers.iter().flat_map(|(node, peer)| {
-            peer.claims.iter().map(|(name, claim)| (node.clone(), name.clone(), claim.clone()))
+            peer.records.iter().map(|(key, claim)| (node.clone(), key.clone(), claim.clone()))
         });
         let told: Vec<_> = told.collect();
-        for (node, name, claim) in told {
-            self.believe(&node, &name, claim);
-            names.push(name);
+        for (node, key, claim) in told {
+            match key {
+                DirectoryKey::Name(name) => {
+                    self.believe(&node, &name, claim);
+                    names.push(name);
+                }
+                DirectoryKey::Object(_) => {}
+                DirectoryKey::Publisher { .. } => self.show_record(&node, key),
+            }
         }
         names.iter().for_each(|name| self.look_at(name, now));
     }
@@ -45,7 +52,7 @@ impl GlobalNames {
             }
             Err(denied) => {
                 self.disbelieve(node, name);
-                self.outputs.push_back(GlobalNamesOutput::AccessDenied { denied });
+                self.outputs.push_back(DirectoryOutput::AccessDenied { denied });
             }
         }
     }
@@ -58,6 +65,23 @@ impl GlobalNames {
                 self.known.remove(name);
             }
         }
+    }
+
+    /// A node has told of an object, or of a publisher, which counts if it may publish there.
+    pub(super) fn show_record(&mut self, node: &NodeName, key: DirectoryKey) {
+        let may_publish = |policy: &AccessPolicy| match &key {
+            DirectoryKey::Publisher { topic, contract } => {
+                let node = NodeId::of(node);
+                policy.check(node, Verb::Publish, topic.as_str(), contract).is_ok()
+            }
+            DirectoryKey::Object(_) | DirectoryKey::Name(_) => true,
+        };
+        let counts = self.access.as_ref().is_none_or(may_publish);
+        let node = node.clone();
+        self.outputs.push_back(match counts {
+            true => DirectoryOutput::RecordAdded { node, key },
+            false => DirectoryOutput::RecordRemoved { node, key },
+        });
     }
 
     /// Whether a node, this one or another, may claim a name.

@@ -1,23 +1,24 @@
-//! Names of the whole robot: an address without a node.
+//! The directory of the robot: what other nodes have, and names without a node.
 //!
 //! ```text
-//!  Claim ── ClaimCommand ──► GlobalNamesActor ◄── messages ──► those of other nodes
-//!                              │ Held
+//!  Claim ── ClaimCommand ──► DirectoryActor ◄── messages ──► those of other nodes
+//!                              │ Held, RecordAdded, RecordRemoved
 //!                              ▼
-//!  GlobalNameSender ── who? ── GlobalNameTable   `*:map` is sent to the holder of `map`
+//!  GlobalNameSender ── who? ── DirectoryTable    `*:map` is sent to the holder of `map`
+//!  services, rows ─── where? ─┘
 //! ```
 
 pub(crate) mod actor;
 mod spec;
 pub(crate) mod table;
 
-pub use blastema_core::global_name::{ClaimPolicy, Holder, NameHeld};
+pub use blastema_core::directory::{ClaimPolicy, Holder, NameHeld};
 
-pub(crate) use table::{ClaimCommand, GlobalNameTable};
+pub(crate) use table::{ClaimCommand, DirectoryTable};
 
 use crate::registry::lookup::NameResolver;
-use blastema_core::global_name::{ClaimRefused, ClaimRequest};
-use blastema_core::{Incarnation, NameError, NodeName, ObjectName};
+use blastema_core::directory::{ClaimRefused, ClaimRequest};
+use blastema_core::{Incarnation, NameError, NodeName, ObjectAddress, ObjectName};
 use std::fmt;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -99,7 +100,7 @@ pub enum ClaimState {
 pub struct Claim {
     name: ObjectName,
     number: u64,
-    names: GlobalNameTable,
+    names: DirectoryTable,
     state: watch::Receiver<ClaimState>,
 }
 
@@ -112,7 +113,7 @@ impl fmt::Debug for Claim {
 impl Claim {
     /// Claims, and waits until that is granted, refused, or stood by for.
     pub(crate) async fn make(
-        names: &GlobalNameTable,
+        names: &DirectoryTable,
         wanted: ClaimRequest,
     ) -> Result<Self, ClaimError> {
         let (name, number) = (wanted.name.clone(), names.number());
@@ -162,7 +163,7 @@ impl Drop for Claim {
 /// [`Node::watch_name`](crate::Node::watch_name).
 pub struct NameWatch {
     name: ObjectName,
-    names: GlobalNameTable,
+    names: DirectoryTable,
     revision: watch::Receiver<u64>,
     last_reported: Option<Option<Holder>>,
 }
@@ -174,7 +175,7 @@ impl fmt::Debug for NameWatch {
 }
 
 impl NameWatch {
-    pub(crate) fn new(names: &GlobalNameTable, name: ObjectName) -> Self {
+    pub(crate) fn new(names: &DirectoryTable, name: ObjectName) -> Self {
         NameWatch { name, names: names.clone(), revision: names.revision(), last_reported: None }
     }
 
@@ -201,6 +202,17 @@ impl NameWatch {
             }
         }
     }
+}
+
+/// One other node, for display.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NodeRow {
+    /// Which.
+    pub node: NodeName,
+    /// In which incarnation.
+    pub incarnation: Incarnation,
+    /// Its objects: 20,000 at most, publishers included.
+    pub objects: Vec<ObjectAddress>,
 }
 
 /// A global name and its holder, for display.

@@ -1,4 +1,4 @@
-//! Configuration, inputs and outputs of the global names.
+//! Configuration, inputs and outputs of the directory.
 
 use crate::net::trust::access::AccessDenied;
 use crate::sorted::SortedSet;
@@ -17,20 +17,21 @@ pub enum ClaimPolicy {
     Standby,
 }
 
-/// How claims are held.
+/// How records are held.
 #[derive(Clone, Debug)]
-pub struct GlobalNamesConfig {
+pub struct DirectoryConfig {
     /// Our name.
     pub node: NodeName,
     /// Our incarnation.
     pub incarnation: Incarnation,
-    /// How long a claim holds after its node was last heard of; it is heard of four times as often.
-    /// Longer costs less traffic, and keeps the names of a node that died for longer.
+    /// How long records hold after their node was last heard of; one that claims names is heard of
+    /// four times as often. Longer costs less traffic, and keeps the names of a node that died for
+    /// longer.
     pub lease: Duration,
     /// How long after our start nothing is granted here, so that who holds a name already is heard
     /// first. Longer waits for slower networks; a name without a holder is granted later.
     pub settle: Duration,
-    /// Once all of these have told what they claim, it is granted at once. Without any, `settle` is
+    /// Once all of these have told what they have, claims are granted at once. Without any, `settle` is
     /// waited for.
     pub expected: SortedSet<NodeName>,
 }
@@ -110,7 +111,7 @@ pub enum ClaimRefused {
 
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum GlobalNamesOutput {
+pub enum DirectoryOutput {
     /// Tell this node.
     Send {
         /// Whom.
@@ -154,6 +155,20 @@ pub enum GlobalNamesOutput {
         /// We stand by for it from now on.
         stands_by: bool,
     },
+    /// A node has an object, or a publisher. It may be said again.
+    RecordAdded {
+        /// Which node.
+        node: NodeName,
+        /// What.
+        key: DirectoryKey,
+    },
+    /// A node has it no more. It may be said again.
+    RecordRemoved {
+        /// Which node.
+        node: NodeName,
+        /// What.
+        key: DirectoryKey,
+    },
     /// A name has another holder than before, or none.
     Held {
         /// Which.
@@ -165,21 +180,58 @@ pub enum GlobalNamesOutput {
 
 /// What nodes tell each other.
 #[derive(Serialize, Deserialize)]
-pub(super) enum GlobalNameMessage {
-    All { first: bool, last: bool, claims: Vec<ClaimRecord> },
-    Changed { claims: Vec<ClaimRecord>, gone: Vec<ObjectName> },
+pub(super) enum DirectoryMessage {
+    All { first: bool, last: bool, records: Vec<DirectoryRecord> },
+    Changed { records: Vec<DirectoryRecord>, gone: Vec<DirectoryKey> },
     Alive { sum: u64 },
     TellAll,
 }
 
-/// A claim as it is told.
-#[derive(Clone, Serialize, Deserialize)]
-pub(super) struct ClaimRecord {
-    pub(super) name: ObjectName,
-    pub(super) stake: NameClaim,
+/// What a record is of.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum DirectoryKey {
+    /// The node has an object of this name.
+    Object(ObjectName),
+    /// An object of the node publishes events.
+    Publisher {
+        /// On this topic.
+        topic: ObjectName,
+        /// The name of their contract.
+        contract: String,
+    },
+    /// The node claims this global name, or stands by for it.
+    Name(ObjectName),
 }
 
-/// What a node has of a name.
+/// The longest name of a contract, in bytes.
+const CONTRACT_MAX: usize = 255;
+
+impl DirectoryKey {
+    /// Names of objects and topics have their bound by themselves.
+    pub(super) fn is_short(&self) -> bool {
+        match self {
+            DirectoryKey::Publisher { contract, .. } => contract.len() <= CONTRACT_MAX,
+            DirectoryKey::Object(_) | DirectoryKey::Name(_) => true,
+        }
+    }
+
+    fn parts(&self) -> (u8, &str, &str) {
+        match self {
+            DirectoryKey::Object(name) => (0, name.as_str(), ""),
+            DirectoryKey::Publisher { topic, contract } => (1, topic.as_str(), contract),
+            DirectoryKey::Name(name) => (2, name.as_str(), ""),
+        }
+    }
+}
+
+/// A record as it is told.
+#[derive(Clone, Serialize, Deserialize)]
+pub(super) struct DirectoryRecord {
+    pub(super) key: DirectoryKey,
+    pub(super) claim: NameClaim,
+}
+
+/// What a node has of a global name; nothing where the record is of something else.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct NameClaim {
     /// Without one it stands by.
@@ -189,10 +241,13 @@ pub(super) struct NameClaim {
 }
 
 impl NameClaim {
-    /// A hash of the claim.
-    pub(super) fn sum(&self, name: &ObjectName) -> u64 {
+    /// A hash of the record.
+    pub(super) fn sum(&self, key: &DirectoryKey) -> u64 {
+        let (kind, name, contract) = key.parts();
         let epoch = self.epoch.unwrap_or_default().to_le_bytes();
         let object = self.object.as_ref().map_or("", ObjectName::as_str);
-        hash::of(name.as_str().bytes().chain(epoch).chain(object.bytes()))
+        let texts =
+            name.bytes().chain([0]).chain(contract.bytes()).chain([0]).chain(object.bytes());
+        hash::of([kind].into_iter().chain(epoch).chain(texts))
     }
 }

@@ -1,12 +1,12 @@
-//! The holders of global names known to this node, readable on every thread.
+//! What this node knows of the directory, readable on every thread.
 
-use super::{ClaimRow, ClaimState};
+use super::{ClaimRow, ClaimState, NodeRow};
 use crate::platform;
 use crate::registry::lookup::NameResolver;
 use actix::{Message, Recipient};
-use blastema_core::global_name::{ClaimRequest, Holder};
-use blastema_core::sorted::SortedMap;
-use blastema_core::{Incarnation, Instant, ObjectName};
+use blastema_core::directory::{ClaimRequest, DirectoryKey, Holder};
+use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::{Incarnation, Instant, NodeName, ObjectAddress, ObjectName};
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -38,27 +38,38 @@ struct HolderRecord {
     since: Instant,
 }
 
+/// Another node, and what it has.
+#[derive(Clone, Debug, Default)]
+struct NodeEntry {
+    incarnation: Incarnation,
+    /// A session with it is open.
+    open: bool,
+    /// Its objects and publishers: as many as the machine takes.
+    records: SortedSet<DirectoryKey>,
+}
+
 struct Inner {
     /// As many as the machine takes.
     known: Mutex<SortedMap<ObjectName, HolderRecord>>,
+    nodes: Mutex<SortedMap<NodeName, NodeEntry>>,
     revision: watch::Sender<u64>,
     body: OnceLock<Recipient<ClaimCommand>>,
     next: AtomicU64,
 }
 
-/// The names of the whole robot. Clones share them.
+/// The objects and publishers of other nodes, and the names of the whole robot. Clones share them.
 #[derive(Clone)]
-pub(crate) struct GlobalNameTable(Arc<Inner>);
+pub(crate) struct DirectoryTable(Arc<Inner>);
 
-impl Default for GlobalNameTable {
+impl Default for DirectoryTable {
     fn default() -> Self {
         let (revision, _) = watch::channel(0);
-        let (known, body, next) = (Mutex::default(), OnceLock::new(), AtomicU64::new(1));
-        GlobalNameTable(Arc::new(Inner { known, revision, body, next }))
+        let (known, nodes, body) = Default::default();
+        DirectoryTable(Arc::new(Inner { known, nodes, revision, body, next: AtomicU64::new(1) }))
     }
 }
 
-impl NameResolver for GlobalNameTable {
+impl NameResolver for DirectoryTable {
     fn holder(&self, name: &ObjectName) -> Option<Holder> {
         self.lock().get(name).map(|known| known.holder.clone())
     }
@@ -68,9 +79,70 @@ impl NameResolver for GlobalNameTable {
     }
 }
 
-impl GlobalNameTable {
+impl DirectoryTable {
     fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, HolderRecord>> {
         self.0.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn nodes(&self) -> MutexGuard<'_, SortedMap<NodeName, NodeEntry>> {
+        self.0.nodes.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A session with this node has begun.
+    pub(crate) fn note_opened(&self, node: NodeName, incarnation: Incarnation) {
+        let mut nodes = self.nodes();
+        let entry = nodes.entry(node).or_default();
+        (entry.incarnation, entry.open) = (incarnation, true);
+    }
+
+    /// The session with this node has ended.
+    pub(crate) fn note_ended(&self, node: &NodeName) {
+        self.change(node, |entry| entry.open = false);
+    }
+
+    /// This node has an object, or a publisher.
+    pub(crate) fn add(&self, node: NodeName, key: DirectoryKey) {
+        self.nodes().entry(node).or_default().records.insert(key);
+    }
+
+    /// This node has it no more.
+    pub(crate) fn remove(&self, node: &NodeName, key: &DirectoryKey) {
+        self.change(node, |entry| {
+            entry.records.remove(key);
+        });
+    }
+
+    fn change(&self, node: &NodeName, change: impl FnOnce(&mut NodeEntry)) {
+        let mut nodes = self.nodes();
+        let Some(entry) = nodes.get_mut(node) else { return };
+        change(entry);
+        if !entry.open && entry.records.is_empty() {
+            nodes.remove(node);
+        }
+    }
+
+    /// The nodes with an open session that have this.
+    pub(crate) fn nodes_with(&self, key: &DirectoryKey) -> Vec<NodeName> {
+        let nodes = self.nodes();
+        let having = nodes.iter().filter(|(_, entry)| entry.open && entry.records.contains(key));
+        having.map(|(node, _)| node.clone()).collect()
+    }
+
+    /// Every node that a session is open with, and its objects.
+    pub(crate) fn node_rows(&self) -> Vec<NodeRow> {
+        let nodes = self.nodes();
+        let open = nodes.iter().filter(|(_, entry)| entry.open);
+        let row = |(node, entry): (&NodeName, &NodeEntry)| {
+            let objects = entry.records.iter().filter_map(|key| match key {
+                DirectoryKey::Object(object) => {
+                    Some(ObjectAddress::new(node.clone(), object.clone()))
+                }
+                DirectoryKey::Publisher { .. } | DirectoryKey::Name(_) => None,
+            });
+            let (incarnation, objects) = (entry.incarnation, objects.collect());
+            NodeRow { node: node.clone(), incarnation, objects }
+        };
+        open.map(row).collect()
     }
 
     /// Claims are made there from now on.
@@ -91,9 +163,10 @@ impl GlobalNameTable {
         self.0.revision.send_modify(|revision| *revision += 1);
     }
 
-    /// The actor restarts.
+    /// The actor restarts, and is told again.
     pub(crate) fn forget_all(&self) {
         self.lock().clear();
+        self.nodes().values_mut().for_each(|entry| entry.records.clear());
     }
 
     /// All of them.

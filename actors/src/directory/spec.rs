@@ -1,7 +1,7 @@
 //! Components that claim names of the whole robot.
 
 use super::ClaimPolicy;
-use super::table::GlobalNameTable;
+use super::table::DirectoryTable;
 use crate::component::Component;
 use crate::component::cell::ComponentCell;
 use crate::component::declaration::{CellListener, Declarations};
@@ -11,15 +11,15 @@ use crate::component::spec_error::SpecError;
 use crate::host::spec::ChildSpec;
 use crate::settings::SettingError;
 use blastema_core::ObjectName;
-use blastema_core::global_name::ClaimRequest;
+use blastema_core::directory::ClaimRequest;
 use blastema_core::sorted::SortedSet;
 use std::sync::Arc;
 
-impl Extension for GlobalNameTable {}
+impl Extension for DirectoryTable {}
 
 impl ComponentEnvironment {
-    /// The names of the whole robot.
-    pub(crate) fn names(&self) -> &GlobalNameTable {
+    /// What other nodes have, and the names of the whole robot.
+    pub(crate) fn directory(&self) -> &DirectoryTable {
         self.extensions.get()
     }
 }
@@ -43,7 +43,7 @@ impl<C: Component> Declarations<C> for ClaimedNames {
     }
 
     fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
-        let names = cell.record.environment.names().clone();
+        let names = cell.record.environment.directory().clone();
         let claims = self.0.into_iter().map(|(name, policy)| {
             let (name, object) = (ObjectName::new(&name)?, cell.record.name.clone());
             Ok((ClaimRequest { name, object, policy }, names.number()))
@@ -56,7 +56,7 @@ impl<C: Component> Declarations<C> for ClaimedNames {
 
 /// Claims a component's names while it is active. Each claim has a number.
 struct Claims {
-    names: GlobalNameTable,
+    names: DirectoryTable,
     claims: Box<[(ClaimRequest, u64)]>,
 }
 

@@ -1,4 +1,7 @@
+use super::claims::{EPOCH_MAX, EPOCH_OF_CLOCKS, EPOCH_STEP};
+use super::types::{DirectoryMessage, DirectoryRecord};
 use super::*;
+use crate::contract::codec;
 use crate::net::trust::crypto::Seed;
 use crate::net::trust::policy::Role;
 use crate::net::trust::roster::{NodeRoster, RosterNode};
@@ -18,10 +21,18 @@ fn map() -> ObjectName {
     ObjectName::new("map").unwrap()
 }
 
+fn text(key: &DirectoryKey) -> String {
+    match key {
+        DirectoryKey::Object(name) => name.to_string(),
+        DirectoryKey::Publisher { topic, contract } => format!("{contract} on {topic}"),
+        DirectoryKey::Name(name) => format!("the name {name}"),
+    }
+}
+
 /// Nodes `a`, `b`, `c` … that hear each other at once, unless they are parted.
 struct Robot {
     now: u64,
-    nodes: SortedMap<NodeName, GlobalNames>,
+    nodes: SortedMap<NodeName, Directory>,
     parted: bool,
     outputs: Vec<String>,
     /// Of nodes that start from now on.
@@ -42,8 +53,8 @@ impl Robot {
         let incarnation = Incarnation(incarnation);
         let (settle, expected) = (self.settle, self.expected.clone());
         let config =
-            GlobalNamesConfig { node: node(name), incarnation, lease: LEASE, settle, expected };
-        let mut claims = GlobalNames::new(config, ms(self.now));
+            DirectoryConfig { node: node(name), incarnation, lease: LEASE, settle, expected };
+        let mut claims = Directory::new(config, ms(self.now));
         for (other, theirs) in &mut self.nodes {
             theirs.handle_opened(node(name), incarnation, ms(self.now));
             claims.handle_opened(other.clone(), theirs.config.incarnation, ms(self.now));
@@ -68,26 +79,32 @@ impl Robot {
             }
             for (from, output) in outputs {
                 match output {
-                    GlobalNamesOutput::Send { to, message } if self.can_hear(&from, &to) => {
+                    DirectoryOutput::Send { to, message } if self.can_hear(&from, &to) => {
                         if let Some(claims) = self.nodes.get_mut(&to) {
                             claims.handle_message(&from, &message, ms(self.now));
                         }
                     }
-                    GlobalNamesOutput::Send { .. } | GlobalNamesOutput::StandsBy { .. } => {}
-                    GlobalNamesOutput::Granted { name, .. } => {
+                    DirectoryOutput::Send { .. } | DirectoryOutput::StandsBy { .. } => {}
+                    DirectoryOutput::Granted { name, .. } => {
                         self.outputs.push(format!("{from} has {name}"))
                     }
-                    GlobalNamesOutput::Lost { name, to, .. } => {
+                    DirectoryOutput::Lost { name, to, .. } => {
                         self.outputs.push(format!("{from} lost {name} to {to}"));
                     }
-                    GlobalNamesOutput::Refused { name, .. } => {
+                    DirectoryOutput::Refused { name, .. } => {
                         self.outputs.push(format!("{from} is refused {name}"));
                     }
-                    GlobalNamesOutput::AccessDenied { denied } => {
+                    DirectoryOutput::AccessDenied { denied } => {
                         let (peer, verb) = (&denied.peer, denied.verb);
                         self.outputs.push(format!("{from} refuses {peer} to {verb}"));
                     }
-                    GlobalNamesOutput::Held { name, holder } => {
+                    DirectoryOutput::RecordAdded { node, key } => {
+                        self.outputs.push(format!("{from} sees {} of {node}", text(&key)));
+                    }
+                    DirectoryOutput::RecordRemoved { node, key } => {
+                        self.outputs.push(format!("{from} misses {} of {node}", text(&key)));
+                    }
+                    DirectoryOutput::Held { name, holder } => {
                         let known = self.nodes[&from].shown.get(&name).cloned();
                         let overtaken = known != holder;
                         assert!(overtaken || self.nodes[&from].holder(&name) == holder);
@@ -220,19 +237,19 @@ fn what_went_astray_is_found_by_its_sum_and_told_again() {
 #[test]
 fn too_many_claims_and_nonsense_are_refused_and_counted_by_node() {
     let mut robot = Robot::new(&["a", "b"]);
-    let hostile = (0..CLAIMS_MAX + 3).map(|n| outputs(&format!("name{n}"), 1));
+    let hostile = (0..CLAIMS_MAX + PRESENT_MAX + 3).map(|n| outputs(&format!("name{n}"), 1));
     let claims = robot.nodes.get_mut(&node("b")).unwrap();
     hostile.for_each(|outputs| claims.hear(&node("a"), outputs, ms(0)));
     claims.handle_message(&node("a"), b"\xff\xff", ms(0));
     claims.handle_message(&node("stranger"), b"\0", ms(0));
     for _ in 0..10 {
-        let tell_all = codec::encode_unbounded(&GlobalNameMessage::TellAll);
+        let tell_all = codec::encode_unbounded(&DirectoryMessage::TellAll);
         claims.handle_message(&node("a"), &tell_all, ms(60));
     }
 
     let refusals = claims.refusals().next().unwrap().1;
     assert_eq!((refusals.too_large, refusals.malformed, refusals.unexpected), (3, 1, 9));
-    assert_eq!(claims.held(), CLAIMS_MAX);
+    assert_eq!(claims.held(), CLAIMS_MAX + PRESENT_MAX);
 }
 
 #[test]
@@ -255,7 +272,8 @@ fn a_claimant_that_tells_the_greatest_epoch_again_and_again_leaves_greater_ones_
         claims.hear(&node("a"), outputs(&format!("name{n}"), EPOCH_MAX - 1), ms(0));
     }
     claims.hear(&node("a"), outputs("map", EPOCH_MAX - 1), ms(0));
-    claims.unhear(&node("a"), &ObjectName::new("name0").unwrap(), ms(0));
+    let name = DirectoryKey::Name(ObjectName::new("name0").unwrap());
+    claims.unhear(&node("a"), &name, ms(0));
     claims.hear(&node("a"), outputs("map", EPOCH_MAX - 1), ms(0));
     assert_eq!(claims.holder(&map()).map(|holder| holder.node), Some(node("a")));
 
@@ -341,15 +359,15 @@ fn what_is_told_again_in_parts_does_not_come_and_go() {
     while claims.poll_output().is_some() {}
 
     let epoch = claims.holder(&map()).unwrap().epoch;
-    let first = GlobalNameMessage::All { first: true, last: false, claims: vec![] };
+    let first = DirectoryMessage::All { first: true, last: false, records: vec![] };
     claims.handle_message(&node("a"), &codec::encode_unbounded(&first), ms(1));
     assert_eq!(claims.held(), 2);
     let last =
-        GlobalNameMessage::All { first: false, last: true, claims: vec![outputs("map", epoch)] };
+        DirectoryMessage::All { first: false, last: true, records: vec![outputs("map", epoch)] };
     claims.handle_message(&node("a"), &codec::encode_unbounded(&last), ms(2));
 
     let old = ObjectName::new("old").unwrap();
-    assert_eq!(claims.poll_output(), Some(GlobalNamesOutput::Held { name: old, holder: None }));
+    assert_eq!(claims.poll_output(), Some(DirectoryOutput::Held { name: old, holder: None }));
     assert_eq!((claims.poll_output(), claims.held()), (None, 1));
 }
 
@@ -369,7 +387,7 @@ fn claims_that_begin_anew_within_their_nodes_incarnation_keep_what_they_hold_and
                 own.epoch,
             )
         });
-        let mut restarted = GlobalNames::restarted(claims.config.clone(), own, ms(robot.now));
+        let mut restarted = Directory::restarted(claims.config.clone(), own, ms(robot.now));
         for (other, peer) in &claims.peers {
             restarted.handle_opened(other.clone(), peer.incarnation, ms(robot.now));
         }
@@ -382,9 +400,9 @@ fn claims_that_begin_anew_within_their_nodes_incarnation_keep_what_they_hold_and
     assert_eq!(robot.nodes[&node("b")].holder(&map()).map(|holder| holder.epoch), epoch);
 }
 
-fn outputs(name: &str, epoch: u64) -> ClaimRecord {
-    let stake = NameClaim { epoch: Some(epoch), object: None };
-    ClaimRecord { name: ObjectName::new(name).unwrap(), stake }
+fn outputs(name: &str, epoch: u64) -> DirectoryRecord {
+    let claim = NameClaim { epoch: Some(epoch), object: None };
+    DirectoryRecord { key: DirectoryKey::Name(ObjectName::new(name).unwrap()), claim }
 }
 
 /// The rights at each node, where these alone may claim the name.
@@ -435,4 +453,155 @@ fn only_who_may_claim_a_name_gets_it_and_another_policy_takes_it_away() {
         ["a", "b", "c"].map(|seen_by| robot.holder(seen_by)),
         [const { "a" }; 3].map(|a| Some(a.to_owned()))
     );
+}
+
+fn object(name: &str) -> DirectoryKey {
+    DirectoryKey::Object(ObjectName::new(name).unwrap())
+}
+
+fn publisher(topic: &str) -> DirectoryKey {
+    let topic = ObjectName::new(topic).unwrap();
+    DirectoryKey::Publisher { topic, contract: "scan".to_owned() }
+}
+
+impl Robot {
+    fn has(&mut self, who: &str, present: &[DirectoryKey]) {
+        let present = present.iter().cloned().collect();
+        assert_eq!(self.nodes.get_mut(&node(who)).unwrap().handle_present(present), 0);
+        self.carry();
+    }
+}
+
+#[test]
+fn objects_and_publishers_come_and_go_beside_names_that_are_called_alike() {
+    let mut robot = Robot::new(&["a", "b"]);
+    robot.claim("a", ClaimPolicy::Refuse).unwrap();
+    robot.outputs();
+
+    robot.has("a", &[object("map"), publisher("map"), publisher("news")]);
+    let seen = ["b sees map of a", "b sees scan on map of a", "b sees scan on news of a"];
+    assert_eq!(robot.outputs(), seen);
+    robot.has("a", &[object("map"), publisher("news"), object("arm")]);
+    assert_eq!(robot.outputs(), ["b misses scan on map of a", "b sees arm of a"]);
+    robot.has("a", &[]);
+    assert_eq!(robot.outputs().len(), 3);
+    assert_eq!(robot.holder("b").as_deref(), Some("a"));
+}
+
+#[test]
+fn who_meets_a_node_is_told_of_all_that_it_has_and_forgets_it_a_lease_after_its_end() {
+    let mut robot = Robot::new(&["a"]);
+    let many: Vec<_> = (0..300).map(|n| object(&format!("leg{n}"))).collect();
+    robot.has("a", &many);
+
+    robot.start("b", 0);
+    assert_eq!(robot.outputs().len(), 300);
+    // The next session of the same incarnation takes nothing away.
+    robot.nodes.get_mut(&node("b")).unwrap().handle_ended(&node("a"));
+    robot.nodes.get_mut(&node("b")).unwrap().handle_opened(node("a"), Incarnation(0), ms(0));
+    robot.nodes.get_mut(&node("a")).unwrap().handle_opened(node("b"), Incarnation(0), ms(0));
+    robot.carry();
+    assert_eq!(robot.outputs(), [""; 0]);
+
+    robot.nodes.remove(&node("a"));
+    robot.nodes.get_mut(&node("b")).unwrap().handle_ended(&node("a"));
+    robot.advance(399);
+    assert_eq!(robot.outputs(), [""; 0]);
+    robot.advance(1);
+    assert_eq!(robot.outputs().len(), 300);
+}
+
+#[test]
+fn a_lost_record_is_found_by_its_sum_though_no_name_is_claimed() {
+    let mut robot = Robot::new(&["a", "b"]);
+    robot.parted = true;
+    robot.has("a", &[object("arm")]);
+    robot.parted = false;
+    robot.advance(1_500);
+    assert_eq!(robot.outputs(), [""; 0]);
+
+    robot.advance(101);
+
+    assert_eq!(robot.outputs(), ["b sees arm of a"]);
+}
+
+#[test]
+fn a_node_without_names_says_that_it_is_alive_once_in_four_leases_and_then_four_times_in_one() {
+    let mut robot = Robot::new(&["a", "b"]);
+    robot.has("a", &[object("arm")]);
+    let told = |robot: &mut Robot, millis: u64| {
+        let mut told = 0;
+        for _ in 0..millis {
+            robot.now += 1;
+            let a = robot.nodes.get_mut(&node("a")).unwrap();
+            a.handle_timeout(ms(robot.now));
+            let outputs = std::iter::from_fn(|| a.poll_output());
+            told += outputs.filter(|o| matches!(o, DirectoryOutput::Send { .. })).count();
+        }
+        told
+    };
+    assert_eq!(told(&mut robot, 4_800), 3);
+
+    robot.claim("a", ClaimPolicy::Refuse).unwrap();
+    assert_eq!(told(&mut robot, 400), 4);
+}
+
+#[test]
+fn a_publisher_counts_only_where_its_node_may_publish() {
+    let mut robot = Robot::new(&["a", "b"]);
+    robot.has("a", &[publisher("map"), object("map")]);
+    robot.outputs();
+    let nodes = ["a", "b"].iter().zip(1..).map(|(name, seed)| RosterNode {
+        name: node(name),
+        keys: Seed::new([seed; 32]).public_keys(),
+        role: Role::Node,
+    });
+    let roster = NodeRoster::new(node("ranger"), nodes).expect("different nodes");
+    let line = "policy\nonly b may publish on map\nend";
+    let narrow = NodeRoster::parse(&roster.to_text().replace("end", line)).expect("a line");
+    for (roster, seen) in
+        [(&narrow, "b misses scan on map of a"), (&roster, "b sees scan on map of a")]
+    {
+        let b = robot.nodes.get_mut(&node("b")).unwrap();
+        b.handle_access(AccessPolicy::new(node("b"), roster), ms(robot.now));
+        robot.carry();
+        assert_eq!(robot.outputs(), [seen]);
+    }
+}
+
+#[test]
+fn what_is_beyond_the_bounds_of_a_node_is_not_told_and_not_taken() {
+    let mut robot = Robot::new(&["a", "b"]);
+    let all = (0..PRESENT_MAX + 5).map(|n| object(&format!("leg{n}"))).collect();
+    let a = robot.nodes.get_mut(&node("a")).unwrap();
+    assert_eq!(a.handle_present(all), 5);
+    robot.carry();
+    assert_eq!(robot.outputs().len(), PRESENT_MAX);
+
+    let b = robot.nodes.get_mut(&node("b")).unwrap();
+    let long = DirectoryKey::Publisher { topic: map(), contract: "x".repeat(256) };
+    let claim = NameClaim::default();
+    b.hear(&node("a"), DirectoryRecord { key: long, claim: claim.clone() }, ms(0));
+    for n in 0..CLAIMS_MAX + 3 {
+        let key = object(&format!("more{n}"));
+        b.hear(&node("a"), DirectoryRecord { key, claim: claim.clone() }, ms(0));
+    }
+    let refusals = b.refusals().next().unwrap().1;
+    assert_eq!((refusals.too_large, refusals.malformed), (3, 1));
+}
+
+#[test]
+fn a_directory_in_the_place_of_a_lost_one_asks_for_what_others_have() {
+    let mut robot = Robot::new(&["a", "b"]);
+    robot.has("b", &[object("arm")]);
+    robot.advance(100);
+    robot.outputs();
+    let lost = robot.nodes.remove(&node("a")).unwrap();
+    let mut restarted = Directory::restarted(lost.config.clone(), [], ms(robot.now));
+    restarted.handle_present([object("leg")].into());
+    restarted.handle_opened(node("b"), Incarnation(0), ms(robot.now));
+    robot.nodes.insert(node("a"), restarted);
+    robot.carry();
+
+    assert_eq!(robot.outputs(), ["b sees leg of a", "a sees arm of b"]);
 }

@@ -1,0 +1,181 @@
+//! Global names: who claims and who holds them.
+
+use super::types::{ClaimRefused, ClaimRequest, NameClaim, NameHeld};
+use super::{CLAIMS_MAX, ClaimPolicy, Directory, DirectoryKey, DirectoryOutput, Holder};
+use crate::sorted::SortedMap;
+use crate::{Incarnation, Instant, ObjectName};
+
+/// Epochs are below it.
+pub(super) const EPOCH_MAX: u64 = 1 << 62;
+/// The greatest epoch that an incarnation begins with: the milliseconds of its clock times 2^16,
+/// until the year 2527.
+pub(super) const EPOCH_OF_CLOCKS: u64 = 1 << 60;
+/// How far one claim of another node raises epochs above that. Greater ones keep epochs in their
+/// order for longer after a claimant has told one above it, and use them up sooner.
+pub(super) const EPOCH_STEP: u64 = 1 << 10;
+
+/// A claim of this node.
+#[derive(Debug)]
+pub(super) struct OwnClaim {
+    pub(super) object: ObjectName,
+    pub(super) policy: ClaimPolicy,
+    pub(super) epoch: Option<u64>,
+}
+
+impl OwnClaim {
+    fn told_of(&self, name: &ObjectName) -> NameClaim {
+        let object = (self.object != *name).then(|| self.object.clone());
+        NameClaim { epoch: self.epoch, object }
+    }
+}
+
+/// The epoch before the first of this incarnation.
+pub(super) fn first_epoch(incarnation: Incarnation) -> u64 {
+    incarnation.0.saturating_mul(1 << 16).min(EPOCH_OF_CLOCKS)
+}
+
+impl Directory {
+    /// Who holds a name, here or elsewhere.
+    pub fn holder(&self, name: &ObjectName) -> Option<Holder> {
+        let own = self.own.get(name).and_then(|own| Some((own.epoch?, &own.object)));
+        let own = own.map(|(epoch, object)| (&self.config.node, epoch, Some(object)));
+        let others = self.known.get(name).into_iter().flatten();
+        let others =
+            others.filter_map(|(node, claim)| Some((node, claim.epoch?, claim.object.as_ref())));
+        let first = others.chain(own).reduce(|a, b| {
+            // Of equal ones the first by name.
+            if (b.1, a.0) > (a.1, b.0) { b } else { a }
+        });
+        first.map(|(node, epoch, object)| Holder {
+            node: node.clone(),
+            object: object.unwrap_or(name).clone(),
+            epoch,
+        })
+    }
+
+    /// How many names are known to be held, here and elsewhere.
+    pub fn held(&self) -> usize {
+        self.shown.len()
+    }
+
+    /// An object here claims a name. Answers the epoch, or nothing where it stands by, or has to
+    /// wait: it is told later then.
+    ///
+    /// # Errors
+    /// [`ClaimRefused`] where another claimant holds it and the policy is to be refused, and where
+    /// this node may not claim it.
+    pub fn handle_claim(
+        &mut self,
+        wanted: ClaimRequest,
+        now: Instant,
+    ) -> Result<Option<u64>, ClaimRefused> {
+        let ClaimRequest { name, object, policy } = wanted;
+        self.may_claim(&self.config.node, &name).map_err(|denied| ClaimRefused::from(&*denied))?;
+        if self.own.len() >= CLAIMS_MAX && !self.own.contains_key(&name) {
+            return Err(ClaimRefused::TooMany { limit: CLAIMS_MAX });
+        }
+        if let Some(OwnClaim { epoch: Some(epoch), .. }) = self.own.get(&name) {
+            return Ok(Some(*epoch));
+        }
+        match (self.holder(&name), policy) {
+            (Some(Holder { node: holder, epoch, .. }), ClaimPolicy::Refuse) => {
+                Err(NameHeld { name, holder, epoch }.into())
+            }
+            (None, _) if self.settles.is_none() => {
+                self.set_own(&name, Some(OwnClaim { object, policy, epoch: None }));
+                Ok(self.take(&name))
+            }
+            _ => {
+                self.set_own(&name, Some(OwnClaim { object, policy, epoch: None }));
+                self.look_at(&name, now);
+                Ok(None)
+            }
+        }
+    }
+
+    /// An object here gives a name back, or stands by no more.
+    pub fn handle_withdrawn(&mut self, name: &ObjectName) {
+        self.vacant.remove(name);
+        self.set_own(name, None);
+    }
+
+    /// Something new is known of a name: it is shown, and may concern us.
+    pub(super) fn look_at(&mut self, name: &ObjectName, now: Instant) {
+        let holder = self.holder(name);
+        self.show(name, holder.clone());
+        let Some(own) = self.own.get(name) else { return };
+        let (policy, ours) = (own.policy, own.epoch);
+        match (holder, ours) {
+            (Some(Holder { node, epoch, .. }), Some(_)) if node != self.config.node => {
+                let object = own.object.clone();
+                let stands_by = policy == ClaimPolicy::Standby;
+                self.set_own(name, stands_by.then_some(OwnClaim { object, policy, epoch: None }));
+                let (name, to) = (name.clone(), node);
+                self.outputs.push_back(DirectoryOutput::Lost { name, to, epoch, stands_by });
+            }
+            (Some(Holder { node: holder, epoch, .. }), None) if policy == ClaimPolicy::Refuse => {
+                self.handle_withdrawn(name);
+                let refused = NameHeld { name: name.clone(), holder, epoch }.into();
+                let name = name.clone();
+                self.outputs.push_back(DirectoryOutput::Refused { name, refused });
+            }
+            (Some(_), Some(_)) => {}
+            (Some(_), None) => {
+                self.vacant.remove(name);
+                self.outputs.push_back(DirectoryOutput::StandsBy { name: name.clone() });
+            }
+            (None, _) if self.settles.is_some() || self.vacant.contains_key(name) => {}
+            (None, _) => {
+                // Those before us by name have their turn first.
+                let others = self.known.get(name).into_iter().flat_map(SortedMap::keys);
+                let before = others.filter(|node| **node < self.config.node).count();
+                let turns = u32::try_from(before).unwrap_or(u32::MAX);
+                let due = now + (self.config.lease / 4).saturating_mul(turns);
+                self.vacant.insert(name.clone(), due);
+            }
+        }
+    }
+
+    fn show(&mut self, name: &ObjectName, holder: Option<Holder>) {
+        if self.shown.get(name) == holder.as_ref() {
+            return;
+        }
+        match &holder {
+            Some(holder) => self.shown.insert(name.clone(), holder.clone()),
+            None => self.shown.remove(name),
+        };
+        self.outputs.push_back(DirectoryOutput::Held { name: name.clone(), holder });
+    }
+
+    /// The others have been heard: waiting claims are granted, if the name has no holder.
+    pub(super) fn settle(&mut self, now: Instant) {
+        if self.settles.take().is_some() {
+            let waiting = self.own.iter().filter(|(_, own)| own.epoch.is_none());
+            let waiting: Vec<_> = waiting.map(|(name, _)| name.clone()).collect();
+            waiting.iter().for_each(|name| self.look_at(name, now));
+        }
+    }
+
+    /// Takes a name that is wanted here and that has no holder.
+    pub(super) fn take(&mut self, name: &ObjectName) -> Option<u64> {
+        self.vacant.remove(name);
+        let OwnClaim { object, policy, .. } = self.own.get(name)?;
+        let (object, policy) = (object.clone(), *policy);
+        self.last_epoch = (self.last_epoch + 1).min(EPOCH_MAX - 1);
+        let epoch = self.last_epoch;
+        self.set_own(name, Some(OwnClaim { object, policy, epoch: Some(epoch) }));
+        self.outputs.push_back(DirectoryOutput::Granted { name: name.clone(), epoch });
+        Some(epoch)
+    }
+
+    /// Changes a claim of ours, and tells all nodes.
+    pub(super) fn set_own(&mut self, name: &ObjectName, own: Option<OwnClaim>) {
+        let told = own.as_ref().map(|own| own.told_of(name));
+        match own {
+            Some(own) => drop(self.own.insert(name.clone(), own)),
+            None => drop(self.own.remove(name)),
+        }
+        self.record(vec![(DirectoryKey::Name(name.clone()), told)]);
+        self.show(name, self.holder(name));
+    }
+}
