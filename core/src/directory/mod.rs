@@ -59,6 +59,9 @@ pub const CLAIMS_MAX: usize = 10_000;
 /// The most objects and publishers of one node that others are told of. An address of the form
 /// `node:object` works without.
 pub const PRESENT_MAX: usize = 20_000;
+/// The most bytes of their names: with as many claims as a node may have, they are less than what
+/// may be on the way to another node.
+const PRESENT_BYTES_MAX: usize = 1024 * 1024;
 /// The most global names that are known in all: some of several nodes that claim as much as they
 /// may.
 pub const NAMES_MAX: usize = 100_000;
@@ -171,8 +174,14 @@ impl Directory {
     /// This node has exactly these objects and publishers now. Returns how many of them others are
     /// not told of, because there are too many.
     pub fn handle_present(&mut self, present: SortedSet<DirectoryKey>) -> usize {
-        let beyond = present.len().saturating_sub(PRESENT_MAX);
-        let present: SortedSet<DirectoryKey> = present.into_iter().take(PRESENT_MAX).collect();
+        let (all, mut bytes) = (present.len(), 0);
+        let fits = |key: &DirectoryKey| {
+            bytes += key.bytes();
+            bytes <= PRESENT_BYTES_MAX
+        };
+        let present = present.into_iter().take(PRESENT_MAX).take_while(fits);
+        let present: SortedSet<DirectoryKey> = present.collect();
+        let beyond = all - present.len();
         let told = self.records.keys().filter(|key| !matches!(key, DirectoryKey::Name(_)));
         let gone: Vec<_> = told.filter(|key| !present.contains(*key)).cloned().collect();
         let new = present.into_iter().filter(|key| !self.records.contains_key(key));

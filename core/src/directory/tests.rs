@@ -578,6 +578,12 @@ fn what_is_beyond_the_bounds_of_a_node_is_not_told_and_not_taken() {
     robot.carry();
     assert_eq!(robot.outputs().len(), PRESENT_MAX);
 
+    let a = robot.nodes.get_mut(&node("a")).unwrap();
+    let wide = (0..PRESENT_MAX).map(|n| object(&format!("{n:0>100}"))).collect();
+    assert_eq!(a.handle_present(wide), PRESENT_MAX - PRESENT_BYTES_MAX / 106);
+    assert_eq!(a.handle_present((0..PRESENT_MAX).map(|n| object(&format!("leg{n}"))).collect()), 0);
+    while a.poll_output().is_some() {}
+
     let b = robot.nodes.get_mut(&node("b")).unwrap();
     let long = DirectoryKey::Publisher { topic: map(), contract: "x".repeat(256) };
     let claim = NameClaim::default();

@@ -215,6 +215,12 @@ impl DirectoryKey {
         }
     }
 
+    /// How many bytes it takes in a message, about.
+    pub(super) fn bytes(&self) -> usize {
+        let (_, name, contract) = self.parts();
+        name.len() + contract.len() + 6
+    }
+
     fn parts(&self) -> (u8, &str, &str) {
         match self {
             DirectoryKey::Object(name) => (0, name.as_str(), ""),
