@@ -235,5 +235,8 @@ conformance! {
     slcan_behind_the_wrapper: Behind<OverSlcan>,
 }
 
+#[cfg(feature = "zenoh")]
+mod zenoh_network;
+
 #[cfg(guest)]
 mod socket_can;

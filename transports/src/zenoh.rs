@@ -1,0 +1,455 @@
+//! Frames through Zenoh: between sites, over routers, for many robots.
+//!
+//! ```text
+//!   node base ──┐                        ┌── node arm
+//!           router (site A) ── WAN ── router (site B)
+//!
+//!   base puts a frame for arm on       <namespace>/arm/base
+//!   arm subscribes to                  <namespace>/arm/*
+//! ```
+//!
+//! * Each robot has a namespace; robots that share routers do not meet.
+//! * Zenoh runs on a thread of its own, with a runtime of its own: it panics on one that has a
+//!   single thread, as an arbiter's has.
+//! * Urgent frames have a queue, a task and a priority of their own, so that no usual one is
+//!   before them in this process, nor in the routers. The usual ones wait for Zenoh, and not in it.
+//! * Once open, Zenoh connects again by itself. What is sent meanwhile is lost, as on any medium.
+//!
+//! Zenoh does not say who sends: a session of the same namespace can put frames in any name. What
+//! frames prove is the seal's business.
+
+use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, SendResult};
+use crate::reach::Reach;
+use blastema_contract::transport::MediumAddress;
+use bytes::Bytes;
+use std::collections::VecDeque;
+use std::fmt;
+use std::io;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll, Waker};
+use std::time::Duration;
+use tokio::sync::Notify;
+use zenoh::bytes::ZBytes;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::sample::Sample;
+use zenoh::{Config, Session};
+
+/// So many frames of each kind may be on their way to Zenoh: what is urgent waits behind no more.
+const OUTGOING_MAX: usize = 8;
+/// So many frames may wait to be read, and so many bytes.
+const INCOMING_MAX: usize = 1024;
+const INCOMING_BYTES_MAX: usize = 4 << 20;
+
+/// So long an end waits until its router knows it; after that it is open all the same.
+const SEEN_WITHIN: Duration = Duration::from_secs(1);
+
+/// A node's place in a Zenoh network, as in `zenoh://ranger/base?connect=tcp/10.0.0.1:7447`.
+///
+/// ```
+/// use blastema_transports::ZenohConfig;
+/// let mut config = ZenohConfig::new("ranger", "base");
+/// config.connect.push("tcp/10.0.0.1:7447".to_owned());
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct ZenohConfig {
+    /// The robot: only ends of one namespace meet. Part of a key expression of Zenoh, such as
+    /// `ranger` or `fleet/ranger`.
+    pub namespace: String,
+    /// Our own name there; neighbours are given by theirs. No two nodes may have the same.
+    pub name: String,
+    /// The routers, or other ends, that it connects to, as Zenoh writes them: `tcp/10.0.0.1:7447`.
+    /// Of several, an end that listens nowhere uses the first that answers.
+    pub connect: Vec<String>,
+    /// Where it listens itself, for networks without a router.
+    pub listen: Vec<String>,
+    /// A configuration of Zenoh in JSON5 or YAML, for all else: certificates, users, timeouts.
+    pub file: Option<std::path::PathBuf>,
+    /// The largest frame, in bytes. What is larger than Zenoh's batches is cut up there.
+    pub mtu: usize,
+}
+
+impl ZenohConfig {
+    /// The end `name` of the robot `namespace`.
+    pub fn new(namespace: &str, name: &str) -> Self {
+        ZenohConfig {
+            namespace: namespace.to_owned(),
+            name: name.to_owned(),
+            connect: Vec::new(),
+            listen: Vec::new(),
+            file: None,
+            mtu: 60_000,
+        }
+    }
+
+    /// What is wrong with it, and what to write.
+    pub(crate) fn objection(&self) -> Option<String> {
+        if !self.namespace.split('/').all(is_chunk) || !is_chunk(&self.name) {
+            let ZenohConfig { namespace, name, .. } = self;
+            return Some(format!("{namespace}/{name} is no key of Zenoh: {CHUNK}"));
+        }
+        let is_alone = self.connect.is_empty() && self.listen.is_empty() && self.file.is_none();
+        is_alone
+            .then(|| "it connects to no router: add connect=tcp/ADDRESS:7447 of a router".into())
+    }
+
+    fn to_zenoh(&self) -> Result<Config, String> {
+        let mut config = match &self.file {
+            Some(file) => Config::from_file(file).map_err(|error| error.to_string())?,
+            None => Config::default(),
+        };
+        let list = |all: &[String]| {
+            let all: Vec<_> = all.iter().map(|one| format!("{one:?}")).collect();
+            format!("[{}]", all.join(","))
+        };
+        let mut settings = vec![
+            // Who is not described is not looked for.
+            ("scouting/multicast/enabled", "false".to_owned()),
+            ("scouting/gossip/enabled", "false".to_owned()),
+            // It cannot be opened while nothing answers, and then connects again by itself.
+            ("connect/timeout_ms", "2000".to_owned()),
+            ("connect/exit_on_failure", (!self.connect.is_empty()).to_string()),
+            ("listen/exit_on_failure", "true".to_owned()),
+            ("connect/retry", r#"{"period_init_ms":100,"period_max_ms":1000}"#.to_owned()),
+        ];
+        if self.file.is_none() {
+            let mode = if self.listen.is_empty() { r#""client""# } else { r#""peer""# };
+            settings.push(("mode", mode.to_owned()));
+        }
+        if !self.connect.is_empty() {
+            settings.push(("connect/endpoints", list(&self.connect)));
+        }
+        if !self.listen.is_empty() || self.file.is_none() {
+            settings.push(("listen/endpoints", list(&self.listen)));
+        }
+        for (key, value) in settings {
+            config.insert_json5(key, &value).map_err(|error| format!("{key}: {error}"))?;
+        }
+        Ok(config)
+    }
+}
+
+/// What a part of a key may be.
+pub(crate) const CHUNK: &str = "names have letters, digits, `-`, `_` and `.`";
+
+/// Whether a text is one part of a key.
+pub(crate) fn is_chunk(text: &str) -> bool {
+    let is_allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
+    !text.is_empty() && text.len() <= 128 && text.bytes().all(is_allowed)
+}
+
+/// An end of a Zenoh network as a medium.
+///
+/// ```no_run
+/// use blastema_transports::{FrameTransport, ZenohConfig, ZenohNetwork};
+/// let mut config = ZenohConfig::new("ranger", "base");
+/// config.connect.push("tcp/10.0.0.1:7447".to_owned());
+/// let transport = FrameTransport::new(ZenohNetwork::new(config));
+/// ```
+pub struct ZenohNetwork {
+    config: ZenohConfig,
+    end: Option<Arc<End>>,
+}
+
+impl ZenohNetwork {
+    /// A medium that connects when it is opened.
+    pub fn new(config: ZenohConfig) -> Self {
+        ZenohNetwork { config, end: None }
+    }
+
+    fn end(&self) -> io::Result<&Arc<End>> {
+        self.end.as_ref().ok_or_else(|| io::Error::from(io::ErrorKind::NotConnected))
+    }
+
+    fn send(
+        &self,
+        task: &mut Context<'_>,
+        (to, frame): (&MediumAddress, &Bytes),
+        outgoing: impl Fn(&mut Shared) -> &mut Outgoing,
+    ) -> Poll<io::Result<SendResult>> {
+        let end = self.end()?;
+        let MediumAddress::Own(name) = to else { return Poll::Ready(Ok(SendResult::Dropped)) };
+        let mut shared = end.lock();
+        if let Some(why) = &shared.failed {
+            return Poll::Ready(Err(io::Error::other(why.clone())));
+        }
+        let outgoing = outgoing(&mut shared);
+        if outgoing.frames.len() >= OUTGOING_MAX {
+            outgoing.sender = Some(task.waker().clone());
+            return Poll::Pending;
+        }
+        outgoing.frames.push_back((name.clone(), frame.clone()));
+        outgoing.more.notify_one();
+        Poll::Ready(Ok(SendResult::Sent))
+    }
+}
+
+impl fmt::Debug for ZenohNetwork {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.name())
+    }
+}
+
+impl FrameMedium for ZenohNetwork {
+    fn name(&self) -> String {
+        format!("zenoh {}/{}", self.config.namespace, self.config.name)
+    }
+
+    fn reach(&self) -> Reach {
+        Reach::Network
+    }
+
+    fn open(&mut self) -> io::Result<OpenedMedium> {
+        if let Some(why) = self.config.objection() {
+            return Err(io::Error::other(why));
+        }
+        let config = self.config.to_zenoh().map_err(io::Error::other)?;
+        let (end, own) = (Arc::new(End::default()), self.config.clone());
+        let ours = end.clone();
+        std::thread::Builder::new()
+            .name("blastema-zenoh".to_owned())
+            .spawn(move || run(config, &own, &ours))?;
+        self.end = Some(end);
+        let local = MediumAddress::Own(self.config.name.as_str().into());
+        Ok(OpenedMedium { local, mtu: self.config.mtu })
+    }
+
+    fn poll_ready(&mut self, task: &mut Context<'_>) -> Poll<io::Result<()>> {
+        let mut shared = self.end()?.lock();
+        match &shared.failed {
+            Some(why) => Poll::Ready(Err(io::Error::other(why.clone()))),
+            None if shared.is_open => Poll::Ready(Ok(())),
+            None => {
+                shared.reader = Some(task.waker().clone());
+                Poll::Pending
+            }
+        }
+    }
+
+    fn knows(&self, address: &MediumAddress) -> bool {
+        matches!(address, MediumAddress::Own(name) if is_chunk(name))
+    }
+
+    fn poll_send(
+        &mut self,
+        task: &mut Context<'_>,
+        to: &MediumAddress,
+        frame: &Bytes,
+    ) -> Poll<io::Result<SendResult>> {
+        self.send(task, (to, frame), |shared| &mut shared.usual)
+    }
+
+    fn poll_send_urgent(
+        &mut self,
+        task: &mut Context<'_>,
+        to: &MediumAddress,
+        frame: &Bytes,
+    ) -> Poll<io::Result<SendResult>> {
+        self.send(task, (to, frame), |shared| &mut shared.urgent)
+    }
+
+    fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<MediumEvent>> {
+        let mut shared = self.end()?.lock();
+        if let Some(why) = &shared.failed {
+            return Poll::Ready(Err(io::Error::other(why.clone())));
+        }
+        if let Some((from, frame)) = shared.incoming.pop_front() {
+            shared.incoming_bytes -= frame.len();
+            let from = MediumAddress::Own(from);
+            return Poll::Ready(Ok(MediumEvent::Frame { from, frame }));
+        }
+        if shared.refused > 0 {
+            shared.refused -= 1;
+            return Poll::Ready(Ok(MediumEvent::Refused));
+        }
+        match std::mem::take(&mut shared.lost) {
+            0 => {
+                shared.reader = Some(task.waker().clone());
+                Poll::Pending
+            }
+            frames => Poll::Ready(Ok(MediumEvent::Lost { frames })),
+        }
+    }
+
+    fn close(&mut self) {
+        if let Some(end) = self.end.take() {
+            end.lock().is_closed = true;
+            end.closed.notify_one();
+        }
+    }
+}
+
+impl Drop for ZenohNetwork {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+/// What the medium and the thread of Zenoh share.
+#[derive(Default)]
+struct End {
+    shared: Mutex<Shared>,
+    closed: Notify,
+}
+
+#[derive(Default)]
+struct Shared {
+    is_open: bool,
+    is_closed: bool,
+    failed: Option<String>,
+    urgent: Outgoing,
+    usual: Outgoing,
+    incoming: VecDeque<(Arc<str>, Bytes)>,
+    incoming_bytes: usize,
+    /// Frames that there was no room for, and what was no frame.
+    lost: u64,
+    refused: u64,
+    reader: Option<Waker>,
+}
+
+/// What is on its way to Zenoh.
+#[derive(Default)]
+struct Outgoing {
+    frames: VecDeque<(Arc<str>, Bytes)>,
+    more: Arc<Notify>,
+    /// Waits for room.
+    sender: Option<Waker>,
+}
+
+impl End {
+    fn lock(&self) -> MutexGuard<'_, Shared> {
+        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Changes what the reader is to see.
+    fn tell(&self, change: impl FnOnce(&mut Shared)) {
+        let mut shared = self.lock();
+        change(&mut shared);
+        let reader = shared.reader.take();
+        drop(shared);
+        if let Some(reader) = reader {
+            reader.wake();
+        }
+    }
+
+    fn receive(&self, sample: &Sample, mtu: usize) {
+        let from = sample.key_expr().as_str().rsplit('/').next().filter(|from| is_chunk(from));
+        let from = from.filter(|_| sample.payload().len() <= mtu);
+        let Some(from) = from else { return self.tell(|shared| shared.refused += 1) };
+        let frame = Bytes::from(sample.payload().to_bytes().into_owned());
+        self.tell(|shared| {
+            let bytes = shared.incoming_bytes + frame.len();
+            if shared.incoming.len() >= INCOMING_MAX || bytes > INCOMING_BYTES_MAX {
+                shared.lost += 1;
+                return;
+            }
+            shared.incoming_bytes = bytes;
+            shared.incoming.push_back((from.into(), frame));
+        });
+    }
+}
+
+/// The thread of Zenoh, until the end is closed.
+fn run(config: Config, own: &ZenohConfig, end: &Arc<End>) {
+    let ZenohConfig { namespace, name, mtu, .. } = own;
+    let fail = |why: String| end.tell(|shared| shared.failed = Some(why));
+    let mut builder = tokio::runtime::Builder::new_multi_thread();
+    let runtime = match builder.worker_threads(1).enable_all().build() {
+        Ok(runtime) => runtime,
+        Err(error) => return fail(format!("no runtime: {error}")),
+    };
+    runtime.block_on(async {
+        let closed = async {
+            while !end.lock().is_closed {
+                end.closed.notified().await;
+            }
+        };
+        let opened = async {
+            let session = zenoh::open(config).await?;
+            let (receiver, mtu) = (end.clone(), *mtu);
+            // It lasts as long as the session.
+            session
+                .declare_subscriber(format!("{namespace}/{name}/*"))
+                .callback(move |sample| receiver.receive(&sample, mtu))
+                .background()
+                .await?;
+            // No end answers; but that comes back when the router has seen what we subscribe to.
+            let seen = session.get(format!("{namespace}/{name}/-")).timeout(SEEN_WITHIN).await?;
+            while seen.recv_async().await.is_ok() {}
+            Ok::<Session, zenoh::Error>(session)
+        };
+        tokio::pin!(closed);
+        let session = tokio::select! {
+            opened = opened => opened,
+            () = &mut closed => return,
+        };
+        let session = match session {
+            Ok(session) => session,
+            Err(error) => return fail(format!("{error}: is the router running, and reachable?")),
+        };
+        end.tell(|shared| shared.is_open = true);
+        let keys = (namespace.as_str(), name.as_str());
+        tokio::select! {
+            () = send(end, &session, keys, Lane::URGENT) => {}
+            () = send(end, &session, keys, Lane::USUAL) => {}
+            () = closed => {}
+        }
+        // What fails here is over all the same.
+        let _ = session.close().await;
+    });
+    // Zenoh's own tasks may be in the middle of something that blocks.
+    runtime.shutdown_background();
+}
+
+/// How the frames of one queue go.
+#[derive(Clone, Copy)]
+struct Lane {
+    queue: fn(&mut Shared) -> &mut Outgoing,
+    priority: Priority,
+    congestion: CongestionControl,
+    express: bool,
+}
+
+impl Lane {
+    /// Late, they are of no use: they wait for nothing.
+    const URGENT: Lane = Lane {
+        queue: |shared| &mut shared.urgent,
+        priority: Priority::RealTime,
+        congestion: CongestionControl::Drop,
+        express: true,
+    };
+    const USUAL: Lane = Lane {
+        queue: |shared| &mut shared.usual,
+        priority: Priority::Data,
+        congestion: CongestionControl::Block,
+        express: false,
+    };
+}
+
+/// Hands the frames of one queue to Zenoh, for ever.
+async fn send(end: &End, session: &Session, (namespace, own): (&str, &str), lane: Lane) {
+    let more = (lane.queue)(&mut end.lock()).more.clone();
+    loop {
+        let next = {
+            let mut shared = end.lock();
+            let outgoing = (lane.queue)(&mut shared);
+            let next = outgoing.frames.pop_front();
+            if let Some(sender) = outgoing.sender.take_if(|_| next.is_some()) {
+                sender.wake();
+            }
+            next
+        };
+        let Some((to, frame)) = next else {
+            more.notified().await;
+            continue;
+        };
+        let put = session
+            .put(format!("{namespace}/{to}/{own}"), ZBytes::from(frame))
+            .priority(lane.priority)
+            .congestion_control(lane.congestion)
+            .express(lane.express);
+        if put.await.is_err() {
+            end.tell(|shared| shared.lost += 1);
+        }
+    }
+}
