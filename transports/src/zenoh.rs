@@ -385,7 +385,10 @@ fn run(config: Config, own: &ZenohConfig, end: &Arc<End>) {
         };
         let session = match session {
             Ok(session) => session,
-            Err(error) => return fail(format!("{error}: is the router running, and reachable?")),
+            Err(error) => {
+                let why = without_source(&error.to_string());
+                return fail(format!("{why}: is the router running, and reachable?"));
+            }
         };
         end.tell(|shared| shared.is_open = true);
         let keys = (namespace.as_str(), name.as_str());
@@ -399,6 +402,13 @@ fn run(config: Config, own: &ZenohConfig, end: &Arc<End>) {
     });
     // Zenoh's own tasks may be in the middle of something that blocks.
     runtime.shutdown_background();
+}
+
+/// Zenoh's errors end with the line of its source, which tells a user nothing.
+fn without_source(error: &str) -> String {
+    let is_source = |at: &usize| error[*at..].contains(".rs:");
+    let source = error.find(" at /").filter(is_source).unwrap_or(error.len());
+    error[..source].trim_end_matches('.').to_owned()
 }
 
 /// How the frames of one queue go.
@@ -450,6 +460,33 @@ async fn send(end: &End, session: &Session, (namespace, own): (&str, &str), lane
             .express(lane.express);
         if put.await.is_err() {
             end.tell(|shared| shared.lost += 1);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_of_zenoh_is_shown_without_the_line_of_its_source() {
+        let error = "Unable to connect. Timeout! at /root/zenoh-1.10.2/src/orchestrator.rs:388.";
+        assert_eq!(without_source(error), "Unable to connect. Timeout!");
+        assert_eq!(without_source("no tls at all."), "no tls at all");
+    }
+
+    #[test]
+    fn names_are_parts_of_keys_and_an_end_connects_somewhere() {
+        let mut config = ZenohConfig::new("fleet/ranger", "base");
+        assert!(config.objection().is_some_and(|why| why.contains("add connect=")));
+        config.connect.push("tcp/127.0.0.1:7447".to_owned());
+        assert_eq!(config.objection(), None);
+        assert!(config.to_zenoh().is_ok());
+        for (namespace, name) in
+            [("", "base"), ("a//b", "base"), ("a", "b/c"), ("a", "*"), ("$", "b")]
+        {
+            config = ZenohConfig { connect: config.connect, ..ZenohConfig::new(namespace, name) };
+            assert!(config.objection().is_some_and(|why| why.contains("letters")), "{config:?}");
         }
     }
 }
