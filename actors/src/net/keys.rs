@@ -1,5 +1,6 @@
 //! A node's own keys, and the public ones of the robot's other nodes.
 
+use super::own_incarnation;
 use crate::platform;
 use crate::platform::key_files::{folder_of, read_public, read_secret};
 use blastema_contract::transport::MediumAddress;
@@ -95,6 +96,13 @@ impl NodeKeys {
             )),
             Some(_) => Ok(NodeKeys { own, roster, text: text.as_str().into(), path }),
         }
+    }
+
+    /// The node's incarnation that starts now, above the one before it. It is kept beside the key.
+    pub(crate) fn begin_incarnation(&self) -> Incarnation {
+        let node = &self.own.node;
+        let file = folder_of(&self.path).join(format!("{node}.incarnation"));
+        own_incarnation::begin(&file, node, platform::node_incarnation())
     }
 
     /// The file of the roster.

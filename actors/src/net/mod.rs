@@ -27,6 +27,7 @@ mod gateway_messages;
 mod isolation;
 pub(crate) mod keys;
 mod links;
+mod own_incarnation;
 pub(crate) mod own_isolation;
 pub(crate) mod peer_messages;
 mod roster_exchange;
