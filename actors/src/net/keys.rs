@@ -221,6 +221,25 @@ impl NodeKeys {
         Some(NeighbourKey { node: NodeId::of(node), public: *listed.keys.x25519.bytes() })
     }
 
+    /// The fingerprint of this node's own keys.
+    pub(super) fn fingerprint(&self) -> String {
+        self.own.seed.public_keys().fingerprint().to_string()
+    }
+
+    /// The keys of the robot's operators, but for this node.
+    pub(super) fn operators(&self) -> Vec<NeighbourKey> {
+        let nodes = self.roster.nodes().iter();
+        let operators = nodes.filter(|node| node.role == Role::Operator);
+        let others = operators.filter(|node| node.name != self.own.node);
+        others.filter_map(|node| self.key_of(&node.name)).collect()
+    }
+
+    /// The name of a node of the roster.
+    pub(super) fn name_of(&self, peer: NodeId) -> Option<&NodeName> {
+        let mut names = self.roster.nodes().iter().map(|node| &node.name);
+        names.find(|name| NodeId::of(name) == peer)
+    }
+
     /// A sealer for one network. Its counters begin at zero and its keys are new: one is made for
     /// each life of the links.
     ///

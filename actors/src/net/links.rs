@@ -1,8 +1,10 @@
 //! The body of the links over one transport.
 
+mod dialed_in;
 mod discovered;
 mod fault_reports;
 
+pub(super) use dialed_in::DIALED_IN_MAX;
 pub(super) use discovered::{
     AddDiscoveredLink, NeighbourChange, RemoveDiscoveredLink, ReportNeighbours,
 };
@@ -79,6 +81,8 @@ pub(super) struct LinksRecipients {
     pub(super) faults: FaultReporter,
     /// Where frames are sealed: by which keys, and how.
     pub(super) seal: Option<(Arc<NodeKeys>, SealTerms)>,
+    /// The numbers of links to operators that come by themselves.
+    pub(super) dial_in: Vec<LinkId>,
 }
 
 /// The links of one network.
@@ -100,6 +104,8 @@ pub(super) struct LinksActor {
     complaints: RefusalAlarms<Option<LinkId>>,
     /// Links at whose other end is a node of our name, until another one is.
     namesakes: SortedSet<LinkId>,
+    /// Links to operators that came by themselves.
+    dialed_in: SortedSet<LinkId>,
     /// Links whose neighbour's key is in use twice, or was for a moment. What is declared outlives
     /// the actor's incarnation, and ends when the other has been silent.
     keys_in_use: SortedMap<LinkId, KeyInUse>,
@@ -119,6 +125,7 @@ impl LinksActor {
             unheard: SortedSet::new(),
             complaints: RefusalAlarms::default(),
             namesakes: SortedSet::new(),
+            dialed_in: SortedSet::new(),
             keys_in_use: SortedMap::new(),
         };
         links.build(platform::now());
@@ -130,6 +137,7 @@ impl LinksActor {
         let sealer = self.wiring.seal.as_ref();
         let sealer = sealer.map(|(keys, terms)| keys.sealer(self.wiring.incarnation, *terms));
         self.bundle = LinkLayer::new(sealer);
+        self.let_operators_dial_in();
         self.unheard.clear();
         self.wake = WakeTimer::default();
         let specs: Vec<_> = self.specs.iter().map(|(n, spec)| (*n, spec.clone())).collect();
@@ -258,6 +266,9 @@ impl LinksActor {
     fn changed(&mut self, number: LinkId, state: LinkState, reason: &'static str) {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
         info!(network = %self.wiring.network, %link, %state, reason, "link");
+        if state == LinkState::Down && self.dialed_in.contains(&number) {
+            return self.remove(number);
+        }
         self.tell_router(number);
         self.tell_discovery(number, state);
         match state {
@@ -318,6 +329,7 @@ impl Actor for LinksActor {
 
 impl Supervised for LinksActor {
     fn restarting(&mut self, context: &mut Context<Self>) {
+        self.forget_dialed_in();
         for (link, status) in std::mem::take(&mut self.reported) {
             let status = LinkStatus { health: LinkHealth::Down, ..status };
             self.wiring.router_changes.do_send(LinkChanged { link, status });
@@ -341,6 +353,7 @@ impl MachineActor for LinksActor {
             LinkLayerOutput::Adopt { connection, peer } => {
                 self.wiring.transport.adopt.do_send(Adopt { connection, peer });
             }
+            LinkLayerOutput::DialedIn { peer, address } => self.dialed_in(peer, address),
             LinkLayerOutput::Stranger(from) => {
                 warn!(network = %self.wiring.network, %from, "a stranger speaks; no link leads there");
             }
@@ -462,6 +475,7 @@ impl Handler<RosterChanged> for LinksActor {
         *known = keys.clone();
         let now = platform::now();
         self.bundle.set_roster(keys.serial_told());
+        self.let_operators_dial_in();
         let specs: Vec<_> = self.specs.iter().map(|(n, spec)| (*n, spec.clone())).collect();
         for (number, spec) in specs {
             let key = spec.neighbour.as_ref().and_then(|node| keys.key_of(node));

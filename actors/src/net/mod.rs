@@ -27,6 +27,7 @@ mod gateway_messages;
 mod isolation;
 pub(crate) mod keys;
 mod links;
+pub(crate) mod operator;
 mod own_incarnation;
 pub(crate) mod own_isolation;
 pub(crate) mod peer_messages;
@@ -227,7 +228,7 @@ pub(crate) fn start(
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
     let (identity, on_arbiter) = ((node.clone(), incarnation), arbiter.as_ref());
 
-    let (numbers, fields) = number(&networks);
+    let ((numbers, dial_in), fields) = number(&networks);
     let wiring = discovery::DiscoveryRecipients {
         node: node.clone(),
         registry: environment.registry.clone(),
@@ -300,7 +301,13 @@ pub(crate) fn start(
     let (mut watched, mut domains) = (Vec::new(), Vec::new());
     let media = networks.iter().map(|spec| (spec.name.clone(), spec.transport.counters.clone()));
     let media = media.collect();
-    let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
+    if let Some(keys) = &keys {
+        let networks = networks.iter().map(|spec| (spec.name.to_string(), spec.seal.is_some()));
+        let isolation =
+            operator::IsolationOrders::new(node.clone(), stubs.clone(), wardens.clone());
+        operator::serve(&environment.registry, keys, networks.collect(), isolation);
+    }
+    let networks = networks.into_iter().zip(numbers).zip(dial_in).map(|((spec, numbers), free)| {
         let name = named(&format!("links/{}", spec.name));
         let links = spec.links.into_iter().zip(&numbers).map(|(link, n)| (*n, link)).collect();
         let discovery_actor = spec.discovery.and(discovery.clone()).map(Addr::recipient);
@@ -317,6 +324,7 @@ pub(crate) fn start(
             discovery: discovery_actor.clone().map(|actor| (domains.len(), actor)),
             faults,
             seal: keys.clone().zip(spec.seal),
+            dial_in: free.clone(),
         };
         let address = guardian
             .start(name.clone(), on_arbiter, move |_| links::LinksActor::new(wiring, links));
@@ -333,6 +341,7 @@ pub(crate) fn start(
         }
         let (carry, report) = (address.clone().recipient(), address.clone().recipient());
         let given_up = address.clone().recipient();
+        let numbers = numbers.into_iter().chain(free).collect();
         router.do_send(AddLinks { links: numbers, carry, given_up, report });
         (name, address)
     });
@@ -368,10 +377,14 @@ pub(crate) fn start(
     })
 }
 
-/// Gives every link its number; a network that discovers has some left for those that are learned.
-fn number(networks: &[NetworkSpec]) -> (Vec<Vec<LinkId>>, Vec<DiscoveryNetwork>) {
-    let (mut next, mut all, mut fields) = (0, Vec::new(), Vec::new());
-    for NetworkSpec { name, links, discovery, .. } in networks {
+/// The numbers of the links of each network, and those that it has left for operators' links.
+type LinkNumbers = (Vec<Vec<LinkId>>, Vec<Vec<LinkId>>);
+
+/// Gives every link its number; a network that discovers has some left for those that are learned,
+/// and one that is sealed for operators.
+fn number(networks: &[NetworkSpec]) -> (LinkNumbers, Vec<DiscoveryNetwork>) {
+    let (mut next, mut all, mut free, mut fields) = (0, Vec::new(), Vec::new(), Vec::new());
+    for NetworkSpec { name, links, discovery, seal, .. } in networks {
         let mut take = |count: usize| -> Vec<LinkId> {
             let first = next;
             next += count as u16;
@@ -387,8 +400,9 @@ fn number(networks: &[NetworkSpec]) -> (Vec<Vec<LinkId>>, Vec<DiscoveryNetwork>)
             fields.push(DiscoveryNetwork { network, spec, numbers: learned, described });
         }
         all.push(numbers);
+        free.push(seal.map_or_else(Vec::new, |_| take(links::DIALED_IN_MAX)));
     }
-    (all, fields)
+    ((all, free), fields)
 }
 
 fn check(networks: &[NetworkSpec]) -> Result<(), NetError> {

@@ -39,7 +39,7 @@ fn numbered(file: &Path, node: &NodeName, clock: Incarnation) -> (Incarnation, O
     let complaint = match (kept, read) {
         (Ok(()), Ok(_)) => None,
         (Ok(()), Err(error)) => Some(format!(
-            "{error}: it was written anew, with the number of this computer's clock; see that the clock \
+            "{error}: it was replaced by one with the number of this computer's clock; see that the clock \
              is right, and that no other program writes to the file"
         )),
         (Err(error), _) => Some(format!(
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_holds_no_number_is_written_anew_and_the_log_says_what_to_do() {
+    fn a_file_that_holds_no_number_is_replaced_and_the_log_says_what_to_do() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("base.incarnation");
         let whole = IncarnationFile { node: base(), incarnation: NOON }.to_text();
@@ -112,7 +112,8 @@ mod tests {
 
             assert_eq!(incarnation, NOON);
             let complaint = complaint.expect("it is no such file");
-            let told = ["base.incarnation: line", "written anew", "see that the clock is right"];
+            let told =
+                ["base.incarnation: line", "was replaced by one", "see that the clock is right"];
             assert!(told.iter().all(|words| complaint.contains(words)), "{complaint}");
             assert_eq!(numbered(&file, &base(), NOON), (NOON.next(), None));
         }

@@ -4,6 +4,7 @@
 mod attacker;
 mod incarnations;
 mod media;
+mod operators;
 mod policy;
 mod processes;
 mod relay;
