@@ -100,9 +100,13 @@ impl NodeKeys {
 
     /// The node's incarnation that starts now, above the one before it. It is kept beside the key.
     pub(crate) fn begin_incarnation(&self) -> Incarnation {
-        let node = &self.own.node;
-        let file = folder_of(&self.path).join(format!("{node}.incarnation"));
-        own_incarnation::begin(&file, node, platform::node_incarnation())
+        let file = self.incarnation_path();
+        own_incarnation::begin(&file, &self.own.node, platform::node_incarnation())
+    }
+
+    /// The file that keeps it.
+    pub(super) fn incarnation_path(&self) -> PathBuf {
+        folder_of(&self.path).join(format!("{}.incarnation", self.own.node))
     }
 
     /// The file of the roster.
@@ -210,11 +214,6 @@ impl NodeKeys {
         self.roster.serial
     }
 
-    /// The serial number, as handshakes tell it.
-    pub(super) fn serial_told(&self) -> u32 {
-        u32::try_from(self.roster.serial).unwrap_or(u32::MAX)
-    }
-
     /// The key of another node of the robot.
     pub(crate) fn key_of(&self, node: &NodeName) -> Option<NeighbourKey> {
         let listed = self.roster.node(node)?;
@@ -278,7 +277,6 @@ impl NodeKeys {
         let SealTerms { profile, forgeable_addresses } = terms;
         let node = NodeId::of(&self.own.node);
         let config = SealerConfig {
-            roster: self.serial_told(),
             profile,
             fast_aes: platform::has_aes(),
             forgeable_addresses,

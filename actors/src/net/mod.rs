@@ -46,6 +46,7 @@ pub use roster_exchange::RosterRow;
 pub(crate) use roster_watch::RosterChanged;
 
 use self::fault_reporter::FaultReporter;
+use self::own_incarnation::OwnIncarnation;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
 use crate::registry::remote::StubFactory;
@@ -210,6 +211,7 @@ pub(crate) struct NetHandle {
     wardens: Arc<OnceLock<isolation::IsolationControl>>,
     carrier: Arc<carrier::CarrierMonitor>,
     roster: Option<Addr<RosterActor>>,
+    own: OwnIncarnation,
     /// Ends with the last handle.
     _roster_watch: Option<Arc<RosterWatch>>,
 }
@@ -226,7 +228,8 @@ pub(crate) fn start(
     platform::keep_freed_memory();
     let mut environment = environment;
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
-    let (identity, on_arbiter) = ((node.clone(), incarnation), arbiter.as_ref());
+    let own = OwnIncarnation::new(node.clone(), incarnation, environment.keys.as_deref());
+    let (identity, on_arbiter) = ((node.clone(), own.clone()), arbiter.as_ref());
 
     let ((numbers, dial_in), fields) = number(&networks);
     let wiring = discovery::DiscoveryRecipients {
@@ -314,7 +317,7 @@ pub(crate) fn start(
         let faults = environment.own_faults(&format!("links/{}", spec.name));
         let wiring = links::LinksRecipients {
             node: identity.0.clone(),
-            incarnation: identity.1,
+            incarnation: identity.1.clone(),
             network: spec.name,
             transport: spec.transport,
             router_changes: router.clone().recipient(),
@@ -346,6 +349,10 @@ pub(crate) fn start(
         (name, address)
     });
     let networks: Vec<(_, Addr<links::LinksActor>)> = networks.collect();
+    let links = networks.iter().map(|(_, links)| links.clone().recipient());
+    // Sessions of the earlier number end before the router finds their nodes again.
+    let first = [sessions.clone().recipient(), router.clone().recipient()].into_iter();
+    own.tell(first.chain(links).collect());
     let roster_watch = roster.as_ref().zip(keys).map(|(roster, keys)| {
         let links = networks.iter().map(|(_, links)| links.clone().recipient());
         // Who is not missed any more is known before the links go down.
@@ -373,6 +380,7 @@ pub(crate) fn start(
         wardens,
         carrier,
         roster,
+        own,
         _roster_watch: roster_watch,
     })
 }
@@ -439,6 +447,11 @@ impl NetHandle {
             fault_forwarding::RemoteRecoverer::new(peer, gateway)
         };
         self.guardian.start(name, self.arbiter.as_ref(), make).recipient()
+    }
+
+    /// Which incarnation of this node the others know.
+    pub(crate) fn incarnation(&self) -> Incarnation {
+        self.own.present()
     }
 
     /// Whether messages can be sent to this node, and it has told what it listens to.

@@ -104,6 +104,13 @@ pub enum LinkLayerOutput<A> {
     Stranger(A),
     /// This node was not run for so long: a timer fired so late.
     Stalled(Duration),
+    /// A neighbour knows a later incarnation of this node.
+    Outnumbered {
+        /// The neighbour.
+        peer: NodeId,
+        /// Which.
+        known: Incarnation,
+    },
     /// A node with the neighbour's key shakes hands in another incarnation while the neighbour is
     /// heard.
     KeyInUse {
@@ -299,13 +306,6 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         }
         self.collect(now);
         added
-    }
-
-    /// This node has a roster with this serial number now, of which it tells in handshakes.
-    pub fn set_roster(&mut self, serial: u32) {
-        if let Some(sealer) = &mut self.sealer {
-            sealer.set_roster(serial);
-        }
     }
 
     /// A link.
@@ -519,6 +519,9 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
                 SealerOutput::KeyInUse { peer, open, refused } => {
                     let Some(link) = self.by_peer.get(&peer).copied() else { continue };
                     self.outputs.push_back(LinkLayerOutput::KeyInUse { link, open, refused });
+                }
+                SealerOutput::Outnumbered { peer, known } => {
+                    self.outputs.push_back(LinkLayerOutput::Outnumbered { peer, known });
                 }
                 SealerOutput::KeyWornOut { peer } => {
                     let Some(link) = self.by_peer.get(&peer).copied() else { continue };

@@ -1,7 +1,7 @@
 //! Nodes that are restarted while their clock is set back: the file beside the key says which
 //! incarnation was the last.
 
-use super::{PATIENCE, ask, node};
+use super::{PATIENCE, ask, node, until};
 use blastema::prelude::*;
 use blastema::{Network, NodeName};
 use blastema_tests::{RobotKeys, free_addresses};
@@ -80,5 +80,51 @@ fn a_node_that_cannot_keep_its_incarnation_starts_all_the_same() {
         for node in [left, right] {
             node.shutdown().await;
         }
+    });
+}
+
+/// The right node is restarted with a number that lies a day back, as its file says.
+async fn restarted_a_day_back(numbers: [usize; 2]) {
+    let folder = tempfile::tempdir().expect("a folder");
+    RobotKeys::new(folder.path(), &NODES, 1);
+    let at = free_addresses(2);
+    let [stays, restarts] = numbers;
+    let stays = start(folder.path(), &at, stays).await;
+    let name = NODES[restarts];
+    // As if the clock had been a day ahead.
+    let ahead = incarnation(&stays).await + DAY;
+    let file = folder.path().join(format!("{name}.incarnation"));
+    let text = format!("blastema incarnation 1\nnode {name}\nincarnation {ahead}\n");
+    fs::write(&file, text).expect("a folder");
+    let first = start(folder.path(), &at, restarts).await;
+    assert!(stays.connected(name, PATIENCE).await);
+    assert_eq!(met(&stays, name).await, Some(ahead + 1));
+    first.shutdown().await;
+
+    // The file is lost with it.
+    fs::remove_file(&file).expect("it is ours");
+    let second = start(folder.path(), &at, restarts).await;
+
+    assert!(stays.connected(name, PATIENCE).await);
+    assert_eq!(ask(&stays, name).await, 1);
+    assert_eq!(ask(&second, NODES[numbers[0]]).await, 1);
+    until(async || met(&stays, name).await == Some(ahead + 2), "it goes on above the last").await;
+    assert_eq!(incarnation(&second).await, ahead + 2);
+    let kept = fs::read_to_string(&file).expect("it is there");
+    assert!(kept.contains(&(ahead + 2).to_string()), "{kept}");
+    for node in [&stays, &second] {
+        let faults = node.faults().await.entries;
+        assert!(faults.iter().all(|entry| !entry.stands()), "{faults:?}");
+    }
+    for node in [stays, second] {
+        node.shutdown().await;
+    }
+}
+
+#[test]
+fn a_node_whose_number_is_lost_is_told_it_by_its_peer_whichever_of_them_shakes_hands() {
+    blastema::run(async {
+        restarted_a_day_back([0, 1]).await;
+        restarted_a_day_back([1, 0]).await;
     });
 }
