@@ -8,6 +8,7 @@ use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::net::routing::RouterKeys;
 use blastema_core::net::seal::{NoiseCrypto, SealProfile, Sealer, SealerConfig};
 use blastema_core::net::trust::access::AccessPolicy;
+use blastema_core::net::trust::beacon::BeaconKeys;
 use blastema_core::net::trust::key_file::KeyFile;
 use blastema_core::net::trust::policy::Role;
 use blastema_core::net::trust::roster::{NodeRoster, RosterOrder};
@@ -218,6 +219,11 @@ impl NodeKeys {
     pub(crate) fn key_of(&self, node: &NodeName) -> Option<NeighbourKey> {
         let listed = self.roster.node(node)?;
         Some(NeighbourKey { node: NodeId::of(node), public: *listed.keys.x25519.bytes() })
+    }
+
+    /// The keys for its beacons.
+    pub(super) fn beacon_keys(&self) -> BeaconKeys {
+        BeaconKeys::new(&self.own.seed, &self.roster, &self.own.node)
     }
 
     /// The fingerprint of this node's own keys.

@@ -228,7 +228,8 @@ pub(crate) fn start(
     platform::keep_freed_memory();
     let mut environment = environment;
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
-    let own = OwnIncarnation::new(node.clone(), incarnation, environment.keys.as_deref());
+    let file = environment.keys.as_ref().map(|keys| keys.incarnation_path());
+    let own = OwnIncarnation::new(node.clone(), incarnation, file);
     let (identity, on_arbiter) = ((node.clone(), own.clone()), arbiter.as_ref());
 
     let ((numbers, dial_in), fields) = number(&networks);
@@ -237,6 +238,7 @@ pub(crate) fn start(
         registry: environment.registry.clone(),
         fields,
         faults: environment.own_faults("discovery"),
+        keys: environment.keys.clone(),
     };
     let discovery = (!wiring.fields.is_empty()).then(|| {
         let make =
@@ -357,7 +359,9 @@ pub(crate) fn start(
         let links = networks.iter().map(|(_, links)| links.clone().recipient());
         // Who is not missed any more is known before the links go down.
         let first = [router.clone().recipient(), gateway.clone().recipient()].into_iter();
-        let told = first.chain(links).chain(environment.roster_observers).collect();
+        let others = discovery.clone().map(Addr::recipient).into_iter();
+        let others = others.chain(environment.roster_observers);
+        let told = first.chain(links).chain(others).collect();
         let exchange = (roster.clone().recipient(), roster.clone().recipient());
         let watch = Arc::new(RosterWatch::start(keys, exchange, told));
         roster.do_send(AttachRosterWatch(Arc::downgrade(&watch)));

@@ -13,7 +13,6 @@
 //! The file is written before the node sends its first frame. Where it cannot be, or holds no
 //! number, the wall clock alone numbers the incarnation, and the log says what to do.
 
-use super::keys::NodeKeys;
 use crate::platform;
 use crate::platform::file_lock::{FileLock, LockError};
 use crate::platform::key_files::read_public;
@@ -59,11 +58,11 @@ struct Numbering {
 }
 
 impl OwnIncarnation {
-    /// Only a node with keys is told of another number.
-    pub(super) fn new(node: NodeName, present: Incarnation, keys: Option<&NodeKeys>) -> Self {
+    /// It is kept in the file. A node without one has no keys, and believes no peer.
+    pub(super) fn new(node: NodeName, present: Incarnation, file: Option<PathBuf>) -> Self {
         OwnIncarnation(Arc::new(Numbering {
             node,
-            file: keys.map(NodeKeys::incarnation_path),
+            file,
             present: AtomicU64::new(present.0),
             believed: Mutex::default(),
             told: OnceLock::new(),
@@ -173,7 +172,6 @@ fn read(file: &Path, node: &NodeName) -> Result<Option<Incarnation>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::net::keys::tests::written;
     use std::fs;
 
     const NOON: Incarnation = Incarnation(1_795_500_000_000);
@@ -237,8 +235,8 @@ mod tests {
     #[test]
     fn each_peer_is_believed_once_that_it_knows_a_later_incarnation() {
         let folder = tempfile::tempdir().expect("a folder");
-        let keys = written(folder.path());
-        let own = OwnIncarnation::new(base(), NOON, Some(&keys));
+        let file = folder.path().join("base.incarnation");
+        let own = OwnIncarnation::new(base(), NOON, Some(file));
         let check = |peer, known: u64, present: u64| {
             own.handle_known(NodeId(peer), Incarnation(known));
             assert_eq!(own.present().0 - NOON.0, present);

@@ -15,6 +15,7 @@
 //! | `key_file` | the two files that hold a secret |
 //! | `roster` | the list, its canonical text, its signature, its serial number |
 //! | `incarnation_file` | which incarnation of a node was the last |
+//! | `beacon` | who is at which port, with a code for each other node of the roster |
 //! | `policy` | roles, verbs, patterns, and the decision whether a peer may do something |
 //! | `access` | the rights of a roster's nodes at one of them, and what they were refused |
 //!
@@ -23,6 +24,7 @@
 //! it reads no file and no clock, and takes randomness as an argument.
 
 pub mod access;
+pub mod beacon;
 pub mod crypto;
 pub mod incarnation_file;
 pub mod key_file;
