@@ -262,9 +262,10 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         self.by_address.remove(&address);
         if let (Some(sealer), Some(peer)) = (&mut self.sealer, peer) {
             self.by_peer.remove(&peer);
-            // One that dials in need not shake hands again.
-            if !self.may_dial_in.contains_key(&peer) {
-                sealer.remove_peer(peer);
+            match self.may_dial_in.contains_key(&peer) {
+                // It need not shake hands again when it comes.
+                true => sealer.stop_asking(peer),
+                false => sealer.remove_peer(peer),
             }
         }
     }

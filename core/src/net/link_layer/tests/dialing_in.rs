@@ -97,3 +97,18 @@ fn a_node_that_may_dial_in_no_more_is_not_opened() {
     world.run(500);
     assert_eq!(dialed_in(&mut world), []);
 }
+
+#[test]
+fn a_node_that_may_dial_in_is_not_asked_any_more_where_its_link_was_taken_out() {
+    for node in 0..2 {
+        let mut end = end(node, 1, 0);
+        end.set_dial_in([key(1 - node)]).expect("it is a key");
+        end.remove(LINK);
+        while end.poll_output().is_some() {}
+
+        for now in 0..2_000 {
+            end.handle_timeout(at(now));
+            assert_eq!(end.poll_output(), None);
+        }
+    }
+}
