@@ -195,6 +195,8 @@ pub use crate::directory::{
 #[cfg(feature = "network")]
 pub use crate::net::RosterRow;
 #[cfg(feature = "network")]
+pub use crate::net::operator::{KeyStatus, NetworkSeal, OrderError};
+#[cfg(feature = "network")]
 pub use crate::registry::access::AccessRefusal;
 #[cfg(feature = "network")]
 pub use blastema_contract::link::LinkRow;

@@ -112,7 +112,8 @@ fn before(at: Instant, span: Duration) -> Instant {
 }
 
 /// The incarnation of a node whose process starts now: milliseconds of the wall clock, so that it
-/// is larger than that of any earlier process unless the clock was set back in between.
+/// is larger than that of any earlier process unless the clock was set back in between. A node with
+/// keys keeps the last one in a file.
 pub(crate) fn node_incarnation() -> Incarnation {
     let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     Incarnation(u64::try_from(since.as_millis()).unwrap_or(u64::MAX))

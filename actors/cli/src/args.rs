@@ -41,6 +41,7 @@ Examples:
   blastema keys new ranger base arm laptop --role laptop=operator
   blastema keys add gripper --robot ranger.robot
   blastema keys show
+  blastema keys revoke arm --push base@10.0.0.1:7400 --keys laptop.key
 
 A node uses its key if its program says `.keys(\"base.key\")` at its builder, or the environment
 variable BLASTEMA_KEYS names the file. ROBOT.roster must be in the same folder. Both are read when
@@ -48,7 +49,25 @@ the node starts, and ROBOT.roster again when it is replaced.
 
 Exit status:
   0  it was done
+  1  the list was changed, and was not handed over by --push
   2  the command line or a file was wrong, or could not be read or written";
+
+const OPERATOR_HELP: &str = "\
+Examples:
+  blastema keys check base@10.0.0.1:7400 --keys laptop.key
+  blastema keys add gripper --push base@10.0.0.1:7400 --keys laptop.key
+  blastema node isolate arm --via base@10.0.0.1:7400 --keys laptop.key --reason \"it smokes\"
+
+The key is that of a node with `role operator`, and ROBOT.roster must be in the same folder. The
+command is a node of the robot while it runs: it connects over UDP from any address and port, and
+the node that it connects to need not describe it. Over other media that node must describe it as a
+neighbour, and --own-endpoint says where it is.
+
+Exit status:
+  0  it was done, and of `check`: nothing is wrong
+  1  only a part of it was done: the roster was not handed over, a node was not reached or has
+     refused; of `check`: a node is off, has an older roster or another key, or is not sealed
+  2  the command line or a file was wrong, or the robot could not be reached";
 
 /// The shortest and the longest `--within`.
 const WITHIN: RangeInclusive<Duration> = Duration::from_millis(10)..=Duration::from_secs(60 * 60);
@@ -116,6 +135,9 @@ pub(crate) enum Subcommand {
     /// public keys, their roles and the policy. No secret is ever printed.
     #[command(subcommand)]
     Keys(KeysJob),
+    /// Order the nodes of a robot what to do with one of them
+    #[command(subcommand)]
+    Node(NodeJob),
     /// Run one module of the demonstration's robot; started by the demonstration itself
     #[command(hide = true)]
     Module(ModuleOptions),
@@ -207,6 +229,8 @@ pub(crate) enum KeysJob {
         nodes: Vec<String>,
         #[command(flatten)]
         robot: RobotOption,
+        #[command(flatten)]
+        push: PushOptions,
         /// A node's role, where it is not `node`: operator, warden or guest
         #[arg(long = "role", value_name = "NODE=ROLE")]
         roles: Vec<String>,
@@ -219,6 +243,8 @@ pub(crate) enum KeysJob {
         nodes: Vec<String>,
         #[command(flatten)]
         robot: RobotOption,
+        #[command(flatten)]
+        push: PushOptions,
     },
     /// Make new keys for listed nodes; the files of the old ones must be moved away before
     #[command(after_help = KEYS_HELP)]
@@ -228,6 +254,8 @@ pub(crate) enum KeysJob {
         nodes: Vec<String>,
         #[command(flatten)]
         robot: RobotOption,
+        #[command(flatten)]
+        push: PushOptions,
     },
     /// Change roles and the policy in an editor ($VISUAL, $EDITOR or vi)
     ///
@@ -237,10 +265,90 @@ pub(crate) enum KeysJob {
     Edit {
         #[command(flatten)]
         robot: RobotOption,
+        #[command(flatten)]
+        push: PushOptions,
         /// Take the changed text from this file instead
-        #[arg(long, value_name = "FILE")]
-        from: Option<PathBuf>,
+        #[arg(long = "from", value_name = "FILE")]
+        text: Option<PathBuf>,
     },
+    /// Ask the nodes of a running robot for their rosters, keys, and whether networks are sealed
+    ///
+    /// A roster beside the operator's key that is newer than that of the robot is handed over.
+    #[command(after_help = OPERATOR_HELP)]
+    Check(KeysCheckOptions),
+}
+
+/// Which robot is to be asked for its keys, and how.
+#[derive(Args, Clone, Debug, PartialEq)]
+pub(crate) struct KeysCheckOptions {
+    /// The node to connect to, and its address there, such as base@10.0.0.1:7400
+    #[arg(value_name = "NODE@ADDRESS", value_parser = parse_node_address)]
+    pub(crate) to: NodeAddress,
+    #[command(flatten)]
+    pub(crate) operator: OperatorOptions,
+    /// Print one JSON document instead of a table
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// What can be ordered of a node.
+#[derive(Clone, Debug, PartialEq, clap::Subcommand)]
+pub(crate) enum NodeJob {
+    /// Isolate a node: all others that are reached vote so, and take nothing from it any more
+    ///
+    /// Their faults and journals name the operator and the reason. It stands until it is admitted.
+    #[command(after_help = OPERATOR_HELP)]
+    Isolate(NodeOrderOptions),
+    /// Admit an isolated node again
+    #[command(after_help = OPERATOR_HELP)]
+    Admit(NodeOrderOptions),
+}
+
+/// Which node is meant, and by way of which one the others are reached.
+#[derive(Args, Clone, Debug, PartialEq)]
+pub(crate) struct NodeOrderOptions {
+    /// The node
+    pub(crate) node: String,
+    /// Another node, to connect to, and its address there, such as base@10.0.0.1:7400
+    #[arg(long, value_name = "NODE@ADDRESS", value_parser = parse_node_address)]
+    pub(crate) via: NodeAddress,
+    #[command(flatten)]
+    pub(crate) operator: OperatorOptions,
+    /// Why, for the journals: 160 bytes of it are kept
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    pub(crate) reason: String,
+}
+
+/// How an operator connects.
+#[derive(Args, Clone, Debug, PartialEq)]
+pub(crate) struct OperatorOptions {
+    /// The operator's key, with the roster beside it; by default what BLASTEMA_KEYS names
+    #[arg(long, value_name = "FILE")]
+    pub(crate) keys: Option<PathBuf>,
+    /// The endpoint of the operator's own node, such as tcp://10.0.0.9:7400, where the node that it
+    /// connects to describes it; by default a free UDP port
+    #[arg(long = "own-endpoint", value_name = "ENDPOINT")]
+    pub(crate) from: Option<String>,
+    /// Wait so long for the first node, and for each answer, 10ms to 1h
+    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = parse_within)]
+    pub(crate) within: Duration,
+}
+
+/// Whom a changed roster is handed over to.
+#[derive(Args, Clone, Debug, PartialEq)]
+pub(crate) struct PushOptions {
+    /// Hand the changed list over to this node of the running robot, which gives it to the others
+    #[arg(long, value_name = "NODE@ADDRESS", value_parser = parse_node_address)]
+    pub(crate) push: Option<NodeAddress>,
+    #[command(flatten)]
+    pub(crate) operator: OperatorOptions,
+}
+
+/// A node, and where it is.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct NodeAddress {
+    pub(crate) node: String,
+    pub(crate) address: String,
 }
 
 /// Which robot is meant.
@@ -298,6 +406,16 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
         span if (SHORTEST..=LONGEST).contains(&span) => Ok(span),
         _ => Err(format!("{text} is not between 1s and 24h")),
     }
+}
+
+fn parse_node_address(text: &str) -> Result<NodeAddress, String> {
+    let form = || format!("{text} is no node with its address: write it as base@10.0.0.1:7400");
+    let (node, address) = text.split_once('@').ok_or_else(form)?;
+    let address = address.strip_prefix("udp://").unwrap_or(address);
+    if node.is_empty() || address.is_empty() {
+        return Err(form());
+    }
+    Ok(NodeAddress { node: node.to_owned(), address: address.to_owned() })
 }
 
 fn parse_within(text: &str) -> Result<Duration, String> {

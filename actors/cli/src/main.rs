@@ -3,7 +3,8 @@
 //! `blastema` without arguments runs the demonstration: a robot of three processes that is killed,
 //! hung and unplugged, and recovers. Exit status: 0 all promises kept, 1 a promise broken, 2 not
 //! run. `blastema monitor` shows the state of a running node, `blastema fault list` its
-//! faults, also those of earlier runs, and `blastema keys` makes the keys of a robot's nodes.
+//! faults, also those of earlier runs, `blastema keys` makes the keys of a robot's nodes, and
+//! `blastema node` gives them orders.
 
 mod args;
 mod demo;
@@ -13,6 +14,7 @@ mod golden;
 mod keys;
 mod module;
 mod monitor;
+mod operator;
 
 use args::{Arguments, FaultJob, Subcommand};
 use clap::Parser;
@@ -33,7 +35,8 @@ fn main() -> ExitCode {
         Subcommand::Fault(FaultJob::List(options)) => {
             fault::run(&options).map(|()| true).map_err(|error| error.to_string())
         }
-        Subcommand::Keys(job) => keys::run(&job).map(|()| true),
+        Subcommand::Keys(job) => keys::run(&job),
+        Subcommand::Node(job) => operator::run(&job),
         Subcommand::Module(options) => {
             module::run(&options).map(|()| true).map_err(|error| error.to_string())
         }

@@ -2,8 +2,10 @@
 
 use super::LinkSpec;
 use super::fault_reporter::FaultReporter;
+use super::keys::NodeKeys;
 use super::links::{AddDiscoveredLink, NeighbourChange, RemoveDiscoveredLink, ReportNeighbours};
 use super::peer_messages::{ActorMessageReceived, PeerChannel};
+use super::roster_watch::RosterChanged;
 use crate::platform;
 use crate::registry::Registry;
 use crate::runtime::driver::{MachineActor, WakeTimer};
@@ -18,6 +20,7 @@ use blastema_core::net::discovery::{
     Discovery, DiscoveryAdmission, DiscoveryConfig, DiscoveryDomain, DiscoveryOutput,
 };
 use blastema_core::net::refusal_alarms::RefusalAlarms;
+use blastema_core::net::trust::beacon::{BeaconKeys, CheckedBeacon};
 use blastema_core::net::{LinkId, NodeId};
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultKind, NodeName};
@@ -65,6 +68,8 @@ pub(super) struct DiscoveryRecipients {
     pub(super) registry: Registry,
     pub(super) fields: Vec<DiscoveryNetwork>,
     pub(super) faults: FaultReporter,
+    /// With which beacons are authenticated.
+    pub(super) keys: Option<Arc<NodeKeys>>,
 }
 
 /// The links of the networks that discover, in their order. They are made after the body.
@@ -92,6 +97,8 @@ pub(super) struct DiscoveryActor {
     /// Nodes that a session is open with.
     peers: SortedMap<NodeId, NodeName>,
     complaints: RefusalAlarms<Option<NodeName>>,
+    /// Those of the pairs, where nodes have keys and this one says beacons.
+    beacon_keys: Option<BeaconKeys>,
     /// The ports at which our networks are open, for beacons.
     ports: SortedMap<usize, u16>,
 }
@@ -109,6 +116,7 @@ impl DiscoveryActor {
             made: SortedMap::new(),
             peers: SortedMap::new(),
             complaints: RefusalAlarms::default(),
+            beacon_keys: beacon_keys(&wiring),
             ports: SortedMap::new(),
             wiring,
         }
@@ -174,9 +182,14 @@ impl DiscoveryActor {
             else {
                 continue;
             };
-            let frame = beacon(&self.wiring.node, *port);
-            let to = MediumAddress::Ip(*group);
-            transport.transmit.do_send(Transmit::new(to, frame.into()));
+            let frames = match &self.beacon_keys {
+                Some(keys) => keys.beacons(*port).into_iter().map(Bytes::from).collect(),
+                None => vec![beacon(&self.wiring.node, *port)],
+            };
+            for frame in frames {
+                let to = MediumAddress::Ip(*group);
+                transport.transmit.do_send(Transmit::new(to, frame.into()));
+            }
         }
     }
 
@@ -190,6 +203,12 @@ impl DiscoveryActor {
             }
         }
     }
+}
+
+/// The arithmetic on curves for each node of the roster is done where there are beacons.
+fn beacon_keys(wiring: &DiscoveryRecipients) -> Option<BeaconKeys> {
+    let says_beacons = wiring.fields.iter().any(|field| field.spec.beacons.is_some());
+    wiring.keys.as_ref().filter(|_| says_beacons).map(|keys| keys.beacon_keys())
 }
 
 fn begin(wiring: &DiscoveryRecipients) -> Discovery {
@@ -228,6 +247,8 @@ fn parse(medium: &str, text: &str) -> Option<MediumAddress> {
     }
 }
 
+/// Without keys:
+///
 /// ```text
 /// BLB 3 │ version 1 │ port 2 │ name to the end
 /// ```
@@ -396,14 +417,30 @@ impl Handler<Beacon> for DiscoveryActor {
 
     fn handle(&mut self, beacon: Beacon, context: &mut Context<Self>) {
         let Beacon { domain, from, frame } = beacon;
-        match read_beacon(&frame) {
+        let now = platform::now();
+        let read = match self.beacon_keys.as_mut().map(|keys| keys.check(&frame, now)) {
+            None => read_beacon(&frame),
+            Some(CheckedBeacon::Node(node, port)) => Some((node, port)),
+            Some(CheckedBeacon::NotForUs) => return,
+            Some(CheckedBeacon::Forged) => None,
+        };
+        match read {
             Some((node, port)) => {
                 let address = SocketAddr::new(from, port).to_string();
-                self.machine.handle_beacon(domain, node, address, platform::now());
+                self.machine.handle_beacon(domain, node, address, now);
             }
             None => self.machine.handle_noise(),
         }
         self.drive(context);
+    }
+}
+
+impl Handler<RosterChanged> for DiscoveryActor {
+    type Result = ();
+
+    fn handle(&mut self, RosterChanged(keys): RosterChanged, _: &mut Context<Self>) {
+        self.wiring.keys = Some(keys);
+        self.beacon_keys = beacon_keys(&self.wiring);
     }
 }
 

@@ -1,5 +1,6 @@
 //! A node's own keys, and the public ones of the robot's other nodes.
 
+use super::own_incarnation;
 use crate::platform;
 use crate::platform::key_files::{folder_of, read_public, read_secret};
 use blastema_contract::transport::MediumAddress;
@@ -7,6 +8,7 @@ use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::net::routing::RouterKeys;
 use blastema_core::net::seal::{NoiseCrypto, SealProfile, Sealer, SealerConfig};
 use blastema_core::net::trust::access::AccessPolicy;
+use blastema_core::net::trust::beacon::BeaconKeys;
 use blastema_core::net::trust::key_file::KeyFile;
 use blastema_core::net::trust::policy::Role;
 use blastema_core::net::trust::roster::{NodeRoster, RosterOrder};
@@ -95,6 +97,17 @@ impl NodeKeys {
             )),
             Some(_) => Ok(NodeKeys { own, roster, text: text.as_str().into(), path }),
         }
+    }
+
+    /// The node's incarnation that starts now, above the one before it. It is kept beside the key.
+    pub(crate) fn begin_incarnation(&self) -> Incarnation {
+        let file = self.incarnation_path();
+        own_incarnation::begin(&file, &self.own.node, platform::node_incarnation())
+    }
+
+    /// The file that keeps it.
+    pub(super) fn incarnation_path(&self) -> PathBuf {
+        folder_of(&self.path).join(format!("{}.incarnation", self.own.node))
     }
 
     /// The file of the roster.
@@ -202,15 +215,34 @@ impl NodeKeys {
         self.roster.serial
     }
 
-    /// The serial number, as handshakes tell it.
-    pub(super) fn serial_told(&self) -> u32 {
-        u32::try_from(self.roster.serial).unwrap_or(u32::MAX)
-    }
-
     /// The key of another node of the robot.
     pub(crate) fn key_of(&self, node: &NodeName) -> Option<NeighbourKey> {
         let listed = self.roster.node(node)?;
         Some(NeighbourKey { node: NodeId::of(node), public: *listed.keys.x25519.bytes() })
+    }
+
+    /// The keys for its beacons.
+    pub(super) fn beacon_keys(&self) -> BeaconKeys {
+        BeaconKeys::new(&self.own.seed, &self.roster, &self.own.node)
+    }
+
+    /// The fingerprint of this node's own keys.
+    pub(super) fn fingerprint(&self) -> String {
+        self.own.seed.public_keys().fingerprint().to_string()
+    }
+
+    /// The keys of the robot's operators, but for this node.
+    pub(super) fn operators(&self) -> Vec<NeighbourKey> {
+        let nodes = self.roster.nodes().iter();
+        let operators = nodes.filter(|node| node.role == Role::Operator);
+        let others = operators.filter(|node| node.name != self.own.node);
+        others.filter_map(|node| self.key_of(&node.name)).collect()
+    }
+
+    /// The name of a node of the roster.
+    pub(super) fn name_of(&self, peer: NodeId) -> Option<&NodeName> {
+        let mut names = self.roster.nodes().iter().map(|node| &node.name);
+        names.find(|name| NodeId::of(name) == peer)
     }
 
     /// A sealer for one network. Its counters begin at zero and its keys are new: one is made for
@@ -251,7 +283,6 @@ impl NodeKeys {
         let SealTerms { profile, forgeable_addresses } = terms;
         let node = NodeId::of(&self.own.node);
         let config = SealerConfig {
-            roster: self.serial_told(),
             profile,
             fast_aes: platform::has_aes(),
             forgeable_addresses,

@@ -1,8 +1,10 @@
 //! The body of the links over one transport.
 
+mod dialed_in;
 mod discovered;
 mod fault_reports;
 
+pub(super) use dialed_in::DIALED_IN_MAX;
 pub(super) use discovered::{
     AddDiscoveredLink, NeighbourChange, RemoveDiscoveredLink, ReportNeighbours,
 };
@@ -11,6 +13,7 @@ use self::fault_reports::KeyInUse;
 use super::LinkSpec;
 use super::fault_reporter::FaultReporter;
 use super::keys::{NodeKeys, SealTerms};
+use super::own_incarnation::{IncarnationRaised, OwnIncarnation};
 use super::roster_watch::RosterChanged;
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
@@ -35,7 +38,7 @@ use blastema_core::net::{
     Quality,
 };
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_core::{GatherBuffer, Incarnation, Instant, NodeName};
+use blastema_core::{GatherBuffer, Instant, NodeName};
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::{error, info, warn};
@@ -56,7 +59,7 @@ fn link(wiring: &LinksRecipients, spec: &LinkSpec, now: Instant) -> Link {
         expected: spec.neighbour.clone(),
         peer_timeout: spec.expected_within,
         hello_interval: spec.hello_interval,
-        ..LinkConfig::new(node.clone(), *incarnation)
+        ..LinkConfig::new(node.clone(), incarnation.present())
     };
     Link::new(config, now)
 }
@@ -67,7 +70,7 @@ const REFUSAL_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// The actors and recipients that the links report to.
 pub(super) struct LinksRecipients {
     pub(super) node: NodeName,
-    pub(super) incarnation: Incarnation,
+    pub(super) incarnation: OwnIncarnation,
     pub(super) network: Arc<str>,
     pub(super) transport: Transport,
     pub(super) router_changes: Recipient<LinkChanged>,
@@ -79,6 +82,8 @@ pub(super) struct LinksRecipients {
     pub(super) faults: FaultReporter,
     /// Where frames are sealed: by which keys, and how.
     pub(super) seal: Option<(Arc<NodeKeys>, SealTerms)>,
+    /// The numbers of links to operators that come by themselves.
+    pub(super) dial_in: Vec<LinkId>,
 }
 
 /// The links of one network.
@@ -100,6 +105,8 @@ pub(super) struct LinksActor {
     complaints: RefusalAlarms<Option<LinkId>>,
     /// Links at whose other end is a node of our name, until another one is.
     namesakes: SortedSet<LinkId>,
+    /// Links to operators that came by themselves.
+    dialed_in: SortedSet<LinkId>,
     /// Links whose neighbour's key is in use twice, or was for a moment. What is declared outlives
     /// the actor's incarnation, and ends when the other has been silent.
     keys_in_use: SortedMap<LinkId, KeyInUse>,
@@ -119,6 +126,7 @@ impl LinksActor {
             unheard: SortedSet::new(),
             complaints: RefusalAlarms::default(),
             namesakes: SortedSet::new(),
+            dialed_in: SortedSet::new(),
             keys_in_use: SortedMap::new(),
         };
         links.build(platform::now());
@@ -128,8 +136,10 @@ impl LinksActor {
     fn build(&mut self, now: Instant) {
         // Keys and counters die with the links: none is ever used by another life of them.
         let sealer = self.wiring.seal.as_ref();
-        let sealer = sealer.map(|(keys, terms)| keys.sealer(self.wiring.incarnation, *terms));
+        let sealer =
+            sealer.map(|(keys, terms)| keys.sealer(self.wiring.incarnation.present(), *terms));
         self.bundle = LinkLayer::new(sealer);
+        self.let_operators_dial_in();
         self.unheard.clear();
         self.wake = WakeTimer::default();
         let specs: Vec<_> = self.specs.iter().map(|(n, spec)| (*n, spec.clone())).collect();
@@ -258,6 +268,9 @@ impl LinksActor {
     fn changed(&mut self, number: LinkId, state: LinkState, reason: &'static str) {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
         info!(network = %self.wiring.network, %link, %state, reason, "link");
+        if state == LinkState::Down && self.dialed_in.contains(&number) {
+            return self.remove(number);
+        }
         self.tell_router(number);
         self.tell_discovery(number, state);
         match state {
@@ -289,6 +302,15 @@ impl LinksActor {
         self.tell_monitor(number, condition);
     }
 
+    /// The links are to be built again: the router must not use them until they are up.
+    fn take_down(&mut self) {
+        self.forget_dialed_in();
+        for (link, status) in std::mem::take(&mut self.reported) {
+            let status = LinkStatus { health: LinkHealth::Down, ..status };
+            self.wiring.router_changes.do_send(LinkChanged { link, status });
+        }
+    }
+
     fn no_carrier(&mut self, reason: &'static str, now: Instant) {
         let numbers: Vec<_> = self.specs.keys().copied().collect();
         for number in numbers {
@@ -318,12 +340,22 @@ impl Actor for LinksActor {
 
 impl Supervised for LinksActor {
     fn restarting(&mut self, context: &mut Context<Self>) {
-        for (link, status) in std::mem::take(&mut self.reported) {
-            let status = LinkStatus { health: LinkHealth::Down, ..status };
-            self.wiring.router_changes.do_send(LinkChanged { link, status });
-        }
+        self.take_down();
         self.build(platform::now());
         self.started(context);
+    }
+}
+
+impl Handler<IncarnationRaised> for LinksActor {
+    type Result = ();
+
+    fn handle(&mut self, _: IncarnationRaised, context: &mut Context<Self>) {
+        self.take_down();
+        // Its timer goes on.
+        let wake = std::mem::take(&mut self.wake);
+        self.build(platform::now());
+        self.wake = wake;
+        self.drive(context);
     }
 }
 
@@ -341,6 +373,10 @@ impl MachineActor for LinksActor {
             LinkLayerOutput::Adopt { connection, peer } => {
                 self.wiring.transport.adopt.do_send(Adopt { connection, peer });
             }
+            LinkLayerOutput::Outnumbered { peer, known } => {
+                self.wiring.incarnation.handle_known(peer, known);
+            }
+            LinkLayerOutput::DialedIn { peer, address } => self.dialed_in(peer, address),
             LinkLayerOutput::Stranger(from) => {
                 warn!(network = %self.wiring.network, %from, "a stranger speaks; no link leads there");
             }
@@ -461,7 +497,7 @@ impl Handler<RosterChanged> for LinksActor {
         let Some((known, _)) = &mut self.wiring.seal else { return };
         *known = keys.clone();
         let now = platform::now();
-        self.bundle.set_roster(keys.serial_told());
+        self.let_operators_dial_in();
         let specs: Vec<_> = self.specs.iter().map(|(n, spec)| (*n, spec.clone())).collect();
         for (number, spec) in specs {
             let key = spec.neighbour.as_ref().and_then(|node| keys.key_of(node));

@@ -27,6 +27,8 @@ mod gateway_messages;
 mod isolation;
 pub(crate) mod keys;
 mod links;
+pub(crate) mod operator;
+mod own_incarnation;
 pub(crate) mod own_isolation;
 pub(crate) mod peer_messages;
 mod roster_exchange;
@@ -44,6 +46,7 @@ pub use roster_exchange::RosterRow;
 pub(crate) use roster_watch::RosterChanged;
 
 use self::fault_reporter::FaultReporter;
+use self::own_incarnation::OwnIncarnation;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
 use crate::registry::remote::StubFactory;
@@ -207,6 +210,7 @@ pub(crate) struct NetHandle {
     wardens: Arc<OnceLock<isolation::IsolationControl>>,
     carrier: Arc<carrier::CarrierMonitor>,
     roster: Option<Addr<RosterActor>>,
+    own: OwnIncarnation,
     /// Ends with the last handle.
     _roster_watch: Option<Arc<RosterWatch>>,
 }
@@ -223,14 +227,17 @@ pub(crate) fn start(
     platform::keep_freed_memory();
     let mut environment = environment;
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
-    let (identity, on_arbiter) = ((node.clone(), incarnation), arbiter.as_ref());
+    let file = environment.keys.as_ref().map(|keys| keys.incarnation_path());
+    let own = OwnIncarnation::new(node.clone(), incarnation, file);
+    let (identity, on_arbiter) = ((node.clone(), own.clone()), arbiter.as_ref());
 
-    let (numbers, fields) = number(&networks);
+    let ((numbers, dial_in), fields) = number(&networks);
     let wiring = discovery::DiscoveryRecipients {
         node: node.clone(),
         registry: environment.registry.clone(),
         fields,
         faults: environment.own_faults("discovery"),
+        keys: environment.keys.clone(),
     };
     let discovery = (!wiring.fields.is_empty()).then(|| {
         let make =
@@ -298,14 +305,20 @@ pub(crate) fn start(
     let (mut watched, mut domains) = (Vec::new(), Vec::new());
     let media = networks.iter().map(|spec| (spec.name.clone(), spec.transport.counters.clone()));
     let media = media.collect();
-    let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
+    if let Some(keys) = &keys {
+        let networks = networks.iter().map(|spec| (spec.name.to_string(), spec.seal.is_some()));
+        let isolation =
+            operator::IsolationOrders::new(node.clone(), stubs.clone(), wardens.clone());
+        operator::serve(&environment.registry, keys, networks.collect(), isolation);
+    }
+    let networks = networks.into_iter().zip(numbers).zip(dial_in).map(|((spec, numbers), free)| {
         let name = named(&format!("links/{}", spec.name));
         let links = spec.links.into_iter().zip(&numbers).map(|(link, n)| (*n, link)).collect();
         let discovery_actor = spec.discovery.and(discovery.clone()).map(Addr::recipient);
         let faults = environment.own_faults(&format!("links/{}", spec.name));
         let wiring = links::LinksRecipients {
             node: identity.0.clone(),
-            incarnation: identity.1,
+            incarnation: identity.1.clone(),
             network: spec.name,
             transport: spec.transport,
             router_changes: router.clone().recipient(),
@@ -315,6 +328,7 @@ pub(crate) fn start(
             discovery: discovery_actor.clone().map(|actor| (domains.len(), actor)),
             faults,
             seal: keys.clone().zip(spec.seal),
+            dial_in: free.clone(),
         };
         let address = guardian
             .start(name.clone(), on_arbiter, move |_| links::LinksActor::new(wiring, links));
@@ -331,15 +345,22 @@ pub(crate) fn start(
         }
         let (carry, report) = (address.clone().recipient(), address.clone().recipient());
         let given_up = address.clone().recipient();
+        let numbers = numbers.into_iter().chain(free).collect();
         router.do_send(AddLinks { links: numbers, carry, given_up, report });
         (name, address)
     });
     let networks: Vec<(_, Addr<links::LinksActor>)> = networks.collect();
+    let links = networks.iter().map(|(_, links)| links.clone().recipient());
+    // Sessions of the earlier number end before the router finds their nodes again.
+    let first = [sessions.clone().recipient(), router.clone().recipient()].into_iter();
+    own.tell(first.chain(links).collect());
     let roster_watch = roster.as_ref().zip(keys).map(|(roster, keys)| {
         let links = networks.iter().map(|(_, links)| links.clone().recipient());
         // Who is not missed any more is known before the links go down.
         let first = [router.clone().recipient(), gateway.clone().recipient()].into_iter();
-        let told = first.chain(links).chain(environment.roster_observers).collect();
+        let others = discovery.clone().map(Addr::recipient).into_iter();
+        let others = others.chain(environment.roster_observers);
+        let told = first.chain(links).chain(others).collect();
         let exchange = (roster.clone().recipient(), roster.clone().recipient());
         let watch = Arc::new(RosterWatch::start(keys, exchange, told));
         roster.do_send(AttachRosterWatch(Arc::downgrade(&watch)));
@@ -362,14 +383,19 @@ pub(crate) fn start(
         wardens,
         carrier,
         roster,
+        own,
         _roster_watch: roster_watch,
     })
 }
 
-/// Gives every link its number; a network that discovers has some left for those that are learned.
-fn number(networks: &[NetworkSpec]) -> (Vec<Vec<LinkId>>, Vec<DiscoveryNetwork>) {
-    let (mut next, mut all, mut fields) = (0, Vec::new(), Vec::new());
-    for NetworkSpec { name, links, discovery, .. } in networks {
+/// The numbers of the links of each network, and those that it has left for operators' links.
+type LinkNumbers = (Vec<Vec<LinkId>>, Vec<Vec<LinkId>>);
+
+/// Gives every link its number; a network that discovers has some left for those that are learned,
+/// and one that is sealed for operators.
+fn number(networks: &[NetworkSpec]) -> (LinkNumbers, Vec<DiscoveryNetwork>) {
+    let (mut next, mut all, mut free, mut fields) = (0, Vec::new(), Vec::new(), Vec::new());
+    for NetworkSpec { name, links, discovery, seal, .. } in networks {
         let mut take = |count: usize| -> Vec<LinkId> {
             let first = next;
             next += count as u16;
@@ -385,8 +411,9 @@ fn number(networks: &[NetworkSpec]) -> (Vec<Vec<LinkId>>, Vec<DiscoveryNetwork>)
             fields.push(DiscoveryNetwork { network, spec, numbers: learned, described });
         }
         all.push(numbers);
+        free.push(seal.map_or_else(Vec::new, |_| take(links::DIALED_IN_MAX)));
     }
-    (all, fields)
+    ((all, free), fields)
 }
 
 fn check(networks: &[NetworkSpec]) -> Result<(), NetError> {
@@ -423,6 +450,11 @@ impl NetHandle {
             fault_forwarding::RemoteRecoverer::new(peer, gateway)
         };
         self.guardian.start(name, self.arbiter.as_ref(), make).recipient()
+    }
+
+    /// Which incarnation of this node the others know.
+    pub(crate) fn incarnation(&self) -> Incarnation {
+        self.own.present()
     }
 
     /// Whether messages can be sent to this node, and it has told what it listens to.

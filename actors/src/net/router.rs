@@ -2,6 +2,7 @@
 
 use super::fault_reporter::FaultReporter;
 use super::keys::NodeKeys;
+use super::own_incarnation::{IncarnationRaised, OwnIncarnation};
 use super::own_isolation::OwnIsolation;
 use super::roster_watch::RosterChanged;
 use crate::platform;
@@ -47,23 +48,27 @@ pub(super) struct RouterActor {
     isolated: SortedSet<NodeName>,
     /// Whether this node itself is, for want of a name of its own.
     own_isolation: OwnIsolation,
+    /// Which incarnation of the node this is.
+    own: OwnIncarnation,
     /// Each life of the machine agrees on keys of its own.
     keys: Option<Arc<NodeKeys>>,
 }
 
 impl RouterActor {
     pub(super) fn maker(
-        (node, incarnation): (NodeName, Incarnation),
+        (node, own): (NodeName, OwnIncarnation),
         (monitor, own_isolation): (Option<Recipient<NodeReported>>, OwnIsolation),
         faults: FaultReporter,
         keys: Option<Arc<NodeKeys>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         move |_| {
+            let incarnation = own.present();
             let config = RouterConfig::new(node, incarnation);
             let machine = net::Router::new(config.clone(), platform::now());
             RouterActor {
                 machine: with_keys(machine, keys.as_deref(), incarnation),
                 keys,
+                own,
                 config,
                 wake: WakeTimer::default(),
                 links: SortedMap::new(),
@@ -148,6 +153,19 @@ impl RouterActor {
         self.drive(context);
     }
 
+    /// Builds the machine again.
+    fn build(&mut self) {
+        // What persists is reported again.
+        self.machine.troubles().for_each(|trouble| self.clear(trouble));
+        self.config.incarnation = self.own.present();
+        let reached = self.reached.clone();
+        let machine = net::Router::restarted(self.config.clone(), reached, platform::now());
+        self.machine = with_keys(machine, self.keys.as_deref(), self.config.incarnation);
+        for node in &self.isolated {
+            self.machine.handle_isolation(node, true, platform::now());
+        }
+    }
+
     fn lost(&mut self, node: NodeName, incarnation: Incarnation) {
         info!(%node, %incarnation, "node lost");
         self.reached.remove(&node);
@@ -176,16 +194,19 @@ impl Actor for RouterActor {
 
 impl Supervised for RouterActor {
     fn restarting(&mut self, context: &mut Context<Self>) {
-        // What persists is reported again.
-        self.machine.troubles().for_each(|trouble| self.clear(trouble));
-        let reached = self.reached.clone();
-        let machine = net::Router::restarted(self.config.clone(), reached, platform::now());
-        self.machine = with_keys(machine, self.keys.as_deref(), self.config.incarnation);
-        for node in &self.isolated {
-            self.machine.handle_isolation(node, true, platform::now());
-        }
+        self.build();
         self.wake = WakeTimer::default();
         self.networks.iter().for_each(|network| network.do_send(ReportLinks));
+        self.drive(context);
+    }
+}
+
+impl Handler<IncarnationRaised> for RouterActor {
+    type Result = ();
+
+    fn handle(&mut self, _: IncarnationRaised, context: &mut Context<Self>) {
+        self.build();
+        // The links are built again as well, and report themselves.
         self.drive(context);
     }
 }
@@ -239,6 +260,7 @@ impl MachineActor for RouterActor {
                      rename it"
                 ));
             }
+            RouterOutput::Outnumbered { peer, known } => self.own.handle_known(peer, known),
             RouterOutput::KeysDiffer { neighbour } => match &self.keys {
                 Some(_) => warn!(
                     %neighbour,

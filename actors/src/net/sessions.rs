@@ -1,6 +1,7 @@
 //! The body of all sessions of this node.
 
 use super::fault_reporter::FaultReporter;
+use super::own_incarnation::{IncarnationRaised, OwnIncarnation};
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
@@ -31,7 +32,7 @@ const NUMBERS_PER_LIFE: u32 = 1 << 16;
 /// One session per peer node.
 pub(super) struct SessionsActor {
     node: NodeName,
-    incarnation: Incarnation,
+    incarnation: OwnIncarnation,
     idle_timeout: Duration,
     machines: MachineSet<NodeId, Session>,
     wake: WakeTimer,
@@ -57,7 +58,7 @@ struct Peer {
 
 impl SessionsActor {
     pub(super) fn new(
-        (node, incarnation): (NodeName, Incarnation),
+        (node, incarnation): (NodeName, OwnIncarnation),
         idle_timeout: Duration,
         router: Recipient<SendSegment>,
         (faults, nodes): (FaultReporter, Option<Recipient<NodeReported>>),
@@ -80,7 +81,7 @@ impl SessionsActor {
 
     fn build(&mut self, id: NodeId) {
         let Some(peer) = self.peers.get(&id) else { return };
-        let (node, incarnation) = (self.node.clone(), self.incarnation);
+        let (node, incarnation) = (self.node.clone(), self.incarnation.present());
         let config = SessionConfig::new(node, incarnation, peer.node.clone());
         let (number, idle_timeout) = (peer.number, self.idle_timeout);
         let seed = platform::random_seed();
@@ -198,9 +199,27 @@ impl Supervised for SessionsActor {
     fn restarting(&mut self, context: &mut Context<Self>) {
         self.wake = WakeTimer::default();
         self.started(context);
-        if let Some(id) = self.machines.last()
-            && let Some(mut broken) = self.machines.remove(id)
-        {
+        if let Some(id) = self.machines.last() {
+            self.build_again(id);
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<IncarnationRaised> for SessionsActor {
+    type Result = ();
+
+    fn handle(&mut self, _: IncarnationRaised, context: &mut Context<Self>) {
+        let all: Vec<NodeId> = self.peers.keys().copied().collect();
+        all.into_iter().for_each(|id| self.build_again(id));
+        self.drive(context);
+    }
+}
+
+impl SessionsActor {
+    /// Ends a session, and builds its machine again.
+    fn build_again(&mut self, id: NodeId) {
+        if let Some(mut broken) = self.machines.remove(id) {
             let why = self.unreachable(id);
             // What it still holds is given back, if it can be read at all.
             let held =
@@ -217,7 +236,6 @@ impl Supervised for SessionsActor {
                 session.handle_path(mtu, platform::now());
             }
         }
-        self.drive(context);
     }
 }
 

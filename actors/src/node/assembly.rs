@@ -143,10 +143,11 @@ impl NodeAssembly {
     fn begin(builder: &mut NodeBuilder) -> Result<Self, StartError> {
         let named_so = StartError::name_of("the name of the node");
         let node = NodeName::new(&builder.name).map_err(named_so)?;
-        let incarnation = platform::node_incarnation();
         check_settings(builder)?;
         #[cfg(feature = "network")]
-        builder.networks.check(&node)?;
+        let incarnation = builder.networks.check(&node)?.begin_incarnation();
+        #[cfg(not(feature = "network"))]
+        let incarnation = platform::node_incarnation();
         let arbiters = match builder.placement {
             ActorPlacement::Threads { shared } => ArbiterPool::pool(shared),
             ActorPlacement::ComponentsHere | ActorPlacement::Here => ArbiterPool::here(),

@@ -8,6 +8,7 @@ pub(in crate::node) mod description;
 mod exposure;
 pub(in crate::node) mod file;
 mod isolation;
+mod operation;
 mod ready;
 pub(in crate::node) mod services;
 pub(in crate::node) mod signs;

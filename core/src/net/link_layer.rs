@@ -14,6 +14,9 @@
 //! another incarnation has restarted; its link goes down at once. A bus carries sealed hellos from
 //! each node to each other instead of one greeting to all.
 //!
+//! Nodes may *dial in*, as into a PPP server, if their keys are given: a link is made for one when
+//! its handshake is complete ([`LinkLayerOutput::DialedIn`]), to wherever it comes from.
+//!
 //! A connection of a stream medium whose other end is not known yet has an address of its own. The
 //! first frame on it that a neighbour has sealed makes it the neighbour's
 //! ([`LinkLayerOutput::Adopt`]).
@@ -89,10 +92,25 @@ pub enum LinkLayerOutput<A> {
         /// The address of the neighbour.
         peer: A,
     },
+    /// A node that may dial in has proved itself, and no link leads to it: make one
+    /// ([`LinkLayer::insert_dialed_in`]). This is repeated with each of its frames.
+    DialedIn {
+        /// Which.
+        peer: NodeId,
+        /// Where it comes from.
+        address: A,
+    },
     /// The first frame of an address that no link leads to.
     Stranger(A),
     /// This node was not run for so long: a timer fired so late.
     Stalled(Duration),
+    /// A neighbour knows a later incarnation of this node.
+    Outnumbered {
+        /// The neighbour.
+        peer: NodeId,
+        /// Which.
+        known: Incarnation,
+    },
     /// A node with the neighbour's key shakes hands in another incarnation while the neighbour is
     /// heard.
     KeyInUse {
@@ -114,6 +132,8 @@ struct LinkEnd<A> {
     /// The address of the connection that was adopted last. What came over it before still bears
     /// that address.
     adopted: Option<A>,
+    /// The neighbour has come by itself: it is where it proves itself.
+    dialed_in: bool,
     traffic: LinkTraffic,
 }
 
@@ -125,6 +145,8 @@ pub struct LinkLayer<C: SealCrypto, A> {
     ends: SortedMap<LinkId, LinkEnd<A>>,
     by_address: SortedMap<A, LinkId>,
     by_peer: SortedMap<NodeId, LinkId>,
+    /// The keys of nodes that may come without a link.
+    may_dial_in: SortedMap<NodeId, [u8; PUBLIC_KEY]>,
     /// Where all nodes are reached at once, on a bus whose frames are not sealed.
     bus: Option<A>,
     /// What came from addresses that no link leads to.
@@ -142,6 +164,7 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
             ends: SortedMap::new(),
             by_address: SortedMap::new(),
             by_peer: SortedMap::new(),
+            may_dial_in: SortedMap::new(),
             bus: None,
             strangers: Refusals::default(),
             outputs: VecDeque::new(),
@@ -171,24 +194,79 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
             self.by_peer.insert(node, number);
             peer = Some(node);
         }
-        self.by_address.insert(address.clone(), number);
-        self.ends.insert(
-            number,
-            LinkEnd { address, peer, adopted: None, traffic: LinkTraffic::default() },
-        );
-        self.links.insert(number, link);
+        self.add(number, link, (address, peer, false));
         self.collect(now);
         Ok(())
     }
 
-    /// Takes a link out, and forgets its keys.
+    /// Adds a link to a node that has [dialed in](LinkLayerOutput::DialedIn), and returns whether
+    /// it could: another one leads to the node or the address meanwhile, its keys are gone, or the
+    /// medium has connections, which belong to links that are known.
+    pub fn insert_dialed_in(
+        &mut self,
+        number: LinkId,
+        mut link: Link,
+        (peer, address): (NodeId, A),
+        now: Instant,
+    ) -> bool {
+        let channel = self.sealer.as_ref().and_then(|sealer| sealer.channel(peer));
+        let is_known = self.by_peer.contains_key(&peer) || self.by_address.contains_key(&address);
+        let Some(channel) = channel.filter(|_| !is_known && !address.is_connection()) else {
+            return false;
+        };
+        link.handle_authenticated(channel.peer.incarnation, now);
+        self.by_peer.insert(peer, number);
+        self.add(number, link, (address, Some(peer), true));
+        self.collect(now);
+        true
+    }
+
+    fn add(&mut self, number: LinkId, link: Link, end: (A, Option<NodeId>, bool)) {
+        let (address, peer, dialed_in) = end;
+        self.by_address.insert(address.clone(), number);
+        let (adopted, traffic) = (None, LinkTraffic::default());
+        self.ends.insert(number, LinkEnd { address, peer, adopted, dialed_in, traffic });
+        self.links.insert(number, link);
+    }
+
+    /// These nodes may dial in from now on, and no others. A link that was made for one stays.
+    ///
+    /// # Errors
+    /// [`PeerKeyError`]: the key of one is none; those before it may.
+    pub fn set_dial_in(
+        &mut self,
+        nodes: impl IntoIterator<Item = NeighbourKey>,
+    ) -> Result<(), PeerKeyError> {
+        let before = std::mem::take(&mut self.may_dial_in);
+        let nodes: SortedMap<_, _> =
+            nodes.into_iter().map(|NeighbourKey { node, public }| (node, public)).collect();
+        let Some(sealer) = &mut self.sealer else { return Ok(()) };
+        for node in before.into_keys() {
+            if !nodes.contains_key(&node) && !self.by_peer.contains_key(&node) {
+                sealer.remove_peer(node);
+            }
+        }
+        for (node, public) in nodes {
+            if !self.by_peer.contains_key(&node) {
+                sealer.add_peer(node, &public)?;
+            }
+            self.may_dial_in.insert(node, public);
+        }
+        Ok(())
+    }
+
+    /// Takes a link out, and forgets its keys, unless its neighbour may dial in.
     pub fn remove(&mut self, number: LinkId) {
         self.links.remove(number);
         let Some(LinkEnd { address, peer, .. }) = self.ends.remove(&number) else { return };
         self.by_address.remove(&address);
         if let (Some(sealer), Some(peer)) = (&mut self.sealer, peer) {
             self.by_peer.remove(&peer);
-            sealer.remove_peer(peer);
+            match self.may_dial_in.contains_key(&peer) {
+                // It need not shake hands again when it comes.
+                true => sealer.stop_asking(peer),
+                false => sealer.remove_peer(peer),
+            }
         }
     }
 
@@ -229,13 +307,6 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         }
         self.collect(now);
         added
-    }
-
-    /// This node has a roster with this serial number now, of which it tells in handshakes.
-    pub fn set_roster(&mut self, serial: u32) {
-        if let Some(sealer) = &mut self.sealer {
-            sealer.set_roster(serial);
-        }
     }
 
     /// A link.
@@ -313,7 +384,14 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         let opened = match &mut self.sealer {
             Some(sealer) => match sealer.handle_frame(frame, &from, now) {
                 Ok(Some(OpenedFrame { peer, plain, .. })) => {
-                    Some((self.by_peer.get(&peer).copied(), plain))
+                    let link = self.by_peer.get(&peer).copied();
+                    if link.is_none() && self.may_dial_in.contains_key(&peer) {
+                        let address = from.clone();
+                        self.outputs.push_back(LinkLayerOutput::DialedIn { peer, address });
+                        None
+                    } else {
+                        Some((link, plain))
+                    }
                 }
                 // The sealer's own, or counted by it.
                 Ok(None) | Err(_) => None,
@@ -427,7 +505,13 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
                     self.outputs.push_back(LinkLayerOutput::Transmit { to, frame, lane });
                 }
                 SealerOutput::PeerOpen { peer, address, payload, .. } => {
-                    let Some(link) = self.by_peer.get(&peer).copied() else { continue };
+                    let Some(link) = self.by_peer.get(&peer).copied() else {
+                        if self.may_dial_in.contains_key(&peer) {
+                            self.outputs.push_back(LinkLayerOutput::DialedIn { peer, address });
+                        }
+                        continue;
+                    };
+                    self.follow_dialed_in(link, &address);
                     self.adopt(link, peer, address);
                     if let Some(link) = self.links.get_mut(link) {
                         link.handle_authenticated(payload.incarnation, now);
@@ -437,6 +521,9 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
                     let Some(link) = self.by_peer.get(&peer).copied() else { continue };
                     self.outputs.push_back(LinkLayerOutput::KeyInUse { link, open, refused });
                 }
+                SealerOutput::Outnumbered { peer, known } => {
+                    self.outputs.push_back(LinkLayerOutput::Outnumbered { peer, known });
+                }
                 SealerOutput::KeyWornOut { peer } => {
                     let Some(link) = self.by_peer.get(&peer).copied() else { continue };
                     if let Some(link) = self.links.get_mut(link) {
@@ -445,6 +532,18 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
                 }
             }
         }
+    }
+
+    /// A node that has dialed in is where it comes from, which may be another place than before. No
+    /// user has said where it is.
+    fn follow_dialed_in(&mut self, link: LinkId, from: &A) {
+        let is_free = !self.by_address.contains_key(from) && !from.is_connection();
+        let Some(end) = self.ends.get_mut(&link).filter(|end| end.dialed_in && is_free) else {
+            return;
+        };
+        let before = std::mem::replace(&mut end.address, from.clone());
+        self.by_address.remove(&before);
+        self.by_address.insert(from.clone(), link);
     }
 
     /// The neighbour has proved itself at this address. Where that is a connection's, the

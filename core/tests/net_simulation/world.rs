@@ -385,7 +385,10 @@ impl World {
                         session.handle_undelivered(reason, now);
                     }
                 }
-                RouterOutput::NameTaken { .. } | RouterOutput::KeptOut { .. } => {}
+                // A node that goes on with its number is found all the same.
+                RouterOutput::NameTaken { .. }
+                | RouterOutput::KeptOut { .. }
+                | RouterOutput::Outnumbered { .. } => {}
                 other => panic!("{other:?}"),
             }
         }

@@ -2,7 +2,10 @@
 //! between them can do, and which keys are refused. Judged by counts and order.
 
 mod attacker;
+mod beacons;
+mod incarnations;
 mod media;
+mod operators;
 mod policy;
 mod processes;
 mod relay;

@@ -273,6 +273,7 @@ impl<C: SealCrypto, F: Fn(u32) -> C> World<C, F> {
                     assert!(payload.incarnation.0 <= newest);
                 }
                 SealerOutput::KeyInUse { open, refused, .. } => assert!(open < refused),
+                SealerOutput::Outnumbered { known, .. } => panic!("no node has been {known}"),
                 SealerOutput::KeyWornOut { .. } => {}
             }
         }

@@ -2,13 +2,16 @@
 //!
 //! What nodes do with them: `blastema::manual::security`.
 
+mod check;
 mod edit;
 mod files;
+mod push;
 pub(crate) mod run_keys;
 mod show;
 
 use self::files::{Existing, PUBLIC, SECRET, check_absent, write};
-use crate::args::{KeysJob, RobotOption};
+use self::push::{PushedRoster, RosterPush};
+use crate::args::{KeysJob, PushOptions, RobotOption};
 use blastema::core::NodeName;
 use blastema::core::net::trust::crypto::Seed;
 use blastema::core::net::trust::key_file::{KeyFile, RobotFile};
@@ -20,27 +23,28 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use zeroize::Zeroizing;
 
-/// Does what the command line says.
+/// Does what the command line says, and returns whether all of it was done.
 ///
 /// # Errors
 /// What is wrong, with the file, the line, and what to do.
-pub(crate) fn run(job: &KeysJob) -> Result<(), String> {
+pub(crate) fn run(job: &KeysJob) -> Result<bool, String> {
     match job {
-        KeysJob::New { robot, nodes, out, roles } => new(robot, nodes, out, roles),
-        KeysJob::Show { files } => show::run(files),
-        KeysJob::Add { nodes, robot, roles } => {
-            Signer::open(robot)?.change(|signer| signer.add(nodes, roles))
+        KeysJob::New { robot, nodes, out, roles } => new(robot, nodes, out, roles).map(|()| true),
+        KeysJob::Show { files } => show::run(files).map(|()| true),
+        KeysJob::Check(options) => check::run(options),
+        KeysJob::Add { nodes, robot, push, roles } => {
+            Signer::open(robot)?.change(push, |signer| signer.add(nodes, roles))
         }
-        KeysJob::Revoke { nodes, robot } => {
-            Signer::open(robot)?.change(|signer| signer.revoke(nodes))
+        KeysJob::Revoke { nodes, robot, push } => {
+            Signer::open(robot)?.change(push, |signer| signer.revoke(nodes))
         }
-        KeysJob::Replace { nodes, robot } => {
-            Signer::open(robot)?.change(|signer| signer.replace(nodes))
+        KeysJob::Replace { nodes, robot, push } => {
+            Signer::open(robot)?.change(push, |signer| signer.replace(nodes))
         }
-        KeysJob::Edit { robot, from } => {
+        KeysJob::Edit { robot, push, text } => {
             let signer = Signer::open(robot)?;
-            let edited = edit::edited(&signer.robot.roster, &signer.path, from.as_deref())?;
-            signer.change(|signer| {
+            let edited = edit::edited(&signer.robot.roster, &signer.path, text.as_deref())?;
+            signer.change(push, |signer| {
                 signer.robot.roster = edited;
                 Ok(Vec::new())
             })
@@ -62,7 +66,9 @@ fn new(robot: &str, nodes: &[String], out: &Path, roles: &[String]) -> Result<()
         signer.path.display()
     ))?;
     write_keys(&keys)?;
-    signer.write_roster(Existing::Keep)?;
+    let (path, _) = signer.write_roster(Existing::Keep)?;
+    let (path, count) = (path.display(), nodes.len());
+    said(&format!("{path}: serial 1, {count} nodes: copy it beside each node's key\n"))?;
     said(&format!(
         "in each node's program write its key, with {robot}.roster beside it: .keys(\"{}.key\")\n",
         nodes[0]
@@ -91,16 +97,20 @@ impl Signer {
     }
 
     /// Changes the list, signs it with the next serial number, and writes everything: keys first,
-    /// so that no node is listed whose key was lost.
+    /// so that no node is listed whose key was lost. Then it is handed over, if that is wanted;
+    /// returns whether this was done.
     fn change(
         mut self,
+        push: &PushOptions,
         change: impl FnOnce(&mut Self) -> Result<NewKeys, String>,
-    ) -> Result<(), String> {
+    ) -> Result<bool, String> {
         self.check_newest()?;
+        let push = RosterPush::of(push)?;
         let before = self.robot.roster.clone();
         let keys = change(&mut self)?;
         if self.robot.roster == before {
-            return said("nothing was changed\n");
+            said("nothing was changed\n")?;
+            return Ok(true);
         }
         let serial = self.robot.roster.serial.checked_add(1);
         self.robot.roster.serial = serial.ok_or("the serial number has reached its end")?;
@@ -109,7 +119,22 @@ impl Signer {
         }
         write_keys(&keys)?;
         write(&self.path, &self.robot.to_text(), SECRET, Existing::Replace)?;
-        self.write_roster(Existing::Replace)
+        let (path, text) = self.write_roster(Existing::Replace)?;
+        let NodeRoster { robot, serial, .. } = &self.robot.roster;
+        match push {
+            Some(push) => {
+                let roster = PushedRoster { robot, serial: *serial, text: &text, path: &path };
+                push.hand_over(&roster)
+            }
+            None => {
+                let (path, nodes) = (path.display(), self.robot.roster.nodes().len());
+                said(&format!(
+                    "{path}: serial {serial}, {nodes} nodes: copy it beside the key of one node that \
+                     runs, which gives it to the others, or use --push\n"
+                ))?;
+                Ok(true)
+            }
+        }
     }
 
     /// Refuses to go on from an old copy of the robot's file: there would be two lists of one
@@ -195,18 +220,12 @@ impl Signer {
         Ok((path, KeyFile { robot, node, seed, signer }.to_text()))
     }
 
-    fn write_roster(&self, existing: Existing) -> Result<(), String> {
+    /// Writes the signed list. Returns its file and text.
+    fn write_roster(&self, existing: Existing) -> Result<(PathBuf, String), String> {
         let RobotFile { seed, roster } = &self.robot;
-        let path = roster_path(&self.path, &roster.robot);
-        write(&path, &roster.sign(seed), PUBLIC, existing)?;
-        let (path, serial, nodes) = (path.display(), roster.serial, roster.nodes().len());
-        let whereto = match existing {
-            Existing::Keep => "copy it beside each node's key",
-            Existing::Replace => {
-                "copy it beside the key of one node that runs, which gives it to the others"
-            }
-        };
-        said(&format!("{path}: serial {serial}, {nodes} nodes: {whereto}\n"))
+        let (path, text) = (roster_path(&self.path, &roster.robot), roster.sign(seed));
+        write(&path, &text, PUBLIC, existing)?;
+        Ok((path, text))
     }
 }
 

@@ -45,6 +45,20 @@ pub(crate) struct RemoveDiscoveredLink {
 pub(crate) struct ReportNeighbours;
 
 impl LinksActor {
+    /// Takes a link out that was not described.
+    pub(super) fn remove(&mut self, number: LinkId) {
+        if let Some(status) = self.reported.remove(&number) {
+            let status = LinkStatus { health: LinkHealth::Down, ..status };
+            self.wiring.router_changes.do_send(LinkChanged { link: number, status });
+        }
+        self.tell_monitor(number, LinkCondition::Forgotten);
+        self.bundle.remove(number);
+        self.forget_namesake(number);
+        self.forget_key_in_use(number);
+        self.specs.remove(&number);
+        self.dialed_in.remove(&number);
+    }
+
     /// Tells of a link's neighbour whom it is, where others are told.
     pub(super) fn tell_discovery(&self, number: LinkId, state: LinkState) {
         let (Some((domain, discovery)), Some(spec)) =
@@ -106,15 +120,7 @@ impl Handler<RemoveDiscoveredLink> for LinksActor {
         RemoveDiscoveredLink { number }: RemoveDiscoveredLink,
         context: &mut Context<Self>,
     ) {
-        if let Some(status) = self.reported.remove(&number) {
-            let status = LinkStatus { health: LinkHealth::Down, ..status };
-            self.wiring.router_changes.do_send(LinkChanged { link: number, status });
-        }
-        self.tell_monitor(number, LinkCondition::Forgotten);
-        self.bundle.remove(number);
-        self.forget_namesake(number);
-        self.forget_key_in_use(number);
-        self.specs.remove(&number);
+        self.remove(number);
         self.drive(context);
     }
 }

@@ -77,6 +77,9 @@ impl LinksActor {
 
     /// The neighbour never came. Reports the link as down; that it is up is reported when it comes.
     pub(super) fn missing(&mut self, number: LinkId, hello_received: bool) {
+        if self.dialed_in.contains(&number) {
+            return self.remove(number);
+        }
         if self.mtu.is_none() {
             // Why no hello was received was reported, and is found here.
             self.unheard.insert(number);

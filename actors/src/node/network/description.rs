@@ -8,10 +8,10 @@ use crate::node::error::StartError;
 use crate::platform;
 use crate::service::{Carried, ServiceSpecError};
 use crate::settings::network::SESSION_TIMEOUT;
-use blastema_core::NodeName;
 use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::net::trust::policy::Role;
 use blastema_core::sorted::SortedSet;
+use blastema_core::{Incarnation, NodeName};
 use std::env;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -49,12 +49,19 @@ impl Default for NetworkDescription {
 
 impl NetworkDescription {
     /// Reads the keys, and finds what can be known to be wrong before anything is started.
-    pub(in crate::node) fn check(&mut self, node: &NodeName) -> Result<(), StartError> {
+    pub(in crate::node) fn check(&mut self, node: &NodeName) -> Result<&Self, StartError> {
         SESSION_TIMEOUT.check(self.session_timeout)?;
         self.read_file()?;
         self.read_keys(node)?;
         self.judges()?;
-        check_networks(&self.networks, node, self.keys.as_deref())
+        check_networks(&self.networks, node, self.keys.as_deref())?;
+        Ok(self)
+    }
+
+    /// The incarnation of the node that starts now.
+    pub(in crate::node) fn begin_incarnation(&self) -> Incarnation {
+        let keys = self.keys.as_ref();
+        keys.map_or_else(platform::node_incarnation, |keys| keys.begin_incarnation())
     }
 
     /// What the file describes counts as what is described in code.

@@ -3,6 +3,7 @@
 use super::*;
 
 mod connections;
+mod dialing_in;
 
 use crate::net::link::{LinkConfig, LinkState};
 use crate::net::seal::{NoiseCrypto, SealerConfig};

@@ -56,6 +56,9 @@ impl BindingAccess {
             BindingNeeds::OwnNode => both(Err(policy.deny(peer, &name(), contract))),
             // A service and a name of the robot belong to no node.
             BindingNeeds::Right(verb) => both(policy.check(peer, verb, object.as_str(), contract)),
+            BindingNeeds::Operation => {
+                both(policy.check(peer, Verb::Operate, policy.own().as_str(), contract))
+            }
             BindingNeeds::AskOrTell => {
                 // The component of a service has no way around the rights at the service.
                 let service = object.as_str().strip_suffix(REPLICA);

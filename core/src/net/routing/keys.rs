@@ -171,7 +171,6 @@ impl Router {
         self.now = now;
         let Some(keys) = &mut self.keys else { return };
         let before = std::mem::replace(&mut keys.listed, listed(roster, self.id));
-        keys.sealer.set_roster(u32::try_from(roster.serial).unwrap_or(u32::MAX));
         for (node, had) in before {
             if keys.listed.get(&node) == Some(&had) {
                 continue;
@@ -325,6 +324,9 @@ impl Router {
                         let mtu = route.segment_limit();
                         self.outputs.push_back(RouterOutput::PathChanged { node: peer, mtu });
                     }
+                }
+                SealerOutput::Outnumbered { peer, known } => {
+                    self.outputs.push_back(RouterOutput::Outnumbered { peer, known });
                 }
                 // The peer's neighbours tell of another node with its key.
                 SealerOutput::PeerOpen { .. }

@@ -160,6 +160,13 @@ pub enum RouterOutput {
         /// Ours is the older incarnation, and keeps the name. The other is kept out by all.
         first: bool,
     },
+    /// A node that is reached over relays knows a later incarnation of this one.
+    Outnumbered {
+        /// Which node.
+        peer: NodeId,
+        /// The incarnation of this node.
+        known: Incarnation,
+    },
     /// The neighbour signs what it advertises, and this node has no keys, or the other way round:
     /// what it says is not taken.
     KeysDiffer {

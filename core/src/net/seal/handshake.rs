@@ -351,7 +351,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     fn send_init(&mut self, node: NodeId, now: Instant) {
         let (from, seed, number) = (self.config.node, self.seeds.next_seed(), self.new_number());
         let prologue = self.config.prologue(from, node);
-        let payload = self.config.payload().encode();
+        let payload = self.payload_for(node).encode();
         let Some(peer) = self.peers.get_mut(&node) else { return };
         if !matches!(peer.approach, Approach::Waiting) {
             return;
@@ -403,7 +403,10 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if self.is_in_use(node, payload.incarnation, now) {
             return;
         }
-        let ours = self.config.payload().encode();
+        if self.is_outnumbered(node, payload.known) {
+            return;
+        }
+        let ours = self.payload_for(node).encode();
         let Some((noise, keys)) = self.crypto.write_answer(handshake, &ours) else { return };
         let channel = self.new_channel(init.suite, number, init.channel, payload, &keys, now);
         let answer = AnswerFrame { channel: number, answered: init.channel, noise };
@@ -446,6 +449,9 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if self.is_in_use(node, payload.incarnation, now) {
             return self.index(node);
         }
+        if self.is_outnumbered(node, payload.known) {
+            return self.index(node);
+        }
         let channel = self.new_channel(suite, number, answer.channel, payload, &keys, now);
         let Some(peer) = self.peers.get_mut(&node) else { return };
         // Its answer is fresh, since it depends on our ephemeral key: no confirmation is needed.
@@ -456,6 +462,24 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         self.index(node);
         self.confirm(node, to);
         self.schedule(node, now);
+    }
+
+    /// What the peer is told of this node, and of itself.
+    fn payload_for(&self, node: NodeId) -> HandshakePayload {
+        let known = self.peers.get(&node).and_then(|peer| peer.was_open).unwrap_or_default();
+        HandshakePayload { incarnation: self.config.incarnation, known }
+    }
+
+    /// Whether the peer knows a later incarnation of this node than any that was reported. This
+    /// handshake is left, since the node goes on under another number; should it not, the next
+    /// one is complete.
+    fn is_outnumbered(&mut self, peer: NodeId, known: Incarnation) -> bool {
+        let is_news = known > self.config.incarnation.max(self.known);
+        if is_news {
+            self.known = known;
+            self.outputs.push_back(SealerOutput::Outnumbered { peer, known });
+        }
+        is_news
     }
 
     /// Whether the peer is heard in another incarnation. A lower one is that of a recorded init; a

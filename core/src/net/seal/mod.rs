@@ -106,8 +106,6 @@ pub struct SealerConfig {
     pub node: NodeId,
     /// This node's incarnation.
     pub incarnation: Incarnation,
-    /// The serial number of this node's roster.
-    pub roster: u32,
     /// The robot's name: nodes of another do not understand this one's handshakes.
     pub robot: String,
     /// What the channels are for.
@@ -131,7 +129,6 @@ impl SealerConfig {
         SealerConfig {
             node,
             incarnation,
-            roster: 0,
             robot: robot.into(),
             purpose: ChannelPurpose::Link,
             profile: SealProfile::Full,
@@ -140,10 +137,6 @@ impl SealerConfig {
             exchange_time: Duration::ZERO,
             limits: KeyLimits::default(),
         }
-    }
-
-    fn payload(&self) -> HandshakePayload {
-        HandshakePayload { incarnation: self.incarnation, roster: self.roster }
     }
 
     fn suite(&self) -> CipherSuite {
@@ -201,7 +194,7 @@ pub enum SealerOutput<A> {
         peer: NodeId,
         /// Where its first frame came from, which may be forged.
         address: A,
-        /// Its incarnation and its roster.
+        /// Its incarnation, and what it knows of ours.
         payload: HandshakePayload,
         /// It had a channel in the same incarnation: these are new keys.
         renewed: bool,
@@ -215,6 +208,14 @@ pub enum SealerOutput<A> {
         open: Incarnation,
         /// The other one, which is refused.
         refused: Incarnation,
+    },
+    /// The peer had a channel with a later incarnation of this node before: the clock that numbers
+    /// this one was set back. It is reported once for each number.
+    Outnumbered {
+        /// The peer.
+        peer: NodeId,
+        /// The incarnation of this node that it knows.
+        known: Incarnation,
     },
     /// No new keys could be agreed on until the old ones must not be used any more. The channel is
     /// closed; the sealer goes on asking for another.
@@ -302,6 +303,8 @@ pub struct Sealer<C: SealCrypto, A> {
     cookies: CookieJar,
     /// Messages of handshakes that wait for their turn.
     steps: VecDeque<HandshakeStep<A>>,
+    /// The highest incarnation of this node that a peer knows.
+    known: Incarnation,
     refusals: SealRefusals,
     wake_at: Option<Instant>,
     outputs: VecDeque<SealerOutput<A>>,
@@ -321,6 +324,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             cookies: CookieJar::new(&mut seeds, now),
             seeds,
             steps: VecDeque::new(),
+            known: Incarnation::default(),
             refusals: SealRefusals::default(),
             wake_at: None,
             outputs: VecDeque::new(),
@@ -373,11 +377,6 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if let Some(known) = self.peers.get_mut(&peer) {
             known.set_address(address);
         }
-    }
-
-    /// This node has a roster with this serial number now.
-    pub fn set_roster(&mut self, serial: u32) {
-        self.config.roster = serial;
     }
 
     /// How many bytes a seal adds to a frame.

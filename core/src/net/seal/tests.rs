@@ -19,7 +19,7 @@ fn secret(node: NodeId) -> [u8; 32] {
 }
 
 fn config(node: NodeId, incarnation: u64) -> SealerConfig {
-    SealerConfig { roster: 7, ..SealerConfig::new(node, Incarnation(incarnation), "ranger") }
+    SealerConfig::new(node, Incarnation(incarnation), "ranger")
 }
 
 /// A node that knows the other by its key. No two that are made have the same seed.
@@ -114,7 +114,7 @@ impl Medium {
                 while let Some(output) = self.ends[from].poll_output() {
                     match output {
                         SealerOutput::Transmit { frame, .. } => self.put(from, frame),
-                        event => self.events.push((from, event)),
+                        event => self.events.push((from, without_known(event))),
                     }
                 }
             }
@@ -149,12 +149,21 @@ impl Medium {
     }
 }
 
+/// What the peer knows of this end is left out.
+fn without_known(mut event: SealerOutput<u32>) -> SealerOutput<u32> {
+    if let SealerOutput::PeerOpen { payload, .. } = &mut event {
+        payload.known = Incarnation(0);
+    }
+    event
+}
+
 fn peer_of(end: usize) -> NodeId {
     [RIGHT, LEFT][end]
 }
 
 fn peer_open(peer: NodeId, incarnation: u64, renewed: bool) -> SealerOutput<u32> {
-    let payload = HandshakePayload { incarnation: Incarnation(incarnation), roster: 7 };
+    let (incarnation, known) = (Incarnation(incarnation), Incarnation(0));
+    let payload = HandshakePayload { incarnation, known };
     // Addresses are the ends' places.
     SealerOutput::PeerOpen { peer, address: peer.0 - 1, payload, renewed }
 }
@@ -171,7 +180,7 @@ fn two_frames_each_way_open_a_channel_on_both_sides() {
     assert_eq!(medium.events, [(1, peer_open(LEFT, 11, false)), (0, peer_open(RIGHT, 22, false))]);
     medium.assert_talks();
     let status = medium.ends[0].channel(RIGHT).unwrap();
-    assert_eq!((status.suite, status.peer.roster), (CipherSuite::AesGcm, 7));
+    assert_eq!(status.suite, CipherSuite::AesGcm);
     assert_eq!(medium.opened[0].1.peer, LEFT);
     assert_eq!(medium.opened[0].1.incarnation, Incarnation(11));
 }
@@ -346,4 +355,32 @@ fn a_frame_in_a_buffer_of_its_own_is_opened_there_and_sealing_allocates_one_buff
     let opened = medium.ends[1].handle_frame(frame, &0, at(medium.now)).unwrap().unwrap();
     assert_eq!(opened.plain, "text");
     assert_eq!(opened.plain.as_ptr(), place.wrapping_add(8));
+}
+
+#[test]
+fn a_node_whose_clock_was_set_back_is_told_which_incarnation_its_peer_knows() {
+    for which in 0..2 {
+        let mut medium = Medium::open(0);
+        let known = Incarnation([11, 22][which]);
+        // Until then the earlier incarnation counts as heard.
+        medium.run_until(medium.now + 300);
+        medium.events.clear();
+
+        medium.restart(which, 5);
+        medium.connect(which);
+        medium.run_until(medium.now + 1_000);
+        let outnumbered = SealerOutput::Outnumbered { peer: peer_of(which), known };
+        let told = medium.events.iter().filter(|event| **event == (which, outnumbered.clone()));
+        assert_eq!(told.count(), 1, "{:?}", medium.events);
+        medium.assert_talks();
+
+        medium.run_until(medium.now + 300);
+        medium.events.clear();
+        medium.restart(which, known.0 + 1);
+        medium.connect(which);
+        medium.run_until(medium.now + 1_000);
+        let opens = |(_, event): &(usize, _)| matches!(event, SealerOutput::PeerOpen { .. });
+        assert!(medium.events.iter().all(opens), "{:?}", medium.events);
+        medium.assert_talks();
+    }
 }

@@ -49,6 +49,8 @@ pub(in crate::net) enum BindingNeeds {
     OwnNode,
     /// This right.
     Right(Verb),
+    /// The right to operate this node.
+    Operation,
     /// The right to ask for requests, to tell for messages without a reply.
     AskOrTell,
 }
@@ -63,6 +65,7 @@ pub(in crate::net) fn needs(contract: &str) -> BindingNeeds {
         Some("actor-message") => BindingNeeds::Nothing,
         Some("serve" | "who-serves") => BindingNeeds::Right(Verb::Ask),
         Some("replica" | "service-terms") => BindingNeeds::Right(Verb::Claim),
+        Some("key-status" | "order-isolation") => BindingNeeds::Operation,
         // What a replica says to the component of its own node.
         Some("save-state" | "load-state" | "role") => BindingNeeds::OwnNode,
         Some(_) => BindingNeeds::Membership,
@@ -86,6 +89,16 @@ impl AccessPolicy {
     /// This node, as patterns of policy lines name it.
     pub fn own(&self) -> &NodeName {
         &self.own
+    }
+
+    /// The serial number of the roster.
+    pub fn serial(&self) -> u64 {
+        self.serial
+    }
+
+    /// The name of a node of the roster.
+    pub fn name_of(&self, peer: NodeId) -> Option<&NodeName> {
+        self.nodes.get(&peer).map(|(name, _)| name)
     }
 
     /// Whether the peer may do this everywhere, so that nothing else need be looked at.

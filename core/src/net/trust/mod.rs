@@ -2,9 +2,10 @@
 //! the rules, without IO.
 //!
 //! ```text
-//! ranger.robot   signs the list of nodes; never on the robot     RobotFile
-//! base.key       one node's secret, and who signs                KeyFile
-//! ranger.roster  the signed list: nodes, keys, roles, policy     NodeRoster
+//! ranger.robot       signs the list of nodes; never on the robot     RobotFile
+//! base.key           one node's secret, and who signs                KeyFile
+//! base.incarnation   which incarnation of the node was the last      IncarnationFile
+//! ranger.roster      the signed list: nodes, keys, roles, policy     NodeRoster
 //! ```
 //!
 //! | file | concept |
@@ -13,6 +14,8 @@
 //! | `text` | lines of words, keys in base64url, errors with line numbers |
 //! | `key_file` | the two files that hold a secret |
 //! | `roster` | the list, its canonical text, its signature, its serial number |
+//! | `incarnation_file` | which incarnation of a node was the last |
+//! | `beacon` | who is at which port, with a code for each other node of the roster |
 //! | `policy` | roles, verbs, patterns, and the decision whether a peer may do something |
 //! | `access` | the rights of a roster's nodes at one of them, and what they were refused |
 //!
@@ -21,7 +24,9 @@
 //! it reads no file and no clock, and takes randomness as an argument.
 
 pub mod access;
+pub mod beacon;
 pub mod crypto;
+pub mod incarnation_file;
 pub mod key_file;
 pub mod policy;
 pub mod roster;

@@ -1,6 +1,7 @@
 //! Lines of words, keys in letters, and errors that say which line is wrong and what to write.
 
 use super::crypto::{KEY_BYTES, PublicKey};
+use crate::net::wire::advertisement::INCARNATION_MAX;
 use crate::suggestion::nearest;
 use crate::{NameError, NodeName};
 use std::fmt;
@@ -59,6 +60,9 @@ pub enum TrustProblem {
     /// A serial number is none.
     #[error("a serial number is a whole number from 1 on")]
     NotSerial,
+    /// The number of an incarnation is none.
+    #[error("an incarnation is a whole number below {}", INCARNATION_MAX.0)]
+    NotIncarnation,
     /// There are more nodes than a roster may list.
     #[error("a roster lists {most} nodes at most: remove nodes that are gone")]
     TooManyNodes {

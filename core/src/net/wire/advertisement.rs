@@ -32,6 +32,8 @@ use bytes::{BufMut, Bytes, BytesMut};
 /// The most neighbours that one node may have: its advertisement takes 694 bytes then, which is one
 /// frame of most media, and eight of the smallest.
 pub const NEIGHBOURS_MAX: usize = 64;
+/// No node numbers its incarnations as high: as milliseconds since 1970 it is in the year 2248.
+pub const INCARNATION_MAX: Incarnation = Incarnation((1 << 43) - 1);
 /// The bytes of one id.
 pub(crate) const ID_LENGTH: usize = 12;
 /// The bytes of a signature.
@@ -123,7 +125,7 @@ impl AdvertisementId {
     /// the clock was set back, and far below the highest.
     pub fn first_sequence(incarnation: Incarnation) -> u64 {
         // Milliseconds, each with room for a million advertisements.
-        (incarnation.0 & ((1 << 43) - 1)) << 20
+        (incarnation.0 & INCARNATION_MAX.0) << 20
     }
 
     fn put(&self, bytes: &mut BytesMut) {

@@ -390,3 +390,28 @@ fn what_a_peer_has_asked_for_stays_bounded_however_it_asks() {
     let session = pair.ends[1].peers[&left].session.as_ref().expect("it is open");
     assert_eq!(session.bound.len() + session.subscriptions.len(), BINDINGS_MAX);
 }
+
+#[test]
+fn only_operators_and_nodes_that_a_line_names_operate_a_node() {
+    let order = || ContractIdentity { name: "blastema/order-isolation", ..count() };
+    let check = |role: Role, lines: &[&str], may: bool| {
+        let mut pair = guarded(role, lines);
+        pair.call(order(), Some(7));
+        if may {
+            let bound = pair.take(1);
+            assert!(matches!(&bound[..], [PeerProtocolOutput::Bind { .. }]), "{bound:?}");
+        } else {
+            assert_eq!(refused(&mut pair), ["operate"]);
+            assert!(matches!(&pair.take(0)[..], [output] if is_forbidden(output)));
+        }
+    };
+
+    check(Role::Operator, &[], true);
+    for role in [Role::Node, Role::Warden, Role::Guest] {
+        check(role, &[], false);
+    }
+    check(Role::Node, &["only left may operate on right"], true);
+    check(Role::Operator, &["only other may operate on right"], false);
+    check(Role::Operator, &["only other may operate on other"], true);
+    check(Role::Operator, &["only other may operate on right by blastema/key-status"], true);
+}

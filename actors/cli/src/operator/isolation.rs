@@ -1,0 +1,53 @@
+//! `blastema node isolate` and `blastema node admit`.
+
+use super::{OperatorKey, OperatorSession};
+use crate::args::NodeJob;
+use blastema::core::net::trust::policy::Role;
+use std::io::{self, Write};
+
+/// Orders all nodes that are reached, and returns whether each has done it.
+///
+/// # Errors
+/// No node was reached, or the command line is wrong.
+pub(crate) fn run(job: &NodeJob) -> Result<bool, String> {
+    let (NodeJob::Isolate(options) | NodeJob::Admit(options)) = job;
+    let isolated = matches!(job, NodeJob::Isolate(_));
+    let key = OperatorKey::read(OperatorKey::file_of(&options.operator)?)?;
+    let node = options.node.as_str();
+    if options.via.node == node {
+        return Err(format!("{node} has no say on itself: connect to another node by --via"));
+    }
+    if !key.others().any(|listed| listed.name.as_str() == node) {
+        let names: Vec<_> = key.others().map(|listed| listed.name.as_str()).collect();
+        return Err(format!("{node} is not in the roster, which lists {}", names.join(", ")));
+    }
+    let (all_done, text) = blastema::run(async {
+        let session = OperatorSession::open(&key, &options.via, &options.operator).await?;
+        let (mut all_done, mut text) = (true, String::new());
+        for to in key.others().filter(|to| to.name.as_str() != node && to.role != Role::Guest) {
+            let (name, reason, within) = (to.name.as_str(), &options.reason, session.within());
+            let outcome = match session.reaches(&to.name).await {
+                false => Err("not reached".to_owned()),
+                true if isolated => {
+                    let ordered = session.node().order_isolation(name, node, reason, within).await;
+                    ordered.map_err(|error| error.to_string())
+                }
+                true => {
+                    let ordered = session.node().order_admission(name, node, reason, within).await;
+                    ordered.map_err(|error| error.to_string())
+                }
+            };
+            all_done &= outcome.is_ok();
+            let done = if isolated { "isolates" } else { "admits" };
+            text += &match outcome {
+                Ok(()) => format!("{name}: {done} {node}\n"),
+                Err(why) => format!("{name}: nothing was changed: {why}\n"),
+            };
+        }
+        session.close().await;
+        Ok::<_, String>((all_done, text))
+    })?;
+    let written = io::stdout().write_all(text.as_bytes());
+    written.map_err(|error| format!("standard output cannot be written: {error}"))?;
+    Ok(all_done)
+}

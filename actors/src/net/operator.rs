@@ -1,0 +1,183 @@
+//! What operators ask of other nodes, and order there: by the right `operate`.
+//!
+//! ```text
+//!  operator ── ReadKeyStatus ────► net/keys of a node      its roster, its key, its networks
+//!           ── OrderIsolation ───► net/orders              that node's vote on a third one
+//! ```
+//!
+//! The peer protocol checks the right when the contract is bound. A node without keys serves none
+//! of this.
+
+use super::isolation::IsolationControl;
+use super::keys::NodeKeys;
+use super::stub::PeerStubs;
+use crate::registry::access::{AccessControl, MessageOrigin};
+use crate::registry::service_fn::ServiceFn;
+use crate::registry::{ContractPort, Registry};
+use blastema_core::net::isolation::{IsolationDecision, VoteRefused};
+use blastema_core::{DeliveryError, NodeName, ObjectName};
+use blastema_macros::{Request, Structure};
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+use tracing::warn;
+
+/// Under which names nodes are asked. They are no objects that others can see.
+const KEYS: &str = "net/keys";
+const ORDERS: &str = "net/orders";
+/// The longest reason of an order, in bytes.
+const REASON_BYTES: usize = 160;
+
+/// Asks for the state of a node's keys.
+#[derive(Clone, Debug, Request)]
+#[contract(crate = "crate", name = "blastema/key-status", version = 1, reply = KeyStatus)]
+struct ReadKeyStatus;
+
+/// The keys of a node, as it says itself.
+#[derive(Clone, Debug, PartialEq, Eq, Structure)]
+#[contract(crate = "crate")]
+#[non_exhaustive]
+pub struct KeyStatus {
+    /// The serial number of the roster that it uses.
+    pub serial: u64,
+    /// The fingerprint of its own keys, as `blastema keys show` prints it.
+    pub fingerprint: String,
+    /// Its networks, in the order of its description.
+    pub networks: Vec<NetworkSeal>,
+}
+
+/// Whether a network of a node is sealed.
+#[derive(Clone, Debug, PartialEq, Eq, Structure)]
+#[contract(crate = "crate")]
+#[non_exhaustive]
+pub struct NetworkSeal {
+    /// The network.
+    pub network: String,
+    /// Whether its frames are sealed. One within a process is not.
+    pub sealed: bool,
+}
+
+/// Orders a node to isolate another one, or to admit it again.
+#[derive(Clone, Debug, Request)]
+#[contract(crate = "crate", name = "blastema/order-isolation", version = 1, reply = IsolationOrdered)]
+struct OrderIsolation {
+    node: String,
+    isolated: bool,
+    reason: String,
+}
+
+/// What came of it.
+#[derive(Clone, Debug, Structure)]
+#[contract(crate = "crate")]
+struct IsolationOrdered {
+    /// Why nothing was done.
+    refused: Option<String>,
+}
+
+/// Why an order to another node was not carried out.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum OrderError {
+    /// It did not arrive, or there was no answer in time. [`DeliveryError::Forbidden`] says that
+    /// this node has no right to operate the other.
+    #[error(transparent)]
+    Delivery(#[from] DeliveryError),
+    /// The other node has no say in it, or knows no such node.
+    #[error("{0}")]
+    Refused(String),
+}
+
+/// Carries out the orders of operators on which nodes are isolated.
+#[derive(Clone)]
+pub(super) struct IsolationOrders {
+    own: NodeName,
+    stubs: Arc<PeerStubs>,
+    /// It is set when the gateway is there.
+    control: Arc<OnceLock<IsolationControl>>,
+}
+
+impl IsolationOrders {
+    pub(super) fn new(
+        own: NodeName,
+        stubs: Arc<PeerStubs>,
+        control: Arc<OnceLock<IsolationControl>>,
+    ) -> Self {
+        IsolationOrders { own, stubs, control }
+    }
+
+    /// # Errors
+    /// Why nothing was done.
+    fn carry_out(&self, order: &OrderIsolation, by: &NodeName) -> Result<(), String> {
+        let node = NodeName::new(&order.node).map_err(|error| error.to_string())?;
+        let Some(control) = self.control.get() else { return Err("it is just starting".into()) };
+        if node != self.own && !control.know(&node) && !self.stubs.has_met(&node) {
+            return Err(format!("it knows no node called {node}"));
+        }
+        let cut = (0..=REASON_BYTES.min(order.reason.len())).rev();
+        let end = cut.into_iter().find(|at| order.reason.is_char_boundary(*at)).unwrap_or(0);
+        let cause = match &order.reason[..end] {
+            "" => format!("by order of {by}"),
+            reason => format!("by order of {by}: {reason}"),
+        };
+        let isolated = order.isolated;
+        warn!(target: "blastema::audit", %node, isolated, operator = %by, "{cause}");
+        let decided = control.decide(IsolationDecision { node: &node, isolated, cause: &cause });
+        decided.map_err(|refused| match refused {
+            VoteRefused::Oneself => "a node has no say on itself: order another one".to_owned(),
+            VoteRefused::TooMany { limit } => {
+                format!("it has voted on {limit} nodes already: admit one of them first")
+            }
+        })
+    }
+}
+
+/// Serves the operators of the robot.
+pub(super) fn serve(
+    registry: &Registry,
+    keys: &NodeKeys,
+    networks: Vec<(String, bool)>,
+    isolation: IsolationOrders,
+) {
+    let (access, fingerprint) = (registry.access(), keys.fingerprint());
+    let networks: Vec<_> =
+        networks.into_iter().map(|(network, sealed)| NetworkSeal { network, sealed }).collect();
+    let read = ServiceFn::<ReadKeyStatus>(Arc::new(move |_, _, answer| {
+        let serial = access.policy().map_or(0, |policy| policy.serial());
+        let (fingerprint, networks) = (fingerprint.clone(), networks.clone());
+        answer.give(KeyStatus { serial, fingerprint, networks });
+    }));
+    let (access, own) = (registry.access(), isolation.own.clone());
+    let order = ServiceFn::<OrderIsolation>(Arc::new(move |order, from, answer| {
+        let by = operator(&access, from).unwrap_or_else(|| own.clone());
+        answer.give(IsolationOrdered { refused: isolation.carry_out(&order, &by).err() });
+    }));
+    let object = |name| ObjectName::new(name).expect("a name of letters");
+    registry.register_hidden(object(KEYS), ContractPort::of_service_fn(read));
+    registry.register_hidden(object(ORDERS), ContractPort::of_service_fn(order));
+}
+
+fn operator(access: &AccessControl, from: MessageOrigin) -> Option<NodeName> {
+    access.policy()?.name_of(from.peer?).cloned()
+}
+
+/// Asks another node for the state of its keys.
+pub(crate) async fn key_status(
+    registry: &Registry,
+    node: &str,
+    within: Duration,
+) -> Result<KeyStatus, DeliveryError> {
+    let sender = registry.sender::<ReadKeyStatus>(&format!("{node}:{KEYS}"))?;
+    sender.ask_within(ReadKeyStatus, within).await.map_err(|error| error.kind)
+}
+
+/// Orders another node to isolate a third one, or to admit it again.
+pub(crate) async fn order_isolation(
+    registry: &Registry,
+    to: &str,
+    (node, isolated, reason): (&str, bool, &str),
+    within: Duration,
+) -> Result<(), OrderError> {
+    let order = OrderIsolation { node: node.to_owned(), isolated, reason: reason.to_owned() };
+    let sender = registry.sender::<OrderIsolation>(&format!("{to}:{ORDERS}"))?;
+    let ordered = sender.ask_within(order, within).await.map_err(|error| error.kind)?;
+    ordered.refused.map_or(Ok(()), |why| Err(OrderError::Refused(why)))
+}
