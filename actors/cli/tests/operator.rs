@@ -6,7 +6,7 @@ use blastema::prelude::*;
 use serde_json::Value;
 use std::fs;
 use std::net::{SocketAddr, UdpSocket};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 use tempfile::TempDir;
@@ -42,8 +42,12 @@ impl Robot {
         let keys = self.folders[own].path().join(format!("{}.key", NODES[own]));
         let network = Network::new("lan", &format!("udp://{}", self.at[own]));
         let network = network.peer(NODES[1 - own], &self.at[1 - own].to_string());
-        let node = Node::builder(NODES[own]).keys(keys).network(network).start().await;
-        node.expect("it starts")
+        let node = Node::builder(NODES[own]).keys(keys).network(network);
+        node.journal(self.journal(own)).start().await.expect("it starts")
+    }
+
+    fn journal(&self, own: usize) -> PathBuf {
+        self.folders[own].path().join("faults")
     }
 
     /// Runs the program in the folder of the robot's builder, with `{base}` as the base's address.
@@ -135,6 +139,12 @@ fn a_node_is_isolated_and_admitted_by_the_operator_of_the_command_line() {
         for node in [base, arm] {
             node.shutdown().await;
         }
+        let (status, text) = run_in(
+            robot.folders[0].path(),
+            &["fault", "list", "--all", "--json", "--journal", "faults"],
+        );
+        assert_eq!(status, Some(0), "{text}");
+        assert!(text.contains("by order of laptop: smoke"), "the journal says who: {text}");
     });
 }
 

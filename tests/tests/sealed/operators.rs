@@ -88,7 +88,7 @@ fn an_operator_that_no_node_describes_connects_and_reads_the_state_of_all_keys()
 }
 
 #[test]
-fn an_operator_isolates_a_node_and_admits_it_and_the_journal_says_who() {
+fn an_operator_isolates_a_node_and_admits_it_and_the_fault_says_who() {
     blastema::run(async {
         let robot = Robot::new(Role::Operator, &[]);
         let (base, arm) = (robot.start(0).await, robot.start(1).await);
