@@ -93,7 +93,12 @@ impl Pool {
         let before = self.bytes.fetch_add(bytes, SeqCst);
         // Many threads may have found capacity for one.
         let credit = Credit::new(self.clone(), bytes);
-        (messages < MESSAGES_MAX && before < BYTES_MAX).then_some(credit)
+        let has_space = messages < MESSAGES_MAX && before < BYTES_MAX;
+        if !has_space {
+            // Who is refused here waits until it is told that there is space.
+            self.exhausted.store(true, SeqCst);
+        }
+        has_space.then_some(credit)
     }
 
     fn reopen(&self) {

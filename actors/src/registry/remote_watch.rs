@@ -193,6 +193,7 @@ impl DeathWatchService {
     }
 
     fn serve(&self, object: ObjectName, seen: Option<u64>, question: Waiting) {
+        let before = self.lock().get(&object).map_or(0, |counted| counted.ends);
         let absent = self.watch(&object);
         let mut objects = self.lock();
         let (mut waiting, mut of_asker) = (0, 0);
@@ -219,6 +220,8 @@ impl DeathWatchService {
                 return question.answer.refuse(DeliveryError::Full, None);
             }
             Some(_) => counted.last.clone(),
+            // It may have ended since the watch began.
+            None if absent.is_none() && counted.ends > before => counted.last.clone(),
             None => absent,
         };
         let watched = Watched { ends: counted.ends, ended };

@@ -97,7 +97,10 @@ impl GatewayActor {
         let (by, unverified) = match self.wiring.topics.identities(&key.topic).first() {
             None => ((subscription, class), Some(theirs)),
             Some(ours) => match version_of(ours, &theirs) {
-                Ok(form) => ((subscription + form, event_stream(ours.delivery, ours.bulk)), None),
+                Ok(form) => (
+                    (subscription.saturating_add(form), event_stream(ours.delivery, ours.bulk)),
+                    None,
+                ),
                 Err(difference) => {
                     let difference = self.topic_differs(peer, &key, ours, &theirs, &difference);
                     self.differs(peer, &difference);
@@ -138,7 +141,10 @@ impl GatewayActor {
             let same = known.key.topic == key.topic;
             let Some(theirs) = known.unverified.take_if(|_| same) else { continue };
             match version_of(ours, &theirs) {
-                Ok(form) => known.by = (forward.1 + form, event_stream(ours.delivery, ours.bulk)),
+                Ok(form) => {
+                    known.by =
+                        (forward.1.saturating_add(form), event_stream(ours.delivery, ours.bulk))
+                }
                 Err(difference) => differing.push((*forward, theirs, difference)),
             }
         }

@@ -43,7 +43,8 @@ impl Session {
                     let State::Open { peer } = self.state else { return };
                     let reset = Segment::Reset { tag: self.tag };
                     self.transmit(PacketPriority::Control, reset);
-                    self.newest = self.newest.max((peer.incarnation, peer.number + 1));
+                    self.newest =
+                        self.newest.max((peer.incarnation, peer.number.saturating_add(1)));
                     // Ours were good: they come back because of what it sent.
                     let reason = format!(
                         "it breaks the protocol of sessions ({error}): update one of the two"
