@@ -11,7 +11,6 @@ pub mod detector;
 #[cfg(feature = "network")]
 pub mod link;
 pub mod monitor;
-#[cfg(feature = "network")]
 pub mod notifier;
 pub mod recoverer;
 pub mod reports;
