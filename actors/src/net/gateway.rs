@@ -283,13 +283,15 @@ impl GatewayActor {
         }
     }
 
-    /// Two nodes hold different contracts: shown in the session's row, and a fault.
+    /// Two nodes hold different contracts: shown in the session's row, and a fault. Each is told
+    /// once in an incarnation of the peer.
     fn differs(&mut self, peer: NodeId, difference: &str) {
-        if let Some(peer) = self.peers.get_mut(&peer) {
-            peer.differs(difference);
+        let Some(peer) = self.peers.get_mut(&peer) else { return };
+        if !peer.differs(difference) {
+            return;
         }
-        let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
-        error!(node, "a contract differs: {difference}");
+        let node = &peer.node;
+        error!(%node, "a contract differs: {difference}");
         let detail = format!("with node {node}: {difference}");
         self.wiring.faults.declare(FaultKind::ContractMismatch, detail);
     }

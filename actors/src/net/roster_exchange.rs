@@ -5,9 +5,9 @@
 //!  roster:  1 │ signed text
 //! ```
 //!
-//! A node says which serial number it has when a session begins, and when it has a newer roster.
-//! The one with the lower number is given the text. It believes the signature of the robot, not the
-//! node that sends it.
+//! A node says which serial number it has when a session begins, when it has a newer roster, and from
+//! time to time, since a message may find no capacity. The one with the lower number is given the
+//! text. It believes the signature of the robot, not the node that sends it.
 
 use super::fault_reporter::FaultReporter;
 use super::keys::NodeKeys;
@@ -23,6 +23,11 @@ use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultKind, NodeName};
 use bytes::Bytes;
 use std::sync::{Arc, Weak};
+use std::time::Duration;
+
+/// How often a node says which roster it has. Shorter costs messages; longer leaves a node with an
+/// old roster for longer after one was lost.
+const HAVE_INTERVAL: Duration = Duration::from_secs(30);
 
 const HAVE: u8 = 0;
 const ROSTER: u8 = 1;
@@ -110,15 +115,28 @@ impl RosterActor {
         let have = RosterMessage::Have(self.keys.serial());
         self.channel.send(node, &have.encode());
     }
+
+    fn tell_all(&mut self) {
+        let peers: Vec<_> = self.peers.values().cloned().collect();
+        peers.iter().for_each(|node| self.tell_serial(node));
+    }
 }
 
 answers_the_monitor!(RosterActor);
 
 impl Actor for RosterActor {
     type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        context.run_interval(HAVE_INTERVAL, |exchange, _| exchange.tell_all());
+    }
 }
 
-impl Supervised for RosterActor {}
+impl Supervised for RosterActor {
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        self.started(context);
+    }
+}
 
 impl Handler<AttachRosterWatch> for RosterActor {
     type Result = ();
@@ -177,8 +195,7 @@ impl Handler<RosterChanged> for RosterActor {
 
     fn handle(&mut self, RosterChanged(keys): RosterChanged, _: &mut Context<Self>) {
         self.keys = keys;
-        let peers: Vec<_> = self.peers.values().cloned().collect();
-        peers.iter().for_each(|node| self.tell_serial(node));
+        self.tell_all();
     }
 }
 

@@ -129,7 +129,11 @@ impl RosterFile {
 
     /// The keys with the roster of another node, if that is newer.
     fn take(&mut self, RosterOffer { from, text }: &RosterOffer) -> Option<Arc<NodeKeys>> {
-        let newer = self.keys.newer(text, &format!("the roster of node {from}"));
+        let newer = match self.keys.newer(text, &format!("the roster of node {from}")) {
+            // It says nothing of the file.
+            Ok(None) => return None,
+            newer => newer,
+        };
         if newer.is_err() && self.refused_of.contains(from) {
             return None;
         }

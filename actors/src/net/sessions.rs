@@ -44,6 +44,9 @@ pub(super) struct SessionsActor {
     complaints: RefusalAlarms<Option<NodeId>>,
     /// What came from nodes that no route leads to.
     strangers: Refusals,
+    /// The highest number of a session with a peer that was forgotten: those with a new one are
+    /// above it, for it may be the same peer.
+    forgotten: u32,
 }
 
 struct Peer {
@@ -76,6 +79,7 @@ impl SessionsActor {
             nodes,
             complaints: RefusalAlarms::default(),
             strangers: Refusals::default(),
+            forgotten: 0,
         }
     }
 
@@ -95,7 +99,8 @@ impl SessionsActor {
             if self.peers.len() >= PEERS_MAX {
                 self.forget_one();
             }
-            self.peers.insert(id, Peer { node, path: None, number: 0, relayed: false });
+            let number = self.forgotten;
+            self.peers.insert(id, Peer { node, path: None, number, relayed: false });
             self.build(id);
         }
         id
@@ -107,6 +112,7 @@ impl SessionsActor {
         if let Some(id) = gone {
             let why = self.unreachable(id);
             if let Some(mut session) = self.machines.remove(id) {
+                self.forgotten = self.forgotten.max(session.number());
                 self.give_all_back(id, session.take_unacknowledged(), &why);
             }
             self.peers.remove(&id);

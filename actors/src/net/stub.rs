@@ -215,16 +215,22 @@ impl PeerSendState {
         }
     }
 
-    /// Takes credit for so many bytes as soon as there is some; `None` where nothing can be sent to
-    /// the peer at all.
-    pub(super) async fn credit(&self, bytes: usize, class: Option<TrafficClass>) -> Option<Credit> {
+    /// Something can be sent to the peer at all.
+    pub(super) fn takes_messages(&self) -> bool {
+        self.has_session() && !self.is_isolated() && !self.ended.load(Relaxed)
+    }
+
+    /// Takes credit for so many bytes.
+    pub(super) fn take(&self, bytes: usize, class: Option<TrafficClass>) -> Option<Credit> {
+        self.credits.take(bytes, class)
+    }
+
+    /// Completes when there is credit, or nothing can be sent at all.
+    pub(super) async fn capacity(&self, class: Option<TrafficClass>) {
         loop {
             let changed = self.changed.notified();
-            if !self.has_session() || self.is_isolated() || self.ended.load(Relaxed) {
-                return None;
-            }
-            if let Some(credit) = self.credits.take(bytes, class) {
-                return Some(credit);
+            if !self.takes_messages() || self.credits.is_open(class) {
+                return;
             }
             changed.await;
         }

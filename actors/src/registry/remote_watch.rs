@@ -8,8 +8,9 @@
 //!
 //! The watcher asks, and is answered when the object ends; then it asks for the next end. The task
 //! that asks belongs to the watcher's incarnation and ends with it. The object's node counts the
-//! ends of each watched object, so that none between two questions is missed. That the object's
-//! node is lost is seen by the session, which resolves the request.
+//! ends of each watched object: of several between two questions the last is told. That the
+//! object's node is lost is seen by the session, which resolves the request; where no request was
+//! on its way, by the next answer, which another service gives.
 //!
 //! A node has at most as many questions waiting as it leaves free (a dynamic threshold, Choudhury
 //! and Hahne 1998): one alone half of the capacity, two a third each. However many a node asks,
@@ -45,21 +46,28 @@ const REFUSED_MAX: usize = 512;
 /// The most bytes of a panic's text that go to another node.
 const TEXT_MAX: usize = 4096;
 
-/// Asks for the next end of an incarnation of the object, after so many that the asker knows of;
-/// without a number, how the object stands now.
+/// Asks for the next end of an incarnation of the object, after those that the asker knows of;
+/// without them, how the object stands now.
 #[derive(Clone, Debug, Request)]
-#[contract(crate = "crate", name = "blastema/await-end", version = 1, reply = Watched)]
+#[contract(crate = "crate", name = "blastema/await-end", version = 2, reply = Watched)]
 struct AwaitEnd {
     object: ObjectName,
-    seen: Option<u64>,
+    seen: Option<SeenEnds>,
 }
 
-/// How an object stands: how many ends the service_fn has counted, and the last of them, or why it
-/// does not live.
+/// So many ends of an object were counted by this service: each start of a node has another one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Structure)]
+#[contract(crate = "crate")]
+struct SeenEnds {
+    service: u64,
+    ends: u64,
+}
+
+/// How an object stands: how many ends were counted, and the last of them, or why it does not live.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
 struct Watched {
-    ends: u64,
+    seen: SeenEnds,
     ended: Option<LastEnd>,
 }
 
@@ -94,13 +102,13 @@ pub(crate) fn follow(
             tell(Down { object: object.clone(), node: Some(node.clone()), incarnation, ending });
         };
         let incarnation = Incarnation(0);
-        let lost = |why: &DeliveryError| {
-            down(LastEnd { incarnation, ending: DownReason::NodeLost { reason: why.to_string() } });
+        let lost = |reason: String| {
+            down(LastEnd { incarnation, ending: DownReason::NodeLost { reason } });
         };
         match sender {
             Ok(sender) => ask_on(&sender, &object, down, lost).await,
             // This node has no network.
-            Err(why) => lost(&why),
+            Err(why) => lost(why.to_string()),
         }
     }
 }
@@ -109,14 +117,17 @@ async fn ask_on(
     sender: &Sender<AwaitEnd>,
     object: &ObjectName,
     down: impl Fn(LastEnd),
-    lost: impl Fn(&DeliveryError),
+    lost: impl Fn(String),
 ) {
-    let (mut seen, mut is_lost) = (None, false);
+    let (mut seen, mut is_lost) = (None::<SeenEnds>, false);
     loop {
         let question = AwaitEnd { object: object.clone(), seen };
         let why = match sender.ask_within(question, WATCH_TIMEOUT).await {
-            Ok(Watched { ends, ended }) => {
-                (seen, is_lost) = (Some(ends), false);
+            Ok(Watched { seen: now, ended }) => {
+                if seen.is_some_and(|seen| seen.service != now.service) {
+                    lost("its node has started again".to_owned());
+                }
+                (seen, is_lost) = (Some(now), false);
                 if let Some(ended) = ended {
                     let is_unknown = ended.ending == DownReason::Unknown;
                     down(ended);
@@ -137,7 +148,7 @@ async fn ask_on(
             | DeliveryError::Restarting
             | DeliveryError::Fenced => {}
             why if !is_lost => {
-                lost(&why);
+                lost(why.to_string());
                 (seen, is_lost) = (None, true);
             }
             _ => {}
@@ -162,6 +173,8 @@ pub(crate) fn serve(registry: &Registry) {
 /// The objects of this node that others watch. Clones share them.
 #[derive(Clone)]
 struct DeathWatchService {
+    /// Of the random source: no service of another start has it.
+    number: u64,
     registry: WeakRegistry,
     objects: Arc<Mutex<SortedMap<ObjectName, Counted>>>,
     /// How many questions of each node were refused.
@@ -185,14 +198,21 @@ struct Waiting {
 impl DeathWatchService {
     fn new(registry: &Registry) -> Self {
         let (objects, refused) = (Arc::default(), Arc::default());
-        DeathWatchService { registry: registry.downgrade(), objects, refused }
+        let number = platform::random_seed();
+        DeathWatchService { number, registry: registry.downgrade(), objects, refused }
     }
 
     fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, Counted>> {
         self.objects.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn serve(&self, object: ObjectName, seen: Option<u64>, question: Waiting) {
+    fn watched(&self, ends: u64, ended: Option<LastEnd>) -> Watched {
+        Watched { seen: SeenEnds { service: self.number, ends }, ended }
+    }
+
+    fn serve(&self, object: ObjectName, seen: Option<SeenEnds>, question: Waiting) {
+        // What another start of this node has counted says nothing.
+        let seen = seen.filter(|seen| seen.service == self.number).map(|seen| seen.ends);
         let before = self.lock().get(&object).map_or(0, |counted| counted.ends);
         let absent = self.watch(&object);
         let mut objects = self.lock();
@@ -205,7 +225,7 @@ impl DeathWatchService {
         if absent.as_ref().is_some_and(|absent| absent.ending == DownReason::Unknown) {
             let counted = objects.remove(&object).unwrap_or_default();
             drop(objects);
-            let watched = Watched { ends: counted.ends, ended: absent };
+            let watched = self.watched(counted.ends, absent);
             let all = counted.waiting.into_iter().chain([question]);
             return all.for_each(|waiting| waiting.answer.give(watched.clone()));
         }
@@ -224,7 +244,7 @@ impl DeathWatchService {
             None if absent.is_none() && counted.ends > before => counted.last.clone(),
             None => absent,
         };
-        let watched = Watched { ends: counted.ends, ended };
+        let watched = self.watched(counted.ends, ended);
         drop(objects);
         question.answer.give(watched);
     }
@@ -271,7 +291,7 @@ impl DeathWatchService {
         counted.last.clone_from(&ended);
         let (ends, waiting) = (counted.ends, std::mem::take(&mut counted.waiting));
         drop(objects);
-        let watched = Watched { ends, ended };
+        let watched = self.watched(ends, ended);
         waiting.into_iter().for_each(|waiting| waiting.answer.give(watched.clone()));
     }
 }
@@ -282,11 +302,21 @@ mod tests {
     use crate::messaging::death_watch::Deaths;
     use blastema_core::NodeName;
     use blastema_core::net::NodeId;
+    use blastema_doubles::{advance, paused};
 
     /// A question whose answer is kept.
     fn ask(
         service: &DeathWatchService,
         by: &str,
+    ) -> Arc<Mutex<Option<Result<Watched, DeliveryError>>>> {
+        ask_after(service, by, service.number)
+    }
+
+    /// The same after an answer of this service.
+    fn ask_after(
+        service: &DeathWatchService,
+        by: &str,
+        seen_service: u64,
     ) -> Arc<Mutex<Option<Result<Watched, DeliveryError>>>> {
         let answered = Arc::new(Mutex::new(None));
         let keep = answered.clone();
@@ -296,7 +326,8 @@ mod tests {
         );
         let by = MessageOrigin { peer: Some(NodeId::of(&NodeName::new(by).unwrap())) };
         let arm = ObjectName::new("arm").unwrap();
-        service.serve(arm, Some(0), Waiting { by, answer });
+        let seen = SeenEnds { service: seen_service, ends: 0 };
+        service.serve(arm, Some(seen), Waiting { by, answer });
         answered
     }
 
@@ -305,6 +336,52 @@ mod tests {
         let refused = |result| matches!(result, Some(Err(DeliveryError::Full)));
         let all: Vec<_> = (0..asked).map(|_| ask(service, by)).collect();
         all.into_iter().filter(|answer| !refused(answer.lock().unwrap().clone())).count()
+    }
+
+    #[test]
+    fn a_node_that_was_started_again_between_two_questions_was_lost() {
+        paused(async {
+            let asked = Arc::new(Mutex::new(Vec::new()));
+            let questions = asked.clone();
+            let serve = move |AwaitEnd { seen, .. }, _, answer: Responder<AwaitEnd>| {
+                let mut asked = questions.lock().unwrap();
+                asked.push(seen);
+                let watched =
+                    |service| Watched { seen: SeenEnds { service, ends: 0 }, ended: None };
+                match asked.len() {
+                    1 => answer.give(watched(7)),
+                    2 => answer.refuse(DeliveryError::Full, None),
+                    3 => answer.give(watched(8)),
+                    _ => std::mem::forget(answer),
+                }
+            };
+            let sender = Sender(Arc::new(ServiceFn::<AwaitEnd>(Arc::new(serve))));
+            let told = Arc::new(Mutex::new(Vec::new()));
+            let losses = told.clone();
+            let arm = ObjectName::new("arm").unwrap();
+            actix_rt::spawn(async move {
+                let lost = |reason| losses.lock().unwrap().push(reason);
+                ask_on(&sender, &arm, |end| panic!("{end:?}"), lost).await;
+            });
+            advance(5 * RETRY_DELAY).await;
+
+            assert_eq!(*told.lock().unwrap(), ["its node has started again"]);
+            let seen = |service| Some(SeenEnds { service, ends: 0 });
+            assert_eq!(*asked.lock().unwrap(), [None, seen(7), seen(7), seen(8)]);
+        });
+    }
+
+    #[test]
+    fn what_another_start_of_the_node_has_counted_is_answered_at_once() {
+        let (registry, deaths) = (Registry::default(), Deaths::default());
+        deaths.begin(&ObjectName::new("arm").unwrap(), Incarnation(1));
+        registry.watch_in(deaths);
+        let service = DeathWatchService::new(&registry);
+        let answer = ask_after(&service, "honest", service.number.wrapping_add(1));
+        let answered = answer.lock().unwrap().clone().expect("at once").expect("it is told");
+        assert_eq!(answered.seen, SeenEnds { service: service.number, ends: 0 });
+        assert!(answered.ended.is_none(), "it lives");
+        assert!(ask(&service, "honest").lock().unwrap().is_none(), "it waits");
     }
 
     #[test]
@@ -323,7 +400,7 @@ mod tests {
         let answer = ask(&service, "honest");
         deaths.end(&ObjectName::new("arm").unwrap(), DownReason::Stopped);
         let answer = answer.lock().unwrap().clone();
-        assert_eq!(answer.expect("it ends").expect("it is told").ends, 1);
+        assert_eq!(answer.expect("it ends").expect("it is told").seen.ends, 1);
         assert_eq!(waiting(&service, "greedy", 1), 1, "its share is free again");
     }
 }

@@ -18,7 +18,9 @@ pub(super) trait AnyTopic: Send + Sync {
     fn identity(&self) -> ContractIdentity;
     /// The present version and the earlier ones that listeners here understand.
     fn identities(&self) -> Vec<ContractIdentity>;
-    fn forward_to(&self, forwards: Arc<[RemoteForward]>);
+    /// Sends events to these from now on; to the one that joins, first the event that the topic
+    /// keeps.
+    fn forward_to(&self, forwards: Arc<[RemoteForward]>, joins: Option<&RemoteForward>);
     fn publish_remote(
         &self,
         form: usize,
@@ -30,8 +32,6 @@ pub(super) trait AnyTopic: Send + Sync {
     /// joins is counted under the same lock: it gets the event that is kept, and the other node
     /// goes on, or the other node sends it again.
     fn settle_interest(&self) -> bool;
-    /// Sends it the event that the topic keeps for listeners that join.
-    fn catch_up(&self, forward: &RemoteForward);
     fn has_publishers(&self) -> bool;
     /// For display, without the other nodes that listen: the table knows them.
     fn row(&self, now: Instant) -> TopicRow;
@@ -55,19 +55,17 @@ impl<E: Event> AnyTopic for Topic<E> {
         std::iter::once(self.identity()).chain(former).collect()
     }
 
-    fn forward_to(&self, forwards: Arc<[RemoteForward]>) {
+    fn forward_to(&self, forwards: Arc<[RemoteForward]>, joins: Option<&RemoteForward>) {
+        let latch = joins.and_then(|joins| Some((joins, self.lock_latch()?)));
         self.is_forwarded.store(!forwards.is_empty(), Relaxed);
         *lock(&self.forwards) = forwards;
-        self.renew_matched();
-    }
-
-    fn catch_up(&self, forward: &RemoteForward) {
-        let latch = lock(&self.latch);
-        if let Some(Latched { event, at, is_foreign: false }) = &*latch
+        if let Some((joins, latch)) = latch
+            && let Some(Latched { event, at, is_foreign: false }) = &*latch
             && let Ok(parcel) = codec::encode_parcel(event)
         {
-            forward.forward(&parcel, at.captured_at());
+            joins.forward(&parcel, at.captured_at());
         }
+        self.renew_matched();
     }
 
     fn has_publishers(&self) -> bool {
@@ -114,7 +112,12 @@ impl<E: Event> AnyTopic for Topic<E> {
                 let captured_at = Some(Instant::from_nanos(captured_at));
                 self.traffic.count();
                 let logged = message_log::sent(E::NAME, &self.key.topic, String::new);
-                self.hand_out(event, Times { posted_at: now, captured_at, logged }, true);
+                self.hand_out(
+                    event,
+                    Times { posted_at: now, captured_at, logged },
+                    true,
+                    self.lock_latch(),
+                );
                 Ok(())
             }
             Err(reason) => {

@@ -68,9 +68,21 @@ pub(crate) trait EventForward: Send + Sync {
     /// which there is no capacity is lost, and counted.
     fn forward(&self, event: &GatherBuffer, sent: Instant);
 
-    /// Waits until there is capacity for an event of so many bytes. `None` where there is nothing
-    /// to wait for.
-    fn reserve(&self, bytes: usize) -> Pin<Box<dyn Future<Output = Option<EventCapacity>> + Send>>;
+    /// Takes capacity for an event of so many bytes.
+    fn reserve(&self, bytes: usize) -> Reservation;
+
+    /// Completes when there may be capacity. It holds none.
+    fn capacity(&self) -> Pin<Box<dyn Future<Output = ()> + Send>>;
+}
+
+/// What became of the wish for capacity.
+pub(crate) enum Reservation {
+    /// One event has it.
+    Taken(EventCapacity),
+    /// There is none now.
+    Full,
+    /// There is nothing to wait for.
+    Needless,
 }
 
 /// Sends one event by the capacity that was reserved for it.
@@ -145,6 +157,21 @@ pub(crate) struct Topic<E: Event> {
 struct ReservedForwards(Vec<(RemoteForward, EventCapacity)>);
 
 impl ReservedForwards {
+    /// Takes capacity for an event of so many bytes of each of these.
+    ///
+    /// # Errors
+    /// One that has none.
+    fn take_all(&mut self, forwards: &[RemoteForward], bytes: usize) -> Result<(), RemoteForward> {
+        for forward in forwards {
+            match forward.reserve(bytes) {
+                Reservation::Taken(capacity) => self.0.push((forward.clone(), capacity)),
+                Reservation::Full => return Err(forward.clone()),
+                Reservation::Needless => {}
+            }
+        }
+        Ok(())
+    }
+
     fn take(&mut self, forward: &RemoteForward) -> Option<EventCapacity> {
         let place = self.0.iter().position(|(of, _)| Arc::ptr_eq(of, forward))?;
         Some(self.0.swap_remove(place).1)
@@ -177,11 +204,10 @@ impl<E: Event> Topic<E> {
         let forwards = lock(&self.forwards).clone();
         // What cannot be encoded is counted when it is published.
         let Ok(parcel) = codec::encode_parcel(event) else { return reserved };
-        // In the order of the list: of two that publish, one has all that it needs.
-        for forward in forwards.iter() {
-            if let Some(capacity) = forward.reserve(parcel.len()).await {
-                reserved.0.push((forward.clone(), capacity));
-            }
+        // Who waits holds nothing: two that want the same, in whatever order, do not block each other.
+        while let Err(full) = reserved.take_all(&forwards, parcel.len()) {
+            reserved.0.clear();
+            full.capacity().await;
         }
         reserved
     }
@@ -202,20 +228,34 @@ impl<E: Event> Topic<E> {
         if self.traffic.is_to_be_measured() {
             self.measure(&event);
         }
-        if self.is_forwarded.load(Relaxed) {
-            self.forward(&event, captured_at.unwrap_or_else(platform::now), reserved);
-        } else if self.listeners.load(Relaxed) == 0 && !self.traffic.was_judged() {
+        let is_forwarded = self.is_forwarded.load(Relaxed);
+        if !is_forwarded && self.listeners.load(Relaxed) == 0 && !self.traffic.was_judged() {
             self.suggest();
         }
-        self.hand_out(event, times, false);
+        // A node that begins to listen meanwhile gets this event, and gets it once.
+        let latch = self.lock_latch();
+        if is_forwarded || latch.is_some() {
+            self.forward(&event, captured_at.unwrap_or_else(platform::now), reserved);
+        }
+        self.hand_out(event, times, false, latch);
+    }
+
+    /// While this is held, no listener joins a topic that keeps its last event.
+    fn lock_latch(&self) -> Option<MutexGuard<'_, Latch<E>>> {
+        E::LATCHED.then(|| lock(&self.latch))
     }
 
     /// To the listeners of this node, now and later.
-    fn hand_out(&self, event: E, times: Times, is_foreign: bool) {
-        if !E::LATCHED {
+    fn hand_out(
+        &self,
+        event: E,
+        times: Times,
+        is_foreign: bool,
+        latch: Option<MutexGuard<'_, Latch<E>>>,
+    ) {
+        let Some(mut latch) = latch else {
             return self.fan_out(event, times);
-        }
-        let mut latch = lock(&self.latch);
+        };
         let mut copies = Vec::new();
         let kept = self.copy(&event, 1, &mut copies).then(|| copies.pop()).flatten();
         let kept = kept.map(|event| Latched { event, at: times, is_foreign });
@@ -329,6 +369,9 @@ impl<E: Event> Topic<E> {
 
     fn forward(&self, event: &E, sent: Instant, mut reserved: ReservedForwards) {
         let forwards = lock(&self.forwards).clone();
+        if forwards.is_empty() {
+            return;
+        }
         let Ok(parcel) = codec::encode_parcel(event) else {
             return self.record_dead_letter(&DeliveryError::TooLarge { limit: E::MAX_SIZE });
         };

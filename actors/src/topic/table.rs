@@ -152,7 +152,7 @@ impl Topics {
         });
         let known = TopicEntry { naming, typed: topic.clone(), erased: topic.clone() };
         inner.topics.insert(key.topic.clone(), known);
-        let is_awaited = inner.renew_forwards(&key.topic);
+        let is_awaited = inner.renew_forwards(&key.topic, None);
         drop(inner);
         let interest = lock(&self.interest).clone();
         if let Some(interest) = interest.filter(|_| is_awaited) {
@@ -218,16 +218,11 @@ impl Topics {
         let mut inner = lock(&self.inner);
         let id = inner.next_forward;
         inner.next_forward += 1;
-        let kept = WantedForward { node, wanted, forward: forward.clone() };
-        let topic = inner.topics.get(&key.topic).map(|known| known.erased.clone());
-        let topic = topic.filter(|topic| kept.is_understood_of(&topic.identity()));
+        let kept = WantedForward { node, wanted, forward };
         inner.forwards.entry(key.topic.clone()).or_default().insert(id, kept);
-        inner.renew_forwards(&key.topic);
+        inner.renew_forwards(&key.topic, Some(id));
         drop(inner);
         self.joined.store(platform::now().as_nanos(), Relaxed);
-        if let Some(topic) = topic {
-            topic.catch_up(&forward);
-        }
         ForwardId { topic: key.topic.clone(), id }
     }
 
@@ -237,7 +232,7 @@ impl Topics {
         if let Some(forwards) = inner.forwards.get_mut(&forward.topic) {
             forwards.remove(&forward.id);
         }
-        inner.renew_forwards(&forward.topic);
+        inner.renew_forwards(&forward.topic, None);
     }
 
     /// Gives an event that came from another node to the listeners here, read by this version of
@@ -337,15 +332,18 @@ impl TopicTable {
         nodes.into_iter().collect()
     }
 
-    /// Says whether there are some.
-    fn renew_forwards(&self, topic: &ObjectName) -> bool {
+    /// Tells a topic which forwards it has, and which of them joins. Says whether there are some.
+    fn renew_forwards(&self, topic: &ObjectName, joins: Option<u64>) -> bool {
         let (Some(known), Some(forwards)) = (self.topics.get(topic), self.forwards.get(topic))
         else {
             return false;
         };
         let identity = known.erased.identity();
-        let understood = forwards.values().filter(|kept| kept.is_understood_of(&identity));
-        known.erased.forward_to(understood.map(|kept| kept.forward.clone()).collect());
+        let understood = forwards.iter().filter(|(_, kept)| kept.is_understood_of(&identity));
+        let joins = understood.clone().find(|(id, _)| Some(**id) == joins);
+        let joins = joins.map(|(_, kept)| &kept.forward);
+        let all = understood.map(|(_, kept)| kept.forward.clone()).collect();
+        known.erased.forward_to(all, joins);
         !forwards.is_empty()
     }
 }

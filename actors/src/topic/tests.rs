@@ -4,7 +4,8 @@
 use super::hub::{Batch, EventListener, Hub, HubProgress, ListenerEntry};
 use super::hub_queue::Posted;
 use super::*;
-use blastema_doubles::paused;
+use blastema_core::{Contract, ContractIdentity};
+use blastema_doubles::{paused, settle};
 use std::cell::{Cell, RefCell};
 use std::panic::Location;
 use std::rc::Rc;
@@ -184,7 +185,7 @@ async fn leave_a_hub(during_its_turn: bool) -> (Vec<u32>, Vec<u32>) {
     presents[1].store(0, Relaxed);
     topic.leave(&hub.shared);
     for number in [7, 8] {
-        topic.hand_out(Sample(number), platform::now().into(), false);
+        topic.hand_out(Sample(number), platform::now().into(), false, None);
     }
     while along.borrow().is_none() {
         tokio::task::yield_now().await;
@@ -192,6 +193,143 @@ async fn leave_a_hub(during_its_turn: bool) -> (Vec<u32>, Vec<u32>) {
     let along = along.take().unwrap_or_default();
     let along = along.iter().map(|posted: &Posted<Sample>| posted.event.0).collect();
     (got.take(), along)
+}
+
+/// Another node, with capacity for one event at a time.
+#[derive(Default)]
+struct Narrow {
+    is_taken: AtomicBool,
+    changed: tokio::sync::Notify,
+    got: Mutex<Vec<u32>>,
+    /// Runs once, as an event is sent.
+    on_send: Mutex<Option<Box<dyn FnOnce() + Send>>>,
+}
+
+/// The capacity of a node that is taken.
+struct Taken(Arc<Narrow>);
+
+impl Drop for Taken {
+    fn drop(&mut self) {
+        self.0.is_taken.store(false, Relaxed);
+        self.0.changed.notify_waiters();
+    }
+}
+
+struct ToNarrow(Arc<Narrow>);
+
+impl ToNarrow {
+    fn take(&self) -> Option<Taken> {
+        (!self.0.is_taken.swap(true, Relaxed)).then(|| Taken(self.0.clone()))
+    }
+}
+
+impl EventForward for ToNarrow {
+    fn forward(&self, event: &GatherBuffer, _: Instant) {
+        let event: Sample = codec::decode(&event.clone().into_bytes()).unwrap();
+        lock(&self.0.got).push(event.0);
+        let act = lock(&self.0.on_send).take();
+        act.into_iter().for_each(|act| act());
+    }
+
+    fn reserve(&self, _: usize) -> Reservation {
+        let Some(taken) = self.take() else { return Reservation::Full };
+        let to = ToNarrow(self.0.clone());
+        Reservation::Taken(Box::new(move |event, sent| {
+            to.forward(event, sent);
+            drop(taken);
+        }))
+    }
+
+    fn capacity(&self) -> Pin<Box<dyn Future<Output = ()> + Send>> {
+        let node = self.0.clone();
+        Box::pin(async move {
+            loop {
+                let changed = node.changed.notified();
+                if !node.is_taken.load(Relaxed) {
+                    return;
+                }
+                changed.await;
+            }
+        })
+    }
+}
+
+/// A node begins to listen to a topic of samples.
+fn joins(topics: &Topics, topic: &str, contract: &str, node: &Arc<Narrow>) {
+    let key = TopicKey::new(topic, contract).unwrap();
+    let wanted = vec![match contract == LastSample::NAME {
+        true => ContractIdentity::of::<LastSample>().brief(),
+        false => ContractIdentity::of::<Sample>().brief(),
+    }];
+    let far = NodeName::new("far").unwrap();
+    topics.forward(&key, (far, wanted), Arc::new(ToNarrow(node.clone())));
+}
+
+#[test]
+fn two_publishers_that_wait_for_the_same_nodes_in_another_order_do_not_block_each_other() {
+    paused(async {
+        let topics = Topics::new(DeadLetterLog::default(), FaultReports::default());
+        let (left, right) = (Arc::<Narrow>::default(), Arc::<Narrow>::default());
+        [&left, &right].into_iter().for_each(|node| joins(&topics, "one", Sample::NAME, node));
+        [&right, &left].into_iter().for_each(|node| joins(&topics, "two", Sample::NAME, node));
+        let held = ToNarrow(right.clone()).take();
+        let delivers = |topic, n| {
+            let publisher = topics.publisher::<Sample>(topic).unwrap();
+            actix_rt::spawn(async move { publisher.deliver(Sample(n)).await.unwrap() })
+        };
+
+        let second = delivers("two", 2);
+        settle().await;
+        let first = delivers("one", 1);
+        settle().await;
+        assert!(!left.is_taken.load(Relaxed), "who waits holds nothing");
+        drop(held);
+        settle().await;
+
+        assert!(first.is_finished() && second.is_finished());
+        for node in [left, right] {
+            let mut got = lock(&node.got).clone();
+            got.sort_unstable();
+            assert_eq!(got, [1, 2]);
+        }
+    });
+}
+
+#[derive(Clone, crate::Event)]
+#[contract(latched)]
+struct LastSample(u32);
+
+#[test]
+fn a_node_that_joins_while_an_event_is_published_gets_the_newest_once() {
+    let topics = Topics::new(DeadLetterLog::default(), FaultReports::default());
+    let publisher = topics.publisher::<LastSample>("last").unwrap();
+    publisher.publish(LastSample(1)).unwrap();
+    let (early, late) = (Arc::<Narrow>::default(), Arc::<Narrow>::default());
+    joins(&topics, "last", LastSample::NAME, &early);
+    assert_eq!(*lock(&early.got), [1]);
+    let (joined, joining) = channel();
+    let (all, node) = (topics.clone(), late.clone());
+    let joiner = Mutex::new(None);
+    let joiner = Arc::new(joiner);
+    let kept = joiner.clone();
+    *lock(&early.on_send) = Some(Box::new(move || {
+        let thread = thread::spawn(move || {
+            joins(&all, "last", LastSample::NAME, &node);
+            joined.send(()).unwrap();
+        });
+        // Where it need not wait for the publisher, it has joined by then.
+        let _ = joining.recv_timeout(Duration::from_millis(200));
+        *lock(&kept) = Some((thread, joining));
+    }));
+
+    publisher.publish(LastSample(2)).unwrap();
+    let (thread, joining) = lock(&joiner).take().unwrap();
+    thread.join().unwrap();
+    drop(joining);
+
+    assert_eq!(*lock(&late.got), [2]);
+    publisher.publish(LastSample(3)).unwrap();
+    assert_eq!((&*lock(&early.got), &*lock(&late.got)), (&vec![1, 2, 3], &vec![2, 3]));
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Publish and subscribe.
 
 use super::{Boom, Log, Stage, boom, logged, order};
-use crate::topic::{EventCapacity, EventForward, TopicKey};
+use crate::topic::{EventForward, Reservation, TopicKey};
 use crate::{
     ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports, WhenFull,
 };
@@ -232,8 +232,12 @@ impl EventForward for Shipped {
         self.0.lock().unwrap().push(event.clone());
     }
 
-    fn reserve(&self, _: usize) -> Pin<Box<dyn Future<Output = Option<EventCapacity>> + Send>> {
-        Box::pin(std::future::ready(None))
+    fn reserve(&self, _: usize) -> Reservation {
+        Reservation::Needless
+    }
+
+    fn capacity(&self) -> Pin<Box<dyn Future<Output = ()> + Send>> {
+        Box::pin(std::future::ready(()))
     }
 }
 

@@ -93,11 +93,10 @@ impl GatewayActor {
                 }
                 (Err(difference), None) => {
                     let difference = difference.to_string();
-                    error!(%object, "a peer's contract differs: {difference}");
-                    skeleton.declare(FaultKind::ContractMismatch, difference.clone());
-                    if let Some(peer) = self.peers.get_mut(&peer) {
-                        peer.differs(&difference);
+                    if self.peers.get_mut(&peer).is_some_and(|peer| peer.differs(&difference)) {
+                        error!(%object, "a peer's contract differs: {difference}");
                     }
+                    skeleton.declare(FaultKind::ContractMismatch, difference.clone());
                     Err((DeliveryError::ContractDiffers { difference }, Some(known)))
                 }
             },

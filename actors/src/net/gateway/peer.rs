@@ -19,7 +19,7 @@ pub(super) struct GatewayPeer {
 }
 
 impl GatewayPeer {
-    /// More are in the log: a node with so many differences was built from another source.
+    /// More are not told: a node with so many differences was built from another source.
     const DIFFERENCES_MAX: usize = 16;
 
     /// One that no session was open with yet.
@@ -35,12 +35,14 @@ impl GatewayPeer {
         is_another && !std::mem::take(&mut self.differences).is_empty()
     }
 
-    /// A contract is not the same there.
-    pub(super) fn differs(&mut self, difference: &str) {
-        let is_new = self.differences.iter().all(|known| known != difference);
-        if is_new && self.differences.len() < Self::DIFFERENCES_MAX {
-            self.differences.push(difference.to_owned());
+    /// A contract is not the same there. Says whether that is news, and not one too many.
+    pub(super) fn differs(&mut self, difference: &str) -> bool {
+        let is_known = self.differences.iter().any(|known| known == difference);
+        if is_known || self.differences.len() >= Self::DIFFERENCES_MAX {
+            return false;
         }
+        self.differences.push(difference.to_owned());
+        true
     }
 
     /// What was found to differ, in the order of finding.

@@ -4,7 +4,7 @@ use super::GatewayActor;
 use super::undelivered::UndeliveredEvents;
 use crate::net::gateway_messages::LocalEvent;
 use crate::net::stub::PeerSendState;
-use crate::topic::{EventCapacity, EventForward, ForwardId, RemoteForward, TopicKey, described};
+use crate::topic::{EventForward, ForwardId, RemoteForward, Reservation, TopicKey, described};
 use actix::prelude::*;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::TopicContract;
@@ -12,7 +12,6 @@ use blastema_core::{
     ContractIdentity, Credit, Delivery, DeliveryError, GatherBuffer, Instant, PeerIdentity,
     TrafficClass,
 };
-use std::future;
 use std::pin::Pin;
 use std::sync::Arc;
 
@@ -64,17 +63,22 @@ impl EventForward for PeerForward {
         }
     }
 
-    fn reserve(&self, bytes: usize) -> Pin<Box<dyn Future<Output = Option<EventCapacity>> + Send>> {
-        if self.class.is_none() {
-            return Box::pin(future::ready(None));
+    fn reserve(&self, bytes: usize) -> Reservation {
+        if self.class.is_none() || !self.send_state.takes_messages() {
+            return Reservation::Needless;
         }
+        match self.send_state.take(bytes, self.class) {
+            Some(credit) => {
+                let target = self.target.clone();
+                Reservation::Taken(Box::new(move |event, sent| target.send(event, sent, credit)))
+            }
+            None => Reservation::Full,
+        }
+    }
+
+    fn capacity(&self) -> Pin<Box<dyn Future<Output = ()> + Send>> {
         let (class, state) = (self.class, self.send_state.clone());
-        let target = self.target.clone();
-        Box::pin(async move {
-            let credit = state.credit(bytes, class).await?;
-            let send = move |event: &GatherBuffer, sent| target.send(event, sent, credit);
-            Some(Box::new(send) as EventCapacity)
-        })
+        Box::pin(async move { state.capacity(class).await })
     }
 }
 

@@ -465,23 +465,20 @@ impl PeerProtocol {
                 let to = MessageTarget::Subscription(subscription);
                 self.outputs.push_back(PeerProtocolOutput::Lost { peer, to, why });
             }
-            // It was made, and no session carries it: the caller that waits for it is told so.
-            PeerMessage::Reply { call, result: Ok(_) } => {
-                if let (DeliveryError::TooLargeForSession { limit }, true) =
-                    (why, self.is_open(peer))
-                {
-                    let message = PeerMessage::Reply {
-                        call,
-                        result: Err(DeliveryError::ReplyTooLarge { limit }),
-                    };
-                    self.outputs.push_back(PeerProtocolOutput::Send {
-                        peer,
-                        stream: TrafficClass::Request,
-                        strand: OrderingKey::Call(call),
-                        message: message.encode(),
-                        credit: None,
-                    });
-                }
+            // It was made, and the session does not take it: the caller that waits for it is told so.
+            PeerMessage::Reply { call, result } => {
+                let told = match (why, result) {
+                    (DeliveryError::TooLargeForSession { limit }, _) => {
+                        DeliveryError::ReplyTooLarge { limit }
+                    }
+                    (DeliveryError::WayFull { .. }, Ok(_)) => {
+                        let reason = "too many replies wait on the way to the caller".to_owned();
+                        DeliveryError::OutcomeUnknown { reason }
+                    }
+                    (DeliveryError::WayFull { .. }, Err(told)) => told,
+                    _ => return,
+                };
+                self.tell(peer, &PeerMessage::Reply { call, result: Err(told) });
             }
             // What belongs to the session itself ends with it.
             _ => {}

@@ -514,6 +514,32 @@ fn a_reply_that_no_session_carries_is_told_to_have_been_made() {
 }
 
 #[test]
+fn a_reply_that_finds_no_capacity_is_told_as_lost_and_an_error_goes_as_it_is() {
+    let class = TrafficClass::Request;
+    let full = DeliveryError::WayFull { node: "left".into(), class };
+    for reply in [Ok(payload().into()), Err(DeliveryError::Expired)] {
+        let mut pair = Pair::open();
+        pair.call(count(), Some(10));
+        pair.agree();
+        pair.take(1);
+        let left = pair.ids[0];
+        let refused = PeerMessage::Reply { call: 1, result: reply.clone() }.encode().into_bytes();
+
+        pair.ends[1].handle_returned(left, refused, full.clone(), TransmitState::Nothing);
+        pair.run();
+
+        let outputs = pair.take(0);
+        let [PeerProtocolOutput::Resolve { reply_as: 10, result: Err(told) }] = &outputs[..] else {
+            panic!("{outputs:?}");
+        };
+        match reply {
+            Ok(_) => assert!(matches!(told, DeliveryError::OutcomeUnknown { .. }), "{told}"),
+            Err(error) => assert_eq!(*told, error),
+        }
+    }
+}
+
+#[test]
 fn what_waited_in_a_machine_that_failed_is_told_as_lost_and_what_comes_back_of_it_is_known() {
     let mut pair = Pair::open();
     pair.call(count(), None);

@@ -202,7 +202,7 @@ impl Session {
     ///
     /// # Errors
     /// [`DeliveryError::WayFull`] for a message without credit where the stream holds as much as it
-    /// may. [`DeliveryError::TooLargeForSession`], [`DeliveryError::Unreachable`],
+    /// may; one of control ends the session. [`DeliveryError::TooLargeForSession`], [`DeliveryError::Unreachable`],
     /// [`DeliveryError::Stopped`] after [`handle_close`](Session::handle_close). The message comes
     /// back.
     pub fn handle_send_along(
@@ -218,6 +218,10 @@ impl Session {
         let is_full = outbound.messages() >= self.config.buffer_messages
             || outbound.bytes() + bytes.len() > self.config.buffer_bytes;
         if is_full && credit.is_none() {
+            if stream == TrafficClass::Control {
+                // Without it the ends do not agree any more.
+                self.handle_restart(now);
+            }
             return Err((self.way_full(stream), bytes.into_bytes()));
         }
         outbound.push(strand, OutboundMessage { bytes, credit });

@@ -283,7 +283,9 @@ impl Session {
         }
     }
 
+    /// When an acknowledgement is owed at the latest, while there is a session to send it in.
     pub(super) fn ack_owed(&self) -> Option<Instant> {
+        let (State::Open { .. } | State::Closing { .. }) = self.state else { return None };
         let streams = self.streams.iter().filter_map(|stream| stream.inbound.owed());
         streams.chain(self.datagrams_in.owed()).min()
     }

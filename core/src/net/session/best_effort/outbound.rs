@@ -22,8 +22,8 @@ fn payload_capacity(capacity: usize, is_numbered: bool) -> usize {
 /// What waits and what is on its way of the channels of one session.
 #[derive(Debug, Default)]
 pub(crate) struct BestEffortOutbound {
-    /// The last number used, by channel.
-    sequences: SortedMap<u32, u64>,
+    /// The number of the last message. Those of one channel rise.
+    sequence: u64,
     /// The newest message of each channel that has one, and the order of the channels.
     waiting: SortedMap<u32, GatherBuffer>,
     turns: VecDeque<u32>,
@@ -126,9 +126,8 @@ impl BestEffortOutbound {
             self.replaced += 1;
             return Some(());
         }
-        let sequence = self.sequences.entry(channel).or_insert(0);
-        *sequence += 1;
-        let sequence = *sequence;
+        self.sequence += 1;
+        let sequence = self.sequence;
         let pieces = pieces_of(&message, payload_capacity(capacity, is_numbered)).into_iter();
         let datagrams = pieces.map(|(piece, payload)| Datagram {
             tag,

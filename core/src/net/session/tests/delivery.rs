@@ -170,6 +170,29 @@ fn what_has_no_credit_is_refused_where_its_stream_is_full_and_other_classes_are_
 }
 
 #[test]
+fn control_that_finds_no_capacity_ends_the_session_and_both_begin_again() {
+    let small = SessionConfig { buffer_messages: 4, ..config("left", 1, "right") };
+    let mut pair = Pair::of(small, config("right", 1, "left"));
+    pair.connect();
+    let before = pair.ends[0].number();
+    pair.lose = Box::new(|_, _| true);
+    let now = at(pair.now);
+    let mut send = || pair.ends[0].handle_send(TrafficClass::Control, text("c"), now);
+    assert!((0..4).all(|_| send().is_ok()));
+
+    let (why, _) = send().unwrap_err();
+    assert!(matches!(why, DeliveryError::WayFull { class: TrafficClass::Control, .. }), "{why}");
+    pair.lose = Box::new(|_, _| false);
+    pair.run(2_000);
+
+    assert!(pair.ends[0].number() > before);
+    pair.ends[0].handle_send(TrafficClass::Control, text("again"), at(pair.now)).unwrap();
+    pair.take(1);
+    pair.run(200);
+    assert_eq!(pair.take(1).len(), 1);
+}
+
+#[test]
 fn a_message_larger_than_the_limit_is_refused_before_it_is_sent() {
     let mut pair = Pair::open();
     let limit = pair.ends[0].config.message_max;
