@@ -2,6 +2,7 @@
 
 mod carrier;
 mod incarnations;
+mod paths;
 mod redundant;
 mod routing;
 mod world;

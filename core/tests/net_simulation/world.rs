@@ -25,6 +25,12 @@ pub(crate) struct Wire {
     /// Which node and which of its links, at both ends.
     pub(crate) ends: [(usize, usize); 2],
     pub(crate) cut: bool,
+    /// Loses what this side sends.
+    pub(crate) mute: [bool; 2],
+    /// Carries so many bytes a second in each direction, and keeps so many that wait.
+    pub(crate) rate: Option<(u64, u64)>,
+    /// When the last frame of each side has passed.
+    passed: [Instant; 2],
     /// How probably it loses a frame, beside the weather.
     pub(crate) loss: f64,
     pub(crate) mtu: usize,
@@ -71,6 +77,14 @@ pub(crate) struct World {
     pub(crate) nodes: Vec<Option<Node>>,
     /// When each node wants to be woken.
     pub(crate) due: Vec<Option<Instant>>,
+    /// Until when each node is stopped.
+    pub(crate) stopped: Vec<Instant>,
+    /// How many bytes were put on wires.
+    pub(crate) bytes: u64,
+    /// How often an end of a wire was found to be down.
+    pub(crate) downs: u64,
+    /// How many messages of each class arrived.
+    arrived: BTreeMap<TrafficClass, u64>,
     pub(crate) incarnations: Vec<u64>,
     /// The nodes' keys: advertisements are signed, and what goes over a relay is sealed.
     pub(crate) roster: Option<NodeRoster>,
@@ -131,7 +145,8 @@ impl World {
             let ends = [(a, links[a]), (b, links[b])];
             links[a] += 1;
             links[b] += 1;
-            Wire { ends, cut: false, loss: 0.0, mtu: 1400 }
+            let passed = [Instant::ORIGIN; 2];
+            Wire { ends, cut: false, mute: [false; 2], rate: None, passed, loss: 0.0, mtu: 1400 }
         };
         let wires = wires.iter().map(wire).collect();
         let mut world = World {
@@ -142,6 +157,10 @@ impl World {
             wires,
             nodes: (0..nodes).map(|_| None).collect(),
             due: vec![None; nodes],
+            stopped: vec![Instant::ORIGIN; nodes],
+            bytes: 0,
+            downs: 0,
+            arrived: BTreeMap::new(),
             incarnations: vec![0; nodes],
             roster,
             frames: BTreeMap::new(),
@@ -236,14 +255,20 @@ impl World {
     pub(crate) fn run_until(&mut self, end: Instant) {
         loop {
             let frame = self.frames.keys().next().map(|(at, _)| *at);
-            let timer = (0..self.nodes.len()).filter_map(|n| Some((self.due[n]?, n))).min();
+            let due = |n: usize| Some((self.due[n]?.max(self.stopped[n]), n));
+            let timer = (0..self.nodes.len()).filter_map(due).min();
             let next = [frame, timer.map(|(at, _)| at)].into_iter().flatten().min();
             let Some(next) = next.filter(|next| *next <= end) else { break };
             self.now = self.now.max(next);
             let now = self.now;
             if frame.is_some_and(|at| at <= now) {
-                let (_, (wire, side, frame)) = self.frames.pop_first().unwrap();
+                let ((_, number), (wire, side, frame)) = self.frames.pop_first().unwrap();
                 let (node, link) = self.wires[wire].ends[side];
+                if self.stopped[node] > now {
+                    // It waits in its socket.
+                    self.frames.insert((self.stopped[node], number), (wire, side, frame));
+                    continue;
+                }
                 if let Some(node) = &mut self.nodes[node] {
                     node.links[link].2.handle_frame(frame, now);
                 }
@@ -289,6 +314,7 @@ impl World {
                             LinkState::Suspect => LinkHealth::Suspect,
                             LinkState::Down | LinkState::Connecting => LinkHealth::Down,
                         };
+                        self.downs += u64::from(health == LinkHealth::Down);
                         let given_up = link.is_given_up();
                         self.given_up += u64::from(given_up);
                         let cost =
@@ -313,21 +339,37 @@ impl World {
 
     /// Lets the weather have a frame.
     fn throw(&mut self, wire: usize, side: usize, frame: &Bytes) {
-        let Wire { cut, mtu, loss: own, .. } = self.wires[wire];
+        let Wire { cut, mute, mtu, loss: own, .. } = self.wires[wire];
         assert!(frame.len() <= mtu, "{} bytes for an mtu of {mtu}", frame.len());
         (self.now, wire, frame).hash(&mut self.trace);
+        self.bytes += frame.len() as u64;
+        let Some(waits) = self.queue(wire, side, frame.len()) else { return };
         let Weather { loss, double, delay: (least, most) } = self.weather;
         for _ in 0..1 + u64::from(self.random.chance(double)) {
             let lost = self.random.chance(loss) || own > 0.0 && self.random.chance(own);
             let spread = (most - least).as_nanos() as u64;
-            let delay = least + Duration::from_nanos(self.random.below(spread + 1));
-            if !lost && !cut {
+            let delay = waits + least + Duration::from_nanos(self.random.below(spread + 1));
+            if !lost && !cut && !mute[side] {
                 self.count += 1;
                 let struck = self.flips > 0.0 && self.random.chance(self.flips);
                 let frame = if struck { self.strike(frame) } else { frame.clone() };
                 self.frames.insert((self.now + delay, self.count), (wire, 1 - side, frame));
             }
         }
+    }
+
+    /// How long a frame takes until it has passed a wire with a rate; nothing where the queue before
+    /// it is full.
+    fn queue(&mut self, wire: usize, side: usize, bytes: usize) -> Option<Duration> {
+        let Wire { rate, passed, .. } = &mut self.wires[wire];
+        let Some((rate, room)) = *rate else { return Some(Duration::ZERO) };
+        let takes = |bytes: u64| Duration::from_nanos(bytes * 1_000_000_000 / rate);
+        let waits = passed[side].max(self.now) - self.now;
+        if waits > takes(room) {
+            return None;
+        }
+        passed[side] = self.now + waits + takes(bytes as u64);
+        Some(passed[side] - self.now)
     }
 
     /// Changes one bit. What an application says is for a check of its own: here all of it must be
@@ -413,6 +455,7 @@ impl World {
                             let before = self.arrival.replace(self.now).unwrap_or(self.now);
                             self.gap = self.gap.max(self.now - before);
                         }
+                        *self.arrived.entry(stream).or_default() += 1;
                         let key = read(&message);
                         let (from, incarnation, to, number) = key;
                         assert_eq!(to, index, "{} got another's message", node.name);
@@ -451,6 +494,10 @@ impl World {
                 .collect();
             assert!(!alive || missing.is_empty(), "lost: {missing:?}");
         }
+    }
+
+    pub(crate) fn delivered_on(&self, class: TrafficClass) -> u64 {
+        self.arrived.get(&class).copied().unwrap_or_default()
     }
 
     pub(crate) fn count_sent(&self) -> u64 {

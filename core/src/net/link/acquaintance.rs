@@ -20,7 +20,7 @@ use crate::net::wire::node_id::NodeId;
 use std::time::Duration;
 
 /// A hello's number may be ahead by so many more intervals than have passed since the last one was
-/// received, which may have been delayed. The numbers in between count as missed.
+/// received, which may have been delayed, or have waited while this node was not run. The numbers in between count as missed.
 const AHEAD_MAX: i64 = 2;
 
 /// A hello that so many later ones have overtaken is none that was merely late.
@@ -80,7 +80,8 @@ impl Link {
             return HelloArrival::New { missed: 0 };
         };
         let same = record.neighbour.is(hello) && interval == record.arrivals.interval();
-        let (highest, passed) = (record.arrivals.highest(), now - record.received_at);
+        let stalled = if now < record.excused_until { record.stalled } else { Duration::ZERO };
+        let (highest, passed) = (record.arrivals.highest(), now - record.received_at + stalled);
         if same && !is_far_off(highest, hello.sequence, passed, interval) {
             let arrival = record.arrivals.handle(hello.sequence, now);
             match arrival {
@@ -147,6 +148,7 @@ impl Link {
             neighbour: Neighbour::of(hello),
             arrivals,
             received_at: now,
+            heard_at: now,
             hellos_received: 0,
             stance: hello.stance,
             loss_there: 0,
@@ -154,6 +156,7 @@ impl Link {
             echoed: None,
             excused_until: Instant::ORIGIN,
             excuses: 0,
+            stalled: Duration::ZERO,
         };
         self.neighbour = Some(record);
         self.gauge = QualityEstimator::default();

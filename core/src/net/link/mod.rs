@@ -103,6 +103,8 @@ struct NeighbourRecord {
     arrivals: ArrivalEstimator,
     /// When its last hello was received.
     received_at: Instant,
+    /// When anything else was: hellos may wait behind it on a full path.
+    heard_at: Instant,
     /// Hellos since the last silence, while it receives ours, less two for each that was missing.
     hellos_received: u32,
     /// The state of the link at its end.
@@ -117,6 +119,8 @@ struct NeighbourRecord {
     excused_until: Instant,
     /// How often that was extended since its last hello.
     excuses: u32,
+    /// How long this node was not run before. What it reads then may have been sent as long ago.
+    stalled: Duration,
 }
 
 impl Link {
@@ -245,15 +249,24 @@ impl Link {
             Ok(frame) if !self.takes(&frame) => self.refusals.unexpected += 1,
             Ok(Frame::Hello(hello)) => self.handle_hello(hello, now),
             Ok(Frame::Greeting(greeting)) => self.handle_greeting(greeting, now),
-            Ok(Frame::Routing(bytes)) => self.outputs.push_back(LinkOutput::Routing(bytes)),
-            Ok(Frame::RoutingPart(part)) => match self.parts.handle(&part) {
+            Ok(frame) => self.handle_payload(frame, now),
+            Err(error) => self.refusals.count(&error),
+        }
+    }
+
+    /// The neighbour has sent something for our router.
+    fn handle_payload(&mut self, frame: Frame, now: Instant) {
+        if let Some(record) = &mut self.neighbour {
+            record.heard_at = now;
+        }
+        match frame {
+            Frame::Hello(_) | Frame::Greeting(_) => {}
+            Frame::Routing(bytes) => self.outputs.push_back(LinkOutput::Routing(bytes)),
+            Frame::RoutingPart(part) => match self.parts.handle(&part) {
                 Ok(whole) => self.outputs.extend(whole.map(LinkOutput::Routing)),
                 Err(error) => self.refusals.count(&error),
             },
-            Ok(Frame::Data(packet)) => {
-                self.outputs.push_back(LinkOutput::Packet(packet.into_bytes()))
-            }
-            Err(error) => self.refusals.count(&error),
+            Frame::Data(packet) => self.outputs.push_back(LinkOutput::Packet(packet.into_bytes())),
         }
     }
 
@@ -391,11 +404,13 @@ impl Link {
     }
 
     /// When silence, or deafness of the neighbour, will have lasted so long past the expected
-    /// hello.
+    /// hello. What comes meanwhile shows that the neighbour lives; that it receives us, only its
+    /// hellos show.
     fn silent_at(&self, after_percent: u32) -> Option<Instant> {
         let record = self.neighbour.as_ref()?;
         let interval = record.arrivals.interval();
-        let silent = record.arrivals.expected() + percent(interval, after_percent);
+        let alive_at = record.arrivals.expected().max(record.heard_at);
+        let silent = alive_at + percent(interval, after_percent);
         let deaf = record.echoed.map_or(record.received_at, |(_, at)| at)
             // An echo needs both directions: twice the patience, in the slower one's intervals.
             + percent(
@@ -537,6 +552,9 @@ impl Machine for Link {
         if late > self.config.hello_interval {
             let interval = self.neighbour.as_ref().map(|record| record.arrivals.interval());
             self.excuse(percent(interval.unwrap_or_default(), self.down_after_percent()), now);
+            if let Some(record) = &mut self.neighbour {
+                record.stalled = late;
+            }
         } else if late > Self::LATE {
             self.excuse(late, now);
         }

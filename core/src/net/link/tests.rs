@@ -166,6 +166,49 @@ fn a_cable_that_carries_one_way_only_is_down_at_both_ends() {
 }
 
 #[test]
+fn data_shows_that_the_neighbour_lives_while_its_hellos_wait_and_not_that_it_receives() {
+    let mut cable = running();
+    cable.cut = [true; 2];
+    let down = (100..300).find(|now| {
+        cable.run_until(*now);
+        if now % 5 == 0 {
+            let frame = Frame::Data(Bytes::from_static(b"data").into()).encode();
+            cable.ends[0].handle_frame(frame, at(*now));
+        }
+        cable.ends[0].state() == LinkState::Down
+    });
+    // The last echo arrived at 91. Without data it is down at 126.
+    assert!(down.is_some_and(|down| (150..170).contains(&down)), "{down:?}");
+
+    let states = cable.outputs.iter().filter_map(|(_, end, output)| match output {
+        LinkOutput::Changed { state, .. } if *end == 0 => Some(*state),
+        _ => None,
+    });
+    assert_eq!(states.last(), Some(LinkState::Down));
+}
+
+#[test]
+fn a_hello_that_waited_while_both_nodes_were_stopped_makes_the_next_one_no_strange_one() {
+    let mut cable = running();
+    // A hello of the right waits to be read; both nodes are stopped for five seconds.
+    cable.run_until(110);
+    let waits = cable.ends[1].hello(at(110), 11);
+    cable.ends[0].handle_frame(Frame::Hello(waits).encode(), at(5_110));
+    cable.now = 5_110;
+    cable.in_flight.clear();
+
+    cable.run_until(5_400);
+
+    assert_eq!(cable.states(), [LinkState::Up; 2]);
+    let went = |state| {
+        cable.outputs.iter().any(
+            |(_, _, output)| matches!(output, LinkOutput::Changed { state: s, .. } if *s == state),
+        )
+    };
+    assert!(!went(LinkState::Down), "{:?}", cable.outputs);
+}
+
+#[test]
 fn a_link_that_was_down_must_prove_itself_longer_each_time() {
     let mut cable = running();
     let mut outages = vec![];

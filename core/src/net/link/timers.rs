@@ -13,10 +13,11 @@ pub(crate) enum LinkTimer {
     /// intervals after the start.
     PeerMissing,
     /// Takes down a link whose neighbour is silent or does not receive, `down_after_percent` past
-    /// the expected hello; one that is not up loses its proof (BFD: detection time).
+    /// the expected hello and its last frame; one that is not up loses its proof (BFD: detection
+    /// time).
     DownDetection,
-    /// Suspects a monitored link, `suspect_after_percent` past the expected hello (NFD-E: freshness
-    /// point).
+    /// Suspects a monitored link, `suspect_after_percent` past the expected hello and the last frame
+    /// (NFD-E: freshness point).
     SuspectDetection,
 }
 
