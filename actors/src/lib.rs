@@ -208,7 +208,7 @@ pub use blastema_contract::transport::{TransmitBacklog, TransportCounters};
 #[cfg(feature = "network")]
 pub use blastema_core::net::session::{SessionCounters, SessionState, SessionStatus};
 #[cfg(feature = "network")]
-pub use blastema_core::net::{LinkState, LinkTraffic, Refusals, Route};
+pub use blastema_core::net::{ByteRate, LinkState, LinkTraffic, Refusals, Route};
 pub use blastema_macros::main;
 #[cfg(feature = "network")]
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};

@@ -34,8 +34,8 @@ use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::routing::{LinkHealth, LinkStatus, MTU_MIN};
 use blastema_core::net::seal::{ChannelStatus, CipherSuite, FrameLane, NoiseCrypto, SealProfile};
 use blastema_core::net::{
-    AddLinkError, Link, LinkConfig, LinkId, LinkLayer, LinkLayerOutput, LinkOutput, LinkState,
-    Quality,
+    AddLinkError, ByteRates, Link, LinkConfig, LinkId, LinkLayer, LinkLayerOutput, LinkOutput,
+    LinkState, Quality,
 };
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{GatherBuffer, Instant, NodeName};
@@ -91,6 +91,7 @@ pub(super) struct LinksActor {
     wiring: LinksRecipients,
     specs: SortedMap<LinkId, LinkSpec>,
     bundle: LinkLayer<NoiseCrypto, MediumAddress>,
+    rates: ByteRates<LinkId>,
     wake: WakeTimer,
     /// The largest frame; `None` while the medium is closed.
     mtu: Option<usize>,
@@ -118,6 +119,7 @@ impl LinksActor {
             wiring,
             specs,
             bundle: LinkLayer::new(None),
+            rates: ByteRates::default(),
             wake: WakeTimer::default(),
             mtu: None,
             bytes_per_second: None,
@@ -318,6 +320,14 @@ impl LinksActor {
         }
     }
 
+    fn look_at_rates(&mut self) {
+        let carried = self.specs.keys().map(|number| {
+            let traffic = self.bundle.traffic(*number);
+            (*number, traffic.bytes_sent, traffic.bytes_received)
+        });
+        self.rates.handle_look(carried, platform::now());
+    }
+
     fn transmit(&self, to: MediumAddress, frame: GatherBuffer, lane: FrameLane) {
         self.wiring.transport.transmit.do_send(Transmit { to, frame, lane });
     }
@@ -332,6 +342,7 @@ impl Actor for LinksActor {
         context.run_interval(REFUSAL_CHECK_INTERVAL, |links, _| {
             links.look_at_refusals();
             links.forget_keys_in_use();
+            links.look_at_rates();
         });
         self.attach(context);
         self.drive(context);
@@ -567,6 +578,7 @@ impl Handler<ReadLinks> for LinksActor {
                 phi: link.phi(now),
                 cost: self.cost(number, link),
                 traffic: self.bundle.traffic(number),
+                rate: self.rates.rate(number),
                 refusals: self.bundle.refused_of(number),
                 seal: self.seal(number, now),
             })

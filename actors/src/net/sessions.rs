@@ -14,7 +14,9 @@ use blastema_contract::session::{
 };
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::refusal_alarms::{MANY, RefusalAlarms};
-use blastema_core::net::{MachineSet, NodeId, Refusals, Session, SessionConfig, SessionOutput};
+use blastema_core::net::{
+    ByteRates, MachineSet, NodeId, Refusals, Session, SessionConfig, SessionOutput,
+};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, FaultKind, Incarnation, NodeName, TrafficClass};
 use bytes::Bytes;
@@ -47,6 +49,7 @@ pub(super) struct SessionsActor {
     /// The highest number of a session with a peer that was forgotten: those with a new one are
     /// above it, for it may be the same peer.
     forgotten: u32,
+    rates: ByteRates<NodeId>,
 }
 
 struct Peer {
@@ -80,6 +83,7 @@ impl SessionsActor {
             complaints: RefusalAlarms::default(),
             strangers: Refusals::default(),
             forgotten: 0,
+            rates: ByteRates::default(),
         }
     }
 
@@ -184,6 +188,14 @@ impl SessionsActor {
         }
     }
 
+    fn look_at_rates(&mut self) {
+        let carried = self.machines.iter().map(|(id, session)| {
+            let counters = session.counters();
+            (id, counters.bytes_sent, counters.bytes_received)
+        });
+        self.rates.handle_look(carried, platform::now());
+    }
+
     fn unreachable(&self, peer: NodeId) -> DeliveryError {
         let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
         DeliveryError::Unreachable { node }
@@ -196,7 +208,10 @@ impl Actor for SessionsActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        context.run_interval(REFUSAL_CHECK_INTERVAL, |sessions, _| sessions.look_at_refusals());
+        context.run_interval(REFUSAL_CHECK_INTERVAL, |sessions, _| {
+            sessions.look_at_refusals();
+            sessions.look_at_rates();
+        });
     }
 }
 
@@ -425,6 +440,7 @@ impl Handler<ReadSessions> for SessionsActor {
             Some(SessionRow {
                 node: self.peers.get(&id)?.node.clone(),
                 status: session.status(),
+                rate: self.rates.rate(id),
                 // The gateway knows.
                 differences: Vec::new(),
             })

@@ -8,7 +8,7 @@
 use actix::{Message, Recipient};
 use blastema_core::GatherBuffer;
 use blastema_core::net::routing::LinkStatus;
-use blastema_core::net::{LinkId, LinkState, LinkTraffic, Neighbour, Quality, Refusals};
+use blastema_core::net::{ByteRate, LinkId, LinkState, LinkTraffic, Neighbour, Quality, Refusals};
 use bytes::Bytes;
 use std::sync::Arc;
 use std::time::Duration;
@@ -118,6 +118,8 @@ pub struct LinkRow {
     pub cost: u16,
     /// What it has carried since its network's links were built last.
     pub traffic: LinkTraffic,
+    /// How many bytes of that went each way in the last second.
+    pub rate: ByteRate,
     /// What was refused on it.
     pub refusals: Refusals,
     /// How its frames are sealed; `None` where they are not, or not yet.

@@ -5,6 +5,7 @@
 //! ```
 
 use actix::{Message, Recipient};
+use blastema_core::net::ByteRate;
 use blastema_core::net::session::SessionStatus;
 use blastema_core::net::{NodeId, OrderingKey};
 use blastema_core::{Credit, DeliveryError, GatherBuffer, Incarnation, NodeName, TrafficClass};
@@ -129,6 +130,8 @@ pub struct SessionRow {
     pub node: NodeName,
     /// How it stands.
     pub status: SessionStatus,
+    /// How many of the bytes that its counters count went each way in the last second.
+    pub rate: ByteRate,
     /// Contracts that the two nodes do not mean alike: which, and what differs. Those found since
     /// the session began, sixteen at most.
     pub differences: Vec<String>,

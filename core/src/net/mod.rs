@@ -38,6 +38,7 @@
 //! What this module does not do: multicast, congestion control towards strangers.
 
 pub mod active_alarms;
+pub mod byte_rate;
 pub mod discovery;
 pub mod isolation;
 pub mod link;
@@ -52,6 +53,7 @@ pub mod trust;
 pub mod wire;
 
 pub use crate::machine_set::MachineSet;
+pub use byte_rate::{ByteRate, ByteRates};
 pub use link::link_set::{LinkSet, LinkSetOutput};
 pub use link::{
     HELLO_INTERVAL, HELLO_INTERVAL_RANGE, Link, LinkConfig, LinkOutput, LinkState, Neighbour,

@@ -128,6 +128,17 @@ fn a_link_shows_the_frames_and_bytes_that_it_has_carried_each_way() {
         assert!(figure(&receiver, "bytes_received") > 16 * 20, "{receiver}");
         assert_eq!(figure(&sender, "frames_dropped"), 0, "{sender}");
         assert!(sender["round_trip_ms"].is_number(), "{sender}");
+        // Hellos alone are some bytes each second.
+        let is_measured = async || {
+            let link = row(arm, "links", "network", "neck").await;
+            let session = row(arm, "sessions", "node", "head").await;
+            let both = |row: &Value| {
+                [figure(row, "bytes_sent_per_s"), figure(row, "bytes_received_per_s")]
+            };
+            assert!(both(&session).iter().all(|rate| *rate < 1_000_000), "{session}");
+            both(&link).iter().all(|rate| (100..1_000_000).contains(rate))
+        };
+        until(is_measured, "rates of a link").await;
         let medium = row(arm, "media", "network", "neck").await;
         // All links of a network share its medium, which also carries what belongs to none.
         assert!(figure(&medium, "frames_sent") >= figure(&sender, "frames_sent"), "{medium}");

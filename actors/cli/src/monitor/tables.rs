@@ -89,6 +89,8 @@ const TABLES: [(&str, &str, &[Column]); 15] = [
             ("bytes sent", "bytes_sent"),
             ("received", "frames_received"),
             ("bytes received", "bytes_received"),
+            ("B/s sent", "bytes_sent_per_s"),
+            ("B/s received", "bytes_received_per_s"),
             ("dropped", "frames_dropped"),
             ("refused", "refused"),
             ("seal", "seal"),
@@ -125,6 +127,8 @@ const TABLES: [(&str, &str, &[Column]); 15] = [
             ("sent", "sent"),
             ("bytes sent", "bytes_sent"),
             ("bytes received", "bytes_received"),
+            ("B/s sent", "bytes_sent_per_s"),
+            ("B/s received", "bytes_received_per_s"),
             ("retransmitted", "retransmitted"),
             ("duplicates", "duplicates"),
             ("superseded", "superseded"),
@@ -371,7 +375,7 @@ mod tests {
                 "network": "wire", "link": "wire", "state": "up", "neighbour": "arm", "last_sign_ms": 12.0,
                 "round_trip_ms": 0.2, "jitter_ms": 0.01, "loss_permille": 0, "cost": 10,
                 "frames_sent": 12, "bytes_sent": 3456, "frames_received": 7, "bytes_received": 890,
-                "frames_dropped": 1, "refused": 0,
+                "bytes_sent_per_s": 345, "bytes_received_per_s": 89, "frames_dropped": 1, "refused": 0,
                 "seal": "AES-256-GCM", "key_age_ms": 61000.0,
             }],
             "media": [{
@@ -408,8 +412,8 @@ roster
  ranger       7      3
 
 links
- network  link  state  neighbour  last sign  round trip   jitter  loss in 1000  cost  sent  bytes sent  received  bytes received  dropped  refused  seal         key age
- wire     wire  up     arm            12 ms     0.20 ms  0.01 ms             0    10    12        3456         7             890        1        0  AES-256-GCM   61.0 s
+ network  link  state  neighbour  last sign  round trip   jitter  loss in 1000  cost  sent  bytes sent  received  bytes received  B/s sent  B/s received  dropped  refused  seal         key age
+ wire     wire  up     arm            12 ms     0.20 ms  0.01 ms             0    10    12        3456         7             890       345            89        1        0  AES-256-GCM   61.0 s
 
 routes
  node  incarnation  network  link  else network  else link  cost  largest frame  nodes between

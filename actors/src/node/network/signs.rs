@@ -44,7 +44,9 @@ fn show_in(rows: &mut [MonitorRow], links: &[LinkRow]) {
 mod tests {
     use super::*;
     use blastema_core::detection::ObjectKind;
-    use blastema_core::net::{LinkId, LinkState, LinkTraffic, Neighbour, Quality, Refusals};
+    use blastema_core::net::{
+        ByteRate, LinkId, LinkState, LinkTraffic, Neighbour, Quality, Refusals,
+    };
     use blastema_core::{Incarnation, NodeName};
     use std::time::Duration;
 
@@ -71,6 +73,7 @@ mod tests {
             phi: 0.0,
             cost: 1,
             traffic: LinkTraffic::default(),
+            rate: ByteRate::default(),
             refusals: Refusals::default(),
             seal: None,
         }
