@@ -56,10 +56,10 @@ fn seal(end: &mut Channels, lane: FrameLane, text: &[u8]) -> Bytes {
     end.seal(lane, &[text], &limits()).expect("there is a channel")
 }
 
-/// So many frames are repeated and forged, a fifth of them repeated: more in a longer run.
+/// So many frames are repeated and forged, a fifth of them repeated. The nightly run is compiled with
+/// more.
 fn attempts() -> u64 {
-    let chosen = std::env::var("BLASTEMA_FORGERIES").ok();
-    chosen.map_or(100_000, |attempts| attempts.parse().expect("a number"))
+    option_env!("BLASTEMA_FORGERIES").map_or(100_000, |count| count.parse().expect("a number"))
 }
 
 #[test]
