@@ -225,6 +225,10 @@ impl PeerSendState {
         self.credits.take(bytes, class)
     }
 
+    pub(super) fn way_full(&self, class: TrafficClass) -> DeliveryError {
+        DeliveryError::WayFull { node: self.node.to_string(), class }
+    }
+
     /// Completes when there is credit, or nothing can be sent at all.
     pub(super) async fn capacity(&self, class: Option<TrafficClass>) {
         loop {
@@ -361,10 +365,8 @@ impl RemoteStub for PeerStub {
         self.send_state.check(&self.to.object)?;
         let gateway = self.gateway.as_ref().ok_or(DeliveryError::Stopped)?;
         let taken = self.send_state.credits.take(message.len(), self.class());
-        let credit = taken.ok_or_else(|| {
-            let (node, class) = (self.to.node.to_string(), self.contract.message_class());
-            DeliveryError::WayFull { node, class }
-        })?;
+        let credit =
+            taken.ok_or_else(|| self.send_state.way_full(self.contract.message_class()))?;
         let sent = platform::now();
         let (id, within, reply_to) = match asked {
             None => (None, None, None),

@@ -231,13 +231,17 @@ impl EventForward for ToNarrow {
         act.into_iter().for_each(|act| act());
     }
 
-    fn reserve(&self, _: usize) -> Reservation {
+    fn reserve(&self, _: usize, _: bool) -> Reservation {
         let Some(taken) = self.take() else { return Reservation::Full };
         let to = ToNarrow(self.0.clone());
         Reservation::Taken(Box::new(move |event, sent| {
             to.forward(event, sent);
             drop(taken);
         }))
+    }
+
+    fn full(&self) -> DeliveryError {
+        DeliveryError::Full
     }
 
     fn capacity(&self) -> Pin<Box<dyn Future<Output = ()> + Send>> {
@@ -255,12 +259,9 @@ impl EventForward for ToNarrow {
 }
 
 /// A node begins to listen to a topic of samples.
-fn joins(topics: &Topics, topic: &str, contract: &str, node: &Arc<Narrow>) {
-    let key = TopicKey::new(topic, contract).unwrap();
-    let wanted = vec![match contract == LastSample::NAME {
-        true => ContractIdentity::of::<LastSample>().brief(),
-        false => ContractIdentity::of::<Sample>().brief(),
-    }];
+fn joins<E: Event>(topics: &Topics, topic: &str, node: &Arc<Narrow>) {
+    let key = TopicKey::new(topic, E::NAME).unwrap();
+    let wanted = vec![ContractIdentity::of::<E>().brief()];
     let far = NodeName::new("far").unwrap();
     topics.forward(&key, (far, wanted), Arc::new(ToNarrow(node.clone())));
 }
@@ -270,8 +271,8 @@ fn two_publishers_that_wait_for_the_same_nodes_in_another_order_do_not_block_eac
     paused(async {
         let topics = Topics::new(DeadLetterLog::default(), FaultReports::default());
         let (left, right) = (Arc::<Narrow>::default(), Arc::<Narrow>::default());
-        [&left, &right].into_iter().for_each(|node| joins(&topics, "one", Sample::NAME, node));
-        [&right, &left].into_iter().for_each(|node| joins(&topics, "two", Sample::NAME, node));
+        [&left, &right].into_iter().for_each(|node| joins::<Sample>(&topics, "one", node));
+        [&right, &left].into_iter().for_each(|node| joins::<Sample>(&topics, "two", node));
         let held = ToNarrow(right.clone()).take();
         let delivers = |topic, n| {
             let publisher = topics.publisher::<Sample>(topic).unwrap();
@@ -295,6 +296,31 @@ fn two_publishers_that_wait_for_the_same_nodes_in_another_order_do_not_block_eac
     });
 }
 
+#[derive(Clone, Debug, crate::Event)]
+#[contract(when_full = "refuse")]
+struct Order(u32);
+
+#[test]
+fn an_event_that_is_to_be_refused_goes_to_no_node_where_one_has_no_capacity() {
+    let letters = DeadLetterLog::default();
+    let topics = Topics::new(letters.clone(), FaultReports::default());
+    let publisher = topics.publisher::<Order>("orders").unwrap();
+    let (left, right) = (Arc::<Narrow>::default(), Arc::<Narrow>::default());
+    [&left, &right].into_iter().for_each(|node| joins::<Order>(&topics, "orders", node));
+    let held = ToNarrow(right.clone()).take();
+
+    let refused = publisher.publish(Order(1)).unwrap_err();
+    assert_eq!((refused.kind, refused.message.0), (DeliveryError::Full, 1));
+    assert!(!left.is_taken.load(Relaxed), "what was taken is given back");
+    drop(held);
+    publisher.publish(Order(2)).unwrap();
+
+    for node in [left, right] {
+        assert_eq!(*lock(&node.got), [2]);
+    }
+    assert_eq!(letters.total(), 0);
+}
+
 #[derive(Clone, crate::Event)]
 #[contract(latched)]
 struct LastSample(u32);
@@ -305,7 +331,7 @@ fn a_node_that_joins_while_an_event_is_published_gets_the_newest_once() {
     let publisher = topics.publisher::<LastSample>("last").unwrap();
     publisher.publish(LastSample(1)).unwrap();
     let (early, late) = (Arc::<Narrow>::default(), Arc::<Narrow>::default());
-    joins(&topics, "last", LastSample::NAME, &early);
+    joins::<LastSample>(&topics, "last", &early);
     assert_eq!(*lock(&early.got), [1]);
     let (joined, joining) = channel();
     let (all, node) = (topics.clone(), late.clone());
@@ -314,7 +340,7 @@ fn a_node_that_joins_while_an_event_is_published_gets_the_newest_once() {
     let kept = joiner.clone();
     *lock(&early.on_send) = Some(Box::new(move || {
         let thread = thread::spawn(move || {
-            joins(&all, "last", LastSample::NAME, &node);
+            joins::<LastSample>(&all, "last", &node);
             joined.send(()).unwrap();
         });
         // Where it need not wait for the publisher, it has joined by then.

@@ -20,6 +20,7 @@ const TYPE_KEYS: &[&str] = &[
     "idempotent",
     "latched",
     "bulk",
+    "when_full",
     "reply",
     "crate",
 ];
@@ -51,6 +52,7 @@ pub(crate) struct TypeAttributes {
     pub(crate) idempotent: bool,
     pub(crate) latched: bool,
     pub(crate) bulk: bool,
+    pub(crate) refuse_when_full: bool,
     /// Where the facade is to be found.
     pub(crate) facade: Path,
 }
@@ -76,6 +78,7 @@ impl TypeAttributes {
             idempotent: false,
             latched: false,
             bulk: false,
+            refuse_when_full: false,
             facade: parse_quote!(::blastema),
         };
         let mut seen = Vec::new();
@@ -94,6 +97,7 @@ impl TypeAttributes {
                 "idempotent" => parsed.idempotent = true,
                 "latched" => parsed.latched = true,
                 "bulk" => parsed.bulk = true,
+                "when_full" => parsed.refuse_when_full = parse_when_full(&meta)?,
                 "reply" => parsed.reply = Some(meta.value()?.parse()?),
                 "crate" => parsed.facade = meta.value()?.parse::<LitStr>()?.parse()?,
                 _ => return Err(unknown(&meta, key, TYPE_KEYS)),
@@ -186,6 +190,9 @@ fn misplaced(key: &str, derive: Derive) -> Option<String> {
         ("latched", Derive::Variable) => {
             Some("a variable gives its value to each reader: remove `latched`".into())
         }
+        ("when_full", Derive::Request | Derive::Variable) => {
+            Some("only an event is published: remove `when_full`".into())
+        }
         ("bulk", Derive::Variable) => {
             Some("a variable travels in messages of the middleware: remove `bulk`".into())
         }
@@ -242,6 +249,20 @@ fn parse_delivery(meta: &ParseNestedMeta<'_>, derive: Derive) -> Result<Ident> {
         };
         Error::new(literal.span(), format!("unknown delivery `{text}`: {hint}"))
     })
+}
+
+/// Reads what becomes of an event for which another node has no capacity; answers whether it is
+/// refused.
+fn parse_when_full(meta: &ParseNestedMeta<'_>) -> Result<bool> {
+    let literal: LitStr = meta.value()?.parse()?;
+    match literal.value().as_str() {
+        "drop" => Ok(false),
+        "refuse" => Ok(true),
+        other => {
+            let reason = format!("unknown `when_full` `{other}`: it is one of `drop`, `refuse`");
+            Err(Error::new(literal.span(), reason))
+        }
+    }
 }
 
 /// Reads the name of a contract.

@@ -113,6 +113,11 @@ fn contract(
             const BULK: bool = true;
         )
     });
+    let refuse_when_full = attributes.refuse_when_full.then(|| {
+        quote!(
+            const REFUSE_WHEN_FULL: bool = true;
+        )
+    });
     let former = from.as_ref().map(|from| {
         // At the earlier version's name, so that a missing conversion is reported there.
         let chain =
@@ -137,6 +142,7 @@ fn contract(
             #idempotent
             #latched
             #bulk
+            #refuse_when_full
             #former
         }
     })

@@ -232,8 +232,12 @@ impl EventForward for Shipped {
         self.0.lock().unwrap().push(event.clone());
     }
 
-    fn reserve(&self, _: usize) -> Reservation {
+    fn reserve(&self, _: usize, _: bool) -> Reservation {
         Reservation::Needless
+    }
+
+    fn full(&self) -> DeliveryError {
+        DeliveryError::Full
     }
 
     fn capacity(&self) -> Pin<Box<dyn Future<Output = ()> + Send>> {

@@ -63,17 +63,25 @@ impl EventForward for PeerForward {
         }
     }
 
-    fn reserve(&self, bytes: usize) -> Reservation {
+    fn reserve(&self, bytes: usize, waits: bool) -> Reservation {
         if self.class.is_none() || !self.send_state.takes_messages() {
             return Reservation::Needless;
         }
-        match self.send_state.take(bytes, self.class) {
+        let taken = match waits {
+            true => self.send_state.take(bytes, self.class),
+            false => self.send_state.take_for_event(bytes, self.class),
+        };
+        match taken {
             Some(credit) => {
                 let target = self.target.clone();
                 Reservation::Taken(Box::new(move |event, sent| target.send(event, sent, credit)))
             }
             None => Reservation::Full,
         }
+    }
+
+    fn full(&self) -> DeliveryError {
+        self.send_state.way_full(self.class.unwrap_or(TrafficClass::Event))
     }
 
     fn capacity(&self) -> Pin<Box<dyn Future<Output = ()> + Send>> {
