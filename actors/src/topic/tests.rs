@@ -4,7 +4,7 @@
 use super::hub::{Batch, EventListener, Hub, HubProgress, ListenerEntry};
 use super::hub_queue::Posted;
 use super::*;
-use blastema_core::{Contract, ContractIdentity};
+use blastema_core::ContractIdentity;
 use blastema_doubles::{paused, settle};
 use std::cell::{Cell, RefCell};
 use std::panic::Location;
