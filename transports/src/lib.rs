@@ -83,5 +83,5 @@ pub use unix::{Unix, UnixConfig};
 #[cfg(feature = "zenoh")]
 pub use zenoh::{
     PutError, ZenohClient, ZenohClientConfig, ZenohConfig, ZenohKey, ZenohKeyUse, ZenohNetwork,
-    ZenohReader, ZenohState,
+    ZenohOpened, ZenohReader, ZenohState,
 };

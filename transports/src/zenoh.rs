@@ -22,7 +22,8 @@ mod client;
 mod ends;
 
 pub use client::{
-    PutError, ZenohClient, ZenohClientConfig, ZenohKey, ZenohKeyUse, ZenohReader, ZenohState,
+    PutError, ZenohClient, ZenohClientConfig, ZenohKey, ZenohKeyUse, ZenohOpened, ZenohReader,
+    ZenohState,
 };
 pub(crate) use ends::{CHUNK, is_chunk};
 

@@ -149,6 +149,20 @@ pub struct ZenohClient {
     session: Mutex<Option<Arc<Notify>>>,
 }
 
+/// Keeps a session open until it is dropped.
+#[must_use = "the session is closed when this is dropped"]
+#[derive(Debug)]
+pub struct ZenohOpened {
+    client: Arc<ZenohClient>,
+    closed: Arc<Notify>,
+}
+
+impl Drop for ZenohOpened {
+    fn drop(&mut self) {
+        self.client.close(&self.closed);
+    }
+}
+
 /// What waits at one key.
 #[derive(Default)]
 struct Waiting {
@@ -212,7 +226,7 @@ impl ZenohClient {
     ///
     /// # Errors
     /// The configuration is refused, or there is no thread to be had.
-    pub fn open(self: &Arc<Self>) -> io::Result<()> {
+    pub fn open(self: &Arc<Self>) -> io::Result<ZenohOpened> {
         let config = self.config.ends().to_zenoh().map_err(io::Error::other)?;
         let closed = Arc::new(Notify::new());
         let mut session = lock(&self.session);
@@ -221,18 +235,21 @@ impl ZenohClient {
         }
         self.state.send_replace(ZenohState::Opening);
         drop(session);
+        let opened = ZenohOpened { client: self.clone(), closed: closed.clone() };
         let (client, failed, own) = (self.clone(), self.clone(), closed.clone());
         on_own_thread(
             move || async move { client.run(config, &closed).await },
             move |why| failed.change(&own, ZenohState::Failed(why)),
-        )
+        )?;
+        Ok(opened)
     }
 
-    /// Closes the session, if it is open. Values that wait are dropped.
-    pub fn close(&self) {
+    /// Closes a session, if no other has taken its place. Values that wait are dropped.
+    fn close(&self, closed: &Arc<Notify>) {
+        closed.notify_one();
         let mut session = lock(&self.session);
-        if let Some(closed) = session.take() {
-            closed.notify_one();
+        if session.take_if(|present| Arc::ptr_eq(present, closed)).is_none() {
+            return;
         }
         self.state.send_replace(ZenohState::Closed);
         for waiting in &self.waiting {
