@@ -2,7 +2,7 @@
 
 use blastema::prelude::*;
 use blastema::{Link, LinkState, Network};
-use blastema_tests::{Process, RobotKeys, addresses, free_addresses, role};
+use blastema_tests::{Process, RobotKeys, free_addresses, role, zenoh_router};
 use std::time::Duration;
 
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -27,32 +27,11 @@ impl Handle<Count> for Counter {
     }
 }
 
-/// A router at the first address, which keeps a connection with the others.
 #[test]
 fn a_process_plays_its_role() {
-    let Some(_) = role() else { return };
-    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
-    let runtime = tokio::runtime::Runtime::new().unwrap();
-    runtime.block_on(async {
-        let mut config = zenoh::Config::default();
-        let at = addresses();
-        let endpoints = |at: &[String]| {
-            let at: Vec<_> = at.iter().map(|one| format!("\"tcp/{one}\"")).collect();
-            format!("[{}]", at.join(","))
-        };
-        for (key, value) in [
-            ("mode", "\"router\""),
-            ("scouting/multicast/enabled", "false"),
-            ("listen/endpoints", &endpoints(&at[..1])),
-            ("connect/endpoints", &endpoints(&at[1..])),
-            ("connect/exit_on_failure", "false"),
-            ("connect/retry", r#"{"period_init_ms":50,"period_max_ms":200}"#),
-        ] {
-            config.insert_json5(key, value).unwrap();
-        }
-        let _router = zenoh::open(config).await.unwrap();
-        std::future::pending::<()>().await;
-    });
+    if role().is_some() {
+        zenoh_router::run();
+    }
 }
 
 /// A node of a robot with the seed `robot`, at the router of its site.

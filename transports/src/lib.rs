@@ -81,4 +81,7 @@ pub use udp::{Udp, UdpConfig};
 #[cfg(feature = "unix")]
 pub use unix::{Unix, UnixConfig};
 #[cfg(feature = "zenoh")]
-pub use zenoh::{ZenohConfig, ZenohNetwork};
+pub use zenoh::{
+    PutError, ZenohClient, ZenohClientConfig, ZenohConfig, ZenohKey, ZenohKeyUse, ZenohNetwork,
+    ZenohOpened, ZenohReader, ZenohState,
+};

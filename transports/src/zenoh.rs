@@ -18,10 +18,20 @@
 //! Zenoh does not say who sends: a session of the same namespace can put frames in any name. What
 //! frames prove is the seal's business.
 
+mod client;
+mod ends;
+
+pub use client::{
+    PutError, ZenohClient, ZenohClientConfig, ZenohKey, ZenohKeyUse, ZenohOpened, ZenohReader,
+    ZenohState,
+};
+pub(crate) use ends::{CHUNK, is_chunk};
+
 use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, SendResult};
 use crate::reach::Reach;
 use blastema_contract::transport::MediumAddress;
 use bytes::Bytes;
+use ends::{Ends, on_own_thread, unopened};
 use std::collections::VecDeque;
 use std::fmt;
 use std::io;
@@ -88,54 +98,14 @@ impl ZenohConfig {
             let ZenohConfig { namespace, name, .. } = self;
             return Some(format!("{namespace}/{name} is no key of Zenoh: {CHUNK}"));
         }
-        let is_alone = self.connect.is_empty() && self.listen.is_empty() && self.file.is_none();
+        let is_alone = self.ends().is_alone();
         is_alone
             .then(|| "it connects to no router: add connect=tcp/ADDRESS:7447 of a router".into())
     }
 
-    fn to_zenoh(&self) -> Result<Config, String> {
-        let mut config = match &self.file {
-            Some(file) => Config::from_file(file).map_err(|error| error.to_string())?,
-            None => Config::default(),
-        };
-        let list = |all: &[String]| {
-            let all: Vec<_> = all.iter().map(|one| format!("{one:?}")).collect();
-            format!("[{}]", all.join(","))
-        };
-        let mut settings = vec![
-            // Who is not described is not looked for.
-            ("scouting/multicast/enabled", "false".to_owned()),
-            ("scouting/gossip/enabled", "false".to_owned()),
-            // It cannot be opened while nothing answers, and then connects again by itself.
-            ("connect/timeout_ms", "2000".to_owned()),
-            ("connect/exit_on_failure", (!self.connect.is_empty()).to_string()),
-            ("listen/exit_on_failure", "true".to_owned()),
-            ("connect/retry", r#"{"period_init_ms":100,"period_max_ms":1000}"#.to_owned()),
-        ];
-        if self.file.is_none() {
-            let mode = if self.listen.is_empty() { r#""client""# } else { r#""peer""# };
-            settings.push(("mode", mode.to_owned()));
-        }
-        if !self.connect.is_empty() {
-            settings.push(("connect/endpoints", list(&self.connect)));
-        }
-        if !self.listen.is_empty() || self.file.is_none() {
-            settings.push(("listen/endpoints", list(&self.listen)));
-        }
-        for (key, value) in settings {
-            config.insert_json5(key, &value).map_err(|error| format!("{key}: {error}"))?;
-        }
-        Ok(config)
+    fn ends(&self) -> Ends<'_> {
+        Ends { connect: &self.connect, listen: &self.listen, file: self.file.as_deref() }
     }
-}
-
-/// What a part of a key may be.
-pub(crate) const CHUNK: &str = "names have letters, digits, `-`, `_` and `.`";
-
-/// Whether a text is one part of a key.
-pub(crate) fn is_chunk(text: &str) -> bool {
-    let is_allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
-    !text.is_empty() && text.len() <= 128 && text.bytes().all(is_allowed)
 }
 
 /// An end of a Zenoh network as a medium.
@@ -203,12 +173,10 @@ impl FrameMedium for ZenohNetwork {
         if let Some(why) = self.config.objection() {
             return Err(io::Error::other(why));
         }
-        let config = self.config.to_zenoh().map_err(io::Error::other)?;
+        let config = self.config.ends().to_zenoh().map_err(io::Error::other)?;
         let (end, own) = (Arc::new(End::default()), self.config.clone());
-        let ours = end.clone();
-        std::thread::Builder::new()
-            .name("blastema-zenoh".to_owned())
-            .spawn(move || run(config, &own, &ours))?;
+        let (ours, failed) = (end.clone(), end.clone());
+        on_own_thread(move || run(config, own, ours), move |why| failed.fail(why))?;
         self.end = Some(end);
         let local = MediumAddress::Own(self.config.name.as_str().into());
         Ok(OpenedMedium { local, mtu: self.config.mtu })
@@ -332,6 +300,10 @@ impl End {
         }
     }
 
+    fn fail(&self, why: String) {
+        self.tell(|shared| shared.failed = Some(why));
+    }
+
     fn receive(&self, sample: &Sample, mtu: usize) {
         let from = sample.key_expr().as_str().rsplit('/').next().filter(|from| is_chunk(from));
         let from = from.filter(|_| sample.payload().len() <= mtu);
@@ -349,66 +321,46 @@ impl End {
     }
 }
 
-/// The thread of Zenoh, until the end is closed.
-fn run(config: Config, own: &ZenohConfig, end: &Arc<End>) {
+/// What the thread of Zenoh does, until the end is closed.
+async fn run(config: Config, own: ZenohConfig, end: Arc<End>) {
     let ZenohConfig { namespace, name, mtu, .. } = own;
-    let fail = |why: String| end.tell(|shared| shared.failed = Some(why));
-    let mut builder = tokio::runtime::Builder::new_multi_thread();
-    let runtime = match builder.worker_threads(1).enable_all().build() {
-        Ok(runtime) => runtime,
-        Err(error) => return fail(format!("no runtime: {error}")),
-    };
-    runtime.block_on(async {
-        let closed = async {
-            while !end.lock().is_closed {
-                end.closed.notified().await;
-            }
-        };
-        let opened = async {
-            let session = zenoh::open(config).await?;
-            let (receiver, mtu) = (end.clone(), *mtu);
-            // It lasts as long as the session.
-            session
-                .declare_subscriber(format!("{namespace}/{name}/*"))
-                .callback(move |sample| receiver.receive(&sample, mtu))
-                .background()
-                .await?;
-            // No end answers; but that comes back when the router has seen what we subscribe to.
-            let seen = session.get(format!("{namespace}/{name}/-")).timeout(SEEN_WITHIN).await?;
-            while seen.recv_async().await.is_ok() {}
-            Ok::<Session, zenoh::Error>(session)
-        };
-        tokio::pin!(closed);
-        let session = tokio::select! {
-            opened = opened => opened,
-            () = &mut closed => return,
-        };
-        let session = match session {
-            Ok(session) => session,
-            Err(error) => {
-                let why = without_source(&error.to_string());
-                return fail(format!("{why}: is the router running, and reachable?"));
-            }
-        };
-        end.tell(|shared| shared.is_open = true);
-        let keys = (namespace.as_str(), name.as_str());
-        tokio::select! {
-            () = send(end, &session, keys, Lane::URGENT) => {}
-            () = send(end, &session, keys, Lane::USUAL) => {}
-            () = closed => {}
+    let closed = async {
+        while !end.lock().is_closed {
+            end.closed.notified().await;
         }
-        // What fails here is over all the same.
-        let _ = session.close().await;
-    });
-    // Zenoh's own tasks may be in the middle of something that blocks.
-    runtime.shutdown_background();
-}
-
-/// Zenoh's errors end with the line of its source, which tells a user nothing.
-fn without_source(error: &str) -> String {
-    let is_source = |at: &usize| error[*at..].contains(".rs:");
-    let source = error.find(" at /").filter(is_source).unwrap_or(error.len());
-    error[..source].trim_end_matches('.').to_owned()
+    };
+    let opened = async {
+        let session = zenoh::open(config).await?;
+        let receiver = end.clone();
+        // It lasts as long as the session.
+        session
+            .declare_subscriber(format!("{namespace}/{name}/*"))
+            .callback(move |sample| receiver.receive(&sample, mtu))
+            .background()
+            .await?;
+        // No end answers; but that comes back when the router has seen what we subscribe to.
+        let seen = session.get(format!("{namespace}/{name}/-")).timeout(SEEN_WITHIN).await?;
+        while seen.recv_async().await.is_ok() {}
+        Ok::<Session, zenoh::Error>(session)
+    };
+    tokio::pin!(closed);
+    let session = tokio::select! {
+        opened = opened => opened,
+        () = &mut closed => return,
+    };
+    let session = match session {
+        Ok(session) => session,
+        Err(error) => return end.fail(unopened(&error)),
+    };
+    end.tell(|shared| shared.is_open = true);
+    let keys = (namespace.as_str(), name.as_str());
+    tokio::select! {
+        () = send(&end, &session, keys, Lane::URGENT) => {}
+        () = send(&end, &session, keys, Lane::USUAL) => {}
+        () = closed => {}
+    }
+    // What fails here is over all the same.
+    let _ = session.close().await;
 }
 
 /// How the frames of one queue go.
@@ -469,19 +421,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_error_of_zenoh_is_shown_without_the_line_of_its_source() {
-        let error = "Unable to connect. Timeout! at /root/zenoh-1.10.2/src/orchestrator.rs:388.";
-        assert_eq!(without_source(error), "Unable to connect. Timeout!");
-        assert_eq!(without_source("no tls at all."), "no tls at all");
-    }
-
-    #[test]
     fn names_are_parts_of_keys_and_an_end_connects_somewhere() {
         let mut config = ZenohConfig::new("fleet/ranger", "base");
         assert!(config.objection().is_some_and(|why| why.contains("add connect=")));
         config.connect.push("tcp/127.0.0.1:7447".to_owned());
         assert_eq!(config.objection(), None);
-        assert!(config.to_zenoh().is_ok());
+        assert!(config.ends().to_zenoh().is_ok());
         for (namespace, name) in
             [("", "base"), ("a//b", "base"), ("a", "b/c"), ("a", "*"), ("$", "b")]
         {

@@ -13,6 +13,8 @@
 //! own.
 
 pub(crate) mod assembly;
+#[cfg(feature = "zenoh")]
+mod bridge;
 mod builder;
 mod checks;
 pub(crate) mod controller;
@@ -35,6 +37,8 @@ mod to_the_end;
 mod tree;
 mod watchdogs;
 
+#[cfg(feature = "zenoh")]
+pub use bridge::ZenohBridge;
 pub use builder::NodeBuilder;
 pub use controller::NodeState;
 pub use error::StartError;

@@ -69,7 +69,7 @@ pub mod plain {
 /// Fields that are written `Vec<u8>`: the same bytes as [`plain`] gives, copied as one piece, which
 /// is 4.7 times as fast.
 pub mod bytes {
-    use serde::de::{Error, Visitor};
+    use serde::de::{Error, SeqAccess, Visitor};
     use serde::{Deserializer, Serializer};
     use std::fmt;
 
@@ -91,7 +91,7 @@ pub mod bytes {
 
     struct Bytes;
 
-    impl Visitor<'_> for Bytes {
+    impl<'de> Visitor<'de> for Bytes {
         type Value = Vec<u8>;
 
         fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -103,6 +103,15 @@ pub mod bytes {
         }
 
         fn visit_byte_buf<E: Error>(self, bytes: Vec<u8>) -> Result<Vec<u8>, E> {
+            Ok(bytes)
+        }
+
+        /// Formats without bytes write numbers, such as JSON.
+        fn visit_seq<A: SeqAccess<'de>>(self, mut numbers: A) -> Result<Vec<u8>, A::Error> {
+            let mut bytes = Vec::new();
+            while let Some(byte) = numbers.next_element()? {
+                bytes.push(byte);
+            }
             Ok(bytes)
         }
     }

@@ -22,6 +22,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("actuator", TO_NET),
     ("directory", TO_NET),
     ("service", TO_DIRECTORY),
+    ("bridge", TO_NET),
     ("parameters", &["arbiter", "component", "variable"]),
 ];
 const TO_REGISTRY: &[&str] =

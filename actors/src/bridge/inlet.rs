@@ -1,0 +1,441 @@
+//! What brings a key of Zenoh in, to a topic.
+//!
+//! Whoever may write to the key may flood it: what is not JSON, does not fit, or is too large is
+//! refused on Zenoh's thread; what fits waits in a bounded queue, of which the oldest goes first,
+//! and only so many events in each span of time are published.
+
+use super::{BridgedContract, json};
+use crate::component::Component;
+use crate::component::Failure;
+use crate::component::cell::ComponentCell;
+use crate::component::context::Context;
+use crate::platform;
+use crate::platform::panics;
+use crate::topic::Publisher;
+use blastema_core::contract::codec;
+use blastema_core::delivery::dead_letters::DeadReason;
+use blastema_core::{DeliveryError, Event, FaultKind, Instant};
+use blastema_transports::ZenohReader;
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+use tokio::sync::Notify;
+
+/// So many events of one key may wait, and so many bytes of text that they came from; one may
+/// always.
+const WAITING_MAX: usize = 64;
+const WAITING_BYTES_MAX: usize = 4 << 20;
+/// So many events are published in each span, so that listeners, and the lists of their threads,
+/// which hold 1024, are not filled from outside.
+const BATCH: usize = 64;
+const SPAN: Duration = Duration::from_millis(10);
+/// A refusal is reported so often at most, and is over so long after the last one.
+const REPORT_EVERY: Duration = Duration::from_secs(1);
+const OVER_AFTER: Duration = Duration::from_secs(60);
+
+/// The most bytes of JSON for events of so many bytes: numbers take up to four times as much, and
+/// small events have the names of their fields.
+fn text_limit(max_size: usize) -> usize {
+    max_size.saturating_mul(4).clamp(16 << 10, 4 << 20)
+}
+
+/// What came from outside and is to be published.
+pub(crate) struct InletQueue<E> {
+    key: String,
+    contract: BridgedContract,
+    waiting: Mutex<Incoming<E>>,
+    more: Notify,
+}
+
+struct Incoming<E> {
+    events: VecDeque<(E, usize)>,
+    bytes: usize,
+    displaced: u64,
+    too_large: u64,
+    misfits: u64,
+    /// Why the last one was refused.
+    why: String,
+}
+
+impl<E: Event> InletQueue<E> {
+    pub(crate) fn new(key: &str, contract: BridgedContract) -> Self {
+        let waiting = Incoming {
+            events: VecDeque::new(),
+            bytes: 0,
+            displaced: 0,
+            too_large: 0,
+            misfits: 0,
+            why: String::new(),
+        };
+        let (key, more) = (key.to_owned(), Notify::new());
+        InletQueue { key, contract, waiting: Mutex::new(waiting), more }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Incoming<E>> {
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Changes what waits, and wakes the inlet.
+    fn tell(&self, change: impl FnOnce(&mut Incoming<E>)) {
+        change(&mut self.lock());
+        self.more.notify_one();
+    }
+
+    fn read(&self, schema: &str, text: &[u8]) -> Result<E, String> {
+        let BridgedContract { layout, tag, .. } = &self.contract;
+        if !schema.is_empty() && schema != tag {
+            let schema: String = schema.chars().take(60).collect();
+            return Err(format!("its encoding says {schema:?}, and this key carries {tag:?}"));
+        }
+        let value = serde_json::from_slice(text).map_err(|error| format!("no JSON: {error}"))?;
+        json::check(&value, layout).map_err(|misfit| misfit.to_string())?;
+        drop(value);
+        // From the text: numbers of 128 bits are more than a parsed one can hold.
+        let event: E = serde_json::from_slice(text).map_err(|error| error.to_string())?;
+        codec::encode(&event, &mut Vec::new()).map_err(|error| error.to_string())?;
+        Ok(event)
+    }
+}
+
+impl<E: Event> ZenohReader for InletQueue<E> {
+    fn limit(&self) -> usize {
+        text_limit(E::MAX_SIZE)
+    }
+
+    fn receive(&self, schema: &str, text: &[u8]) {
+        // To read it runs what is the user's, on a thread of Zenoh's.
+        let read = panics::caught(|| self.read(schema, text));
+        let event = match read.unwrap_or_else(|panicked| Err(format!("to read it {panicked}"))) {
+            Ok(event) => event,
+            Err(why) => {
+                return self.tell(|waiting| {
+                    waiting.misfits += 1;
+                    waiting.why = why;
+                });
+            }
+        };
+        self.tell(|waiting| {
+            waiting.bytes += text.len();
+            waiting.events.push_back((event, text.len()));
+            while waiting.events.len() > WAITING_MAX
+                || waiting.events.len() > 1 && waiting.bytes > WAITING_BYTES_MAX
+            {
+                waiting.pop();
+                waiting.displaced += 1;
+            }
+        });
+    }
+
+    fn refuse(&self, size: Option<usize>) {
+        self.tell(|waiting| match size {
+            Some(size) => {
+                waiting.too_large += 1;
+                waiting.why = format!("{size} bytes, where at most {} are taken", self.limit());
+            }
+            None => {
+                waiting.misfits += 1;
+                waiting.why = "a deletion, and the key is a topic's".into();
+            }
+        });
+    }
+}
+
+impl<E> Incoming<E> {
+    fn pop(&mut self) -> Option<E> {
+        let (event, bytes) = self.events.pop_front()?;
+        self.bytes -= bytes;
+        Some(event)
+    }
+}
+
+/// Publishes what others write to one key.
+pub(crate) struct ZenohInlet<E: Event> {
+    queue: Arc<InletQueue<E>>,
+    topic: String,
+}
+
+impl<E: Event> ZenohInlet<E> {
+    pub(crate) fn new(queue: Arc<InletQueue<E>>, topic: &str) -> Self {
+        ZenohInlet { queue, topic: topic.to_owned() }
+    }
+}
+
+impl<E: Event> Component for ZenohInlet<E> {
+    async fn on_startup(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let publisher = cx.publisher::<E>(&self.topic)?;
+        let work = InletWork {
+            queue: self.queue.clone(),
+            publisher,
+            cell: cx.cell.clone(),
+            span_began: cx.now(),
+            published: 0,
+            refused: 0,
+            last_report: None,
+            last_refusal: None,
+        };
+        cx.spawn(work.run());
+        Ok(())
+    }
+}
+
+/// The task of one incarnation of an inlet.
+struct InletWork<E: Event> {
+    queue: Arc<InletQueue<E>>,
+    publisher: Publisher<E>,
+    cell: Arc<ComponentCell<ZenohInlet<E>>>,
+    /// The span that runs, and how many were published in it.
+    span_began: Instant,
+    published: usize,
+    /// Refusals that are not reported yet.
+    refused: u64,
+    last_report: Option<Instant>,
+    /// While the fault stands.
+    last_refusal: Option<Instant>,
+}
+
+impl<E: Event> InletWork<E> {
+    async fn run(mut self) {
+        loop {
+            match self.publish() {
+                Some(pause) => platform::sleep(pause).await,
+                None => {
+                    let queue = self.queue.clone();
+                    let more = queue.more.notified();
+                    match self.report() {
+                        Some(pause) => drop(tokio::time::timeout(pause, more).await),
+                        None => more.await,
+                    }
+                }
+            }
+        }
+    }
+
+    /// Publishes what the span allows, and says how long to pause if that is less than what waits.
+    fn publish(&mut self) -> Option<Duration> {
+        let now = platform::now();
+        let lasts = now - self.span_began;
+        if lasts >= SPAN {
+            (self.span_began, self.published) = (now, 0);
+        }
+        while self.published < BATCH {
+            // The lock is not held while listeners are served.
+            let event = self.queue.lock().pop()?;
+            self.publisher.publish_or_count(event, None);
+            self.published += 1;
+        }
+        Some(SPAN.saturating_sub(lasts).max(Duration::from_millis(1)))
+    }
+
+    /// Counts and reports what was refused, and says when to look again.
+    fn report(&mut self) -> Option<Duration> {
+        let now = platform::now();
+        let mut waiting = self.queue.lock();
+        let counts = [
+            (DeliveryError::Full, std::mem::take(&mut waiting.displaced)),
+            (
+                DeliveryError::TooLarge { limit: text_limit(E::MAX_SIZE) },
+                std::mem::take(&mut waiting.too_large),
+            ),
+            (
+                DeliveryError::Undecodable { reason: String::new() },
+                std::mem::take(&mut waiting.misfits),
+            ),
+        ];
+        let why = waiting.why.clone();
+        drop(waiting);
+        let refused = counts[1].1 + counts[2].1;
+        for (reason, many) in counts.iter().filter(|(_, many)| *many > 0) {
+            let reason = DeadReason::from(reason);
+            let letters = &self.cell.record.environment.dead_letters;
+            letters.take_many(None, &self.cell.record.name, E::NAME, (reason, *many));
+        }
+        if refused > 0 {
+            self.refused += refused;
+            self.last_refusal = Some(now);
+        }
+        let since = |at: Instant| now - at;
+        if self.refused > 0 {
+            if let Some(last) = self.last_report.filter(|at| since(*at) < REPORT_EVERY) {
+                return Some(REPORT_EVERY - since(last));
+            }
+            let many = std::mem::take(&mut self.refused);
+            self.last_report = Some(now);
+            let key = &self.queue.key;
+            let detail = format!("{many} refused of what was written to {key}; the last: {why}");
+            self.cell.record.declare(FaultKind::CheckFailed, detail);
+        }
+        let last = self.last_refusal?;
+        if since(last) < OVER_AFTER {
+            return Some(OVER_AFTER - since(last));
+        }
+        self.last_refusal = None;
+        self.cell.record.clear(FaultKind::CheckFailed);
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_macros::{Event, Structure};
+    use serde_json::{Value, json};
+    use std::collections::BTreeMap;
+
+    #[derive(Clone, Debug, PartialEq, Structure)]
+    enum Tool {
+        None,
+        Gripper { width: f32 },
+        Welder(u8, u8),
+        Named(String),
+    }
+
+    #[derive(Clone, Debug, PartialEq, Event)]
+    #[contract(name = "inlet/arm", version = 3, max_size = 256)]
+    struct Arm {
+        #[contract(unit = "rad", frame = "base")]
+        joints: [f64; 2],
+        tool: Tool,
+        load: Option<u16>,
+        labels: BTreeMap<u8, String>,
+        raw: Vec<u8>,
+        large: u128,
+        after: Duration,
+        next: Option<Box<Next>>,
+    }
+
+    #[derive(Clone, Debug, PartialEq, Structure)]
+    struct Next {
+        x: i8,
+        then: Option<Box<Next>>,
+    }
+
+    fn arm() -> Arm {
+        let last = Next { x: -3, then: None };
+        Arm {
+            joints: [0.5, -1.25],
+            tool: Tool::Gripper { width: 0.25 },
+            load: Some(7),
+            labels: [(3, "three".to_owned())].into(),
+            raw: vec![0, 255],
+            large: u128::MAX,
+            after: Duration::from_millis(1500),
+            next: Some(Box::new(Next { x: 127, then: Some(Box::new(last)) })),
+        }
+    }
+
+    fn queue() -> InletQueue<Arm> {
+        InletQueue::new("ranger/arm", BridgedContract::of::<Arm>().unwrap())
+    }
+
+    /// The event's JSON with one place changed.
+    fn changed(pointer: &str, to: Value) -> String {
+        let mut value = serde_json::to_value(Arm { large: 0, ..arm() }).unwrap();
+        *value.pointer_mut(pointer).unwrap() = to;
+        value.to_string()
+    }
+
+    #[test]
+    fn what_an_outlet_writes_an_inlet_reads() {
+        let queue = queue();
+        let mut events = vec![arm()];
+        for tool in [Tool::None, Tool::Welder(1, 2), Tool::Named("drill".into())] {
+            events.push(Arm { tool, load: None, next: None, ..arm() });
+        }
+        for event in events {
+            let text = serde_json::to_vec(&event).unwrap();
+            assert_eq!(queue.read("inlet/arm@3", &text), Ok(event));
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_named_by_its_place() {
+        let queue = queue();
+        let refused = |text: &str, says: &str| {
+            let why = queue.read("", text.as_bytes()).unwrap_err();
+            assert!(why.contains(says), "{why}");
+        };
+        refused("{", "no JSON");
+        refused("7", "it is 7, where an object is expected");
+        refused(&changed("/joints/1", json!("left")), r#"`joints[1]` is "left", where f64"#);
+        refused(&changed("/joints", json!([1.0])), "`joints` is an array of 1, where 2");
+        refused(&changed("/load", json!(70_000)), "`load` is 70000, where u16 is expected");
+        refused(&changed("/load", json!(1.5)), "`load` is 1.5, where u16");
+        refused(&changed("/tool", json!("Griper")), r#"`tool` is "Griper": is "Gripper" meant?"#);
+        refused(&changed("/tool", json!("Gripper")), "without its value");
+        refused(&changed("/tool", json!({ "None": 1 })), "with a value");
+        refused(&changed("/tool/Gripper/width", json!(1e300)), "`tool.Gripper.width` is 1e300");
+        refused(&changed("/tool", json!({ "Welder": [1, 256] })), "`tool.Welder[1]` is 256");
+        refused(&changed("/labels", json!({ "many": "" })), "`labels.many` is no key: u8");
+        refused(&changed("/raw", json!("abc")), r#"`raw` is "abc", where an array"#);
+        refused(&changed("/after", json!(1.5)), "`after` is 1.5, where a duration");
+        refused(&changed("/next/then/x", json!(-129)), "`next.then.x` is -129, where i8");
+        refused(&changed("/next", json!({ "x": 1 })), "`next.then` is missing");
+        let more = json!({ "x": 1, "then": null, "y": 2 });
+        refused(&changed("/next", more), "`next.y` is no field: there are x, then");
+        refused(&changed("/raw", json!(vec![255; 300])), "more than the 256 bytes");
+        let deep = "[".repeat(100_000);
+        refused(&deep, "recursion limit");
+
+        let text = serde_json::to_vec(&arm()).unwrap();
+        let why = queue.read("inlet/arm@2", &text).unwrap_err();
+        assert!(why.contains("\"inlet/arm@2\", and this key carries \"inlet/arm@3\""), "{why}");
+    }
+
+    #[test]
+    fn what_waits_is_bounded_and_what_is_refused_is_counted() {
+        let queue = queue();
+        let text = serde_json::to_vec(&arm()).unwrap();
+        for _ in 0..WAITING_MAX + 5 {
+            queue.receive("", &text);
+        }
+        queue.receive("", b"{}");
+        queue.refuse(None);
+        queue.refuse(Some(1 << 30));
+        let waiting = queue.lock();
+        assert_eq!((waiting.events.len(), waiting.displaced), (WAITING_MAX, 5));
+        assert_eq!(waiting.bytes, WAITING_MAX * text.len());
+        assert_eq!((waiting.misfits, waiting.too_large), (2, 1));
+        assert_eq!(waiting.why, "1073741824 bytes, where at most 16384 are taken");
+    }
+
+    #[test]
+    fn what_json_cannot_hold_is_refused_before_it_is_bridged() {
+        #[derive(Clone, Debug, Event)]
+        #[contract(name = "inlet/keys")]
+        struct Keys {
+            map: BTreeMap<(u8, u8), u8>,
+        }
+        #[derive(Clone, Debug, Event)]
+        #[contract(name = "inlet/options")]
+        struct Options {
+            both: Option<Option<u8>>,
+        }
+        let why = BridgedContract::of::<Keys>().unwrap_err();
+        assert!(why.contains("inlet/keys as JSON: a map's keys are texts"), "{why}");
+        let why = BridgedContract::of::<Options>().unwrap_err();
+        assert!(why.contains("an option of an option"), "{why}");
+        let _ = (Keys { map: BTreeMap::new() }.map, Options { both: None }.both);
+    }
+
+    #[test]
+    fn the_schema_says_what_fits() {
+        let schema = BridgedContract::of::<Arm>().unwrap().schema;
+        let schema: Value = serde_json::from_slice(&schema).unwrap();
+        assert_eq!(schema["x-contract"]["name"], "inlet/arm");
+        assert_eq!(schema["x-contract"]["version"], 3);
+        assert_eq!(schema["required"].as_array().unwrap().len(), 8);
+        assert_eq!(schema["properties"]["joints"]["x-unit"], "rad");
+        assert_eq!(schema["properties"]["joints"]["x-frame"], "base");
+        let resolved = |of: &Value| {
+            let place = of["$ref"].as_str().unwrap().trim_start_matches('#');
+            schema.pointer(place).unwrap().clone()
+        };
+        let joints = resolved(&schema["properties"]["joints"]);
+        assert_eq!((&joints["minItems"], &joints["items"]["x-type"]), (&json!(2), &json!("f64")));
+        let tool = resolved(&schema["properties"]["tool"]);
+        assert_eq!(tool["oneOf"][0], json!({ "const": "None" }));
+        assert_eq!(tool["oneOf"][2]["properties"]["Welder"]["maxItems"], 2);
+        let load = resolved(&schema["properties"]["load"]);
+        assert_eq!(load["anyOf"][0]["maximum"], 65_535);
+    }
+}
