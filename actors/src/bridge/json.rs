@@ -1,7 +1,7 @@
 //! JSON that comes from outside, held against the structure of a contract.
 //!
 //! Serde writes and reads the events themselves: every contract has its traits. What it says of a
-//! text that does not fit names a line and a column, and it passes over fields that nobody knows.
+//! text that does not fit names a line and a column, and it passes over unknown fields.
 //! So the text is walked beside the structure first: each misfit is named by its place in the event.
 
 use blastema_core::contract::layout::{Fields, Primitive, Shape};

@@ -123,7 +123,7 @@ impl ZenohBridge {
         self
     }
 
-    /// Publishes on a topic what others write to a key below the namespace. Whoever may write
+    /// Publishes on a topic what others write to a key below the namespace. A client that may write
     /// there, may publish on this topic: the access control of Zenoh's router decides it, not the
     /// keys and the policy of the robot.
     pub fn subscribe<E: Event>(mut self, topic: &str, key: &str) -> Self {

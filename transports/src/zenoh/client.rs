@@ -349,7 +349,7 @@ impl ZenohClient {
         session.declare_queryable(at).complete(true).callback(answer).background().await
     }
 
-    /// Looks whether somebody is at the other end, for ever.
+    /// Looks whether a router or a peer is at the other end, for ever.
     async fn look(&self, session: &Session, own: &Arc<Notify>) {
         let mut was_connected = false;
         loop {
