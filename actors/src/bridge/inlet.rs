@@ -196,16 +196,16 @@ struct InletWork<E: Event> {
 impl<E: Event> InletWork<E> {
     async fn run(mut self) {
         loop {
-            match self.publish() {
-                Some(pause) => platform::sleep(pause).await,
-                None => {
-                    let queue = self.queue.clone();
-                    let more = queue.more.notified();
-                    match self.report() {
-                        Some(pause) => drop(tokio::time::timeout(pause, more).await),
-                        None => more.await,
-                    }
+            let pause = self.publish();
+            // Also in a flood, which leaves no span without a pause.
+            let report = self.report();
+            let queue = self.queue.clone();
+            match (pause, report) {
+                (Some(pause), _) => platform::sleep(pause).await,
+                (None, Some(within)) => {
+                    let _ = tokio::time::timeout(within, queue.more.notified()).await;
                 }
+                (None, None) => queue.more.notified().await,
             }
         }
     }
