@@ -24,20 +24,27 @@ const ADDRESSES: &str = "BLASTEMA_TEST_ADDRESSES";
 
 /// A process that runs this test program in a role. Dropping it kills it.
 ///
-/// The program has a test called `a_process_plays_its_role`, which plays the [`role`] it finds.
+/// The module that starts it, `module_path!()`, has a test called `a_process_plays_its_role`, which plays
+/// the [`role`] it finds.
 pub struct Process(Child);
 
 impl Process {
     /// Starts the role with the addresses of all nodes and more variables of the environment.
-    pub fn start_with(role: &str, addresses: &[String], more: &[(&str, &String)]) -> Self {
+    pub fn start_with(
+        module: &str,
+        role: &str,
+        addresses: &[String],
+        more: &[(&str, &String)],
+    ) -> Self {
         let program = std::env::current_exe().expect("a running program has a path");
-        Process::spawn(Command::new(program), role, addresses, more)
+        Process::spawn(Command::new(program), module, role, addresses, more)
     }
 
     /// The same, as another user, who runs a copy of this program in `folder`. Needs root.
     pub fn start_as(
         user: u32,
         folder: &Path,
+        module: &str,
         role: &str,
         addresses: &[String],
         more: &[(&str, &String)],
@@ -50,17 +57,18 @@ impl Process {
         assert!(copied.expect("there is cp").success());
         let mut program = Command::new(copy);
         program.uid(user);
-        Process::spawn(program, role, addresses, more)
+        Process::spawn(program, module, role, addresses, more)
     }
 
     fn spawn(
         mut program: Command,
+        module: &str,
         role: &str,
         addresses: &[String],
         more: &[(&str, &String)],
     ) -> Self {
         let child = program
-            .args(["--exact", "a_process_plays_its_role", "--nocapture"])
+            .args(["--exact", &role_test(module), "--nocapture"])
             .env(ROLE, role)
             .env(ADDRESSES, addresses.join(","))
             .envs(more.iter().copied())
@@ -182,6 +190,12 @@ where
     async fn handle(&mut self, _: R, _: &mut Context<Self>) -> R::Reply {
         self.0.borrow().clone()
     }
+}
+
+/// The name of the test that plays the roles of a module, which is `module_path!()` there.
+pub fn role_test(module: &str) -> String {
+    let (_, within) = module.split_once("::").expect("a module of a test program");
+    format!("{within}::a_process_plays_its_role")
 }
 
 /// The role that this process was started for, if it was.

@@ -5,17 +5,6 @@ use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// The longest `--for`.
-const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
-/// The shortest `--for`: less than one step of the scenario.
-const SHORTEST: Duration = Duration::from_secs(1);
-
-const EXIT_STATUS: &str = "\
-Exit status:
-  0  every fault was found, located and recovered, and no reliable message was lost or doubled
-  1  a fault was not recovered, or another promise was broken; the table states which
-  2  the command line was wrong, or the demonstration could not be run to its end";
-
 const MONITOR_HELP: &str = "\
 Examples:
   blastema monitor /run/robot/module1.sock
@@ -78,40 +67,17 @@ const WITHIN: RangeInclusive<Duration> = Duration::from_millis(10)..=Duration::f
     name = "blastema",
     version,
     about = "Fault-tolerant middleware for robots",
-    long_about = "Fault-tolerant middleware for robots.\n\n\
-        Without a command, `blastema demo` is run, with its options.",
-    args_conflicts_with_subcommands = true,
-    after_help = EXIT_STATUS
+    arg_required_else_help = true
 )]
 pub(crate) struct Arguments {
-    /// The subcommand; the demonstration if there is none.
+    /// What to do.
     #[command(subcommand)]
-    subcommand: Option<Subcommand>,
-    /// The options of the demonstration, which may be given without its name.
-    #[command(flatten)]
-    demo: DemoOptions,
-}
-
-impl Arguments {
-    /// Returns the subcommand, by default the demonstration.
-    pub(crate) fn into_subcommand(self) -> Subcommand {
-        self.subcommand.unwrap_or(Subcommand::Demo(self.demo))
-    }
+    pub(crate) subcommand: Subcommand,
 }
 
 /// The subcommands of the program.
 #[derive(Clone, Debug, PartialEq, clap::Subcommand)]
 pub(crate) enum Subcommand {
-    /// Start a robot of three processes, kill, hang and unplug parts of it, and show how it
-    /// recovers
-    ///
-    /// Three processes, module1 to module3, run a service robot with a hundred small objects. Two
-    /// networks on loopback addresses and free ports connect them, sealed with keys that are made
-    /// for this run. Ten faults are injected one after the other while numbered messages are sent.
-    /// A terminal shows a live view, any other output gets one line for each step; tables follow at
-    /// the end. It takes less than 30 seconds. Ctrl-C ends all processes.
-    #[command(after_help = EXIT_STATUS)]
-    Demo(DemoOptions),
     /// Show the state of a running node
     ///
     /// Its objects with what the monitor thinks of each, the threads that components live on,
@@ -138,27 +104,6 @@ pub(crate) enum Subcommand {
     /// Order the nodes of a robot what to do with one of them
     #[command(subcommand)]
     Node(NodeJob),
-    /// Run one module of the demonstration's robot; started by the demonstration itself
-    #[command(hide = true)]
-    Module(ModuleOptions),
-}
-
-/// The options of the demonstration.
-#[derive(Args, Clone, Debug, PartialEq)]
-pub(crate) struct DemoOptions {
-    /// Print one JSON document at the end, and nothing else
-    #[arg(long)]
-    pub(crate) json: bool,
-    /// Seed of the times, and with --chaos of the places and kinds, of the injected faults
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub(crate) seed: u64,
-    /// Run for this long, 1s to 24h, such as 60s, 5m, 1h or 1500ms: the scenario is repeated, and
-    /// its last step is finished. Default: the scenario once, or 60s of chaos
-    #[arg(long = "for", value_name = "DURATION", value_parser = parse_duration)]
-    pub(crate) length: Option<Duration>,
-    /// Inject random faults until the time has passed, instead of the scenario
-    #[arg(long)]
-    pub(crate) chaos: bool,
 }
 
 /// The options of the monitor.
@@ -384,30 +329,6 @@ pub(crate) struct FaultListOptions {
     pub(crate) within: Duration,
 }
 
-/// The options with which the demonstration starts one module.
-#[derive(Args, Clone, Debug, PartialEq)]
-pub(crate) struct ModuleOptions {
-    /// The module's name
-    #[arg(long)]
-    pub(crate) name: String,
-    /// The Unix socket on which the demonstration listens
-    #[arg(long)]
-    pub(crate) control: PathBuf,
-    /// The process with which this one ends
-    #[arg(long)]
-    pub(crate) parent: u32,
-    /// The file of the module's key, with the roster beside it
-    #[arg(long, value_name = "FILE")]
-    pub(crate) keys: PathBuf,
-}
-
-fn parse_duration(text: &str) -> Result<Duration, String> {
-    match parse_span(text)? {
-        span if (SHORTEST..=LONGEST).contains(&span) => Ok(span),
-        _ => Err(format!("{text} is not between 1s and 24h")),
-    }
-}
-
 fn parse_node_address(text: &str) -> Result<NodeAddress, String> {
     let form = || format!("{text} is no node with its address: write it as base@10.0.0.1:7400");
     let (node, address) = text.split_once('@').ok_or_else(form)?;
@@ -451,7 +372,7 @@ mod tests {
 
     fn parse(line: &str) -> Result<Subcommand, String> {
         Arguments::try_parse_from(line.split_whitespace())
-            .map(Arguments::into_subcommand)
+            .map(|arguments| arguments.subcommand)
             .map_err(|error| error.to_string())
     }
 
@@ -461,77 +382,15 @@ mod tests {
     }
 
     #[test]
-    fn no_argument_means_the_demonstration_as_it_comes() {
-        let usual = DemoOptions { json: false, seed: 1, length: None, chaos: false };
-        assert_eq!(parse("blastema"), Ok(Subcommand::Demo(usual)));
-        assert_eq!(parse("blastema demo"), parse("blastema"));
-        assert_eq!(parse("blastema --json --seed 7"), parse("blastema demo --json --seed 7"));
-        assert!(parse("blastema --json demo").is_err());
-    }
-
-    #[test]
-    fn every_option_is_understood() {
-        let wanted = DemoOptions {
-            json: true,
-            seed: 42,
-            length: Some(Duration::from_secs(60)),
-            chaos: true,
-        };
-
-        assert_eq!(
-            parse("blastema demo --json --seed 42 --for 60s --chaos"),
-            Ok(Subcommand::Demo(wanted))
-        );
-    }
-
-    #[test]
-    fn a_duration_takes_its_unit_and_nothing_else() {
-        let check = |text, millis| {
-            assert_eq!(parse_duration(text), Ok(Duration::from_millis(millis)), "{text}");
-        };
-        check("1500ms", 1_500);
-        check("60s", 60_000);
-        check("2m", 120_000);
-        check("24h", 86_400_000);
-
-        for (text, told) in [
-            ("60", "did you mean 60s?"),
-            ("s", "does not begin with a whole number"),
-            ("-5s", "is no unit"),
-            ("1.5s", "is no unit"),
-            ("5 s", "is no unit"),
-            ("10ms", "is not between"),
-            ("25h", "is not between"),
-            ("99999999999999999999s", "is not between 1s and 24h"),
-            ("9999999999999999999h", "is not between"),
-        ] {
-            let refusal = parse_duration(text).expect_err(text);
-            assert!(refusal.contains(told), "{text}: {refusal}");
-        }
-    }
-
-    #[test]
     fn what_is_unknown_is_refused_with_the_nearest_right_spelling() {
-        let refusal = parse("blastema demo --sed 4").expect_err("an unknown flag");
+        let refusal = parse("blastema monitor --jso /a").expect_err("an unknown flag");
 
-        assert!(refusal.contains("--seed"), "{refusal}");
+        assert!(refusal.contains("--json"), "{refusal}");
         assert!(parse("blastema dance").is_err());
-        assert!(parse("blastema demo now").is_err());
     }
 
     #[test]
-    fn the_help_tells_the_exit_status_and_hides_the_module() {
-        let help = Arguments::command().render_long_help().to_string();
-        assert!(help.contains("Exit status") && !help.contains("module  "), "{help}");
-        let demo = Arguments::command().find_subcommand_mut("demo").map(|demo| {
-            let help = demo.render_long_help().to_string();
-            for part in
-                ["--json", "--seed <N>", "--for <DURATION>", "1s to 24h", "--chaos", "Exit status"]
-            {
-                assert!(help.contains(part), "{part} is missing in {help}");
-            }
-        });
-        assert!(demo.is_some());
+    fn the_help_tells_what_is_shown_and_the_exit_status() {
         let monitor = Arguments::command().find_subcommand_mut("monitor").map(|monitor| {
             let help = monitor.render_long_help().to_string();
             let parts = [

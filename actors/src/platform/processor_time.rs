@@ -52,27 +52,33 @@ mod tests {
     use std::sync::mpsc;
     use std::thread;
 
-    #[test]
-    fn a_thread_that_works_is_ready_and_uses_time_and_one_that_waits_is_not() {
-        let here = ThreadNumber::here().unwrap();
-        // A thread that has just begun has not been counted yet.
-        let used = || std::iter::repeat_with(|| here.used_while_ready()).find_map(|used| used);
-        let before = used().unwrap();
-        while used().unwrap() < before + Duration::from_millis(10) {}
+    /// On real threads.
+    mod real {
+        use super::*;
 
-        let (sender, receiver) = mpsc::channel();
-        let (end, ended) = mpsc::channel::<()>();
-        let waiter = thread::spawn(move || {
-            sender.send(ThreadNumber::here().unwrap()).unwrap();
-            let _ = ended.recv();
-        });
-        let waiting = receiver.recv().unwrap();
-        while waiting.used_while_ready().is_some() {
-            thread::yield_now();
+        #[test]
+        fn a_thread_that_works_is_ready_and_uses_time_and_one_that_waits_is_not() {
+            let _turn = blastema_doubles::turn();
+            let here = ThreadNumber::here().unwrap();
+            // A thread that has just begun has not been counted yet.
+            let used = || std::iter::repeat_with(|| here.used_while_ready()).find_map(|used| used);
+            let before = used().unwrap();
+            while used().unwrap() < before + Duration::from_millis(10) {}
+
+            let (sender, receiver) = mpsc::channel();
+            let (end, ended) = mpsc::channel::<()>();
+            let waiter = thread::spawn(move || {
+                sender.send(ThreadNumber::here().unwrap()).unwrap();
+                let _ = ended.recv();
+            });
+            let waiting = receiver.recv().unwrap();
+            while waiting.used_while_ready().is_some() {
+                thread::yield_now();
+            }
+
+            drop(end);
+            waiter.join().unwrap();
+            assert_eq!(waiting.used_while_ready(), None);
         }
-
-        drop(end);
-        waiter.join().unwrap();
-        assert_eq!(waiting.used_while_ready(), None);
     }
 }

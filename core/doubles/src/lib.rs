@@ -8,6 +8,8 @@
 //! | [`FakeCrypto`] | the cryptography of sealed frames: fast, and panics when a nonce is used twice |
 //! | [`paused`](fn@paused), [`advance`] | the clock |
 //! | [`Record`] | what a double of your own has seen |
+//! | [`turn`](fn@turn) | nothing: it lets tests on real threads run one after the other |
+//! | [`long`] | nothing: whether long lists of cases are run whole |
 //!
 //! ```
 //! use blastema_contract::transport::{Attach, MediumAddress, Transmit};
@@ -38,6 +40,7 @@ mod network;
 mod paused;
 mod probe;
 mod record;
+mod turn;
 
 pub use fake_crypto::{FakeCipher, FakeCrypto, FakeHandshake, NonceLedger};
 pub use mock_transport::MockTransport;
@@ -45,3 +48,4 @@ pub use network::SimulatedNetwork;
 pub use paused::{advance, now, paused, settle};
 pub use probe::Probe;
 pub use record::{PATIENCE, Record};
+pub use turn::{Turn, long, turn, turn_within};

@@ -10,7 +10,7 @@ use tokio::time::timeout;
 
 /// How long a double waits for a message before the test has failed. Under a paused clock this is
 /// no time at all; with sockets it is long enough for a machine that is busy with other tests.
-pub const PATIENCE: Duration = Duration::from_secs(20);
+pub const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A test that records more than this has lost control of what it tests.
 const LIMIT: usize = 1 << 20;

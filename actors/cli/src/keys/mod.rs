@@ -6,7 +6,6 @@ mod check;
 mod edit;
 mod files;
 mod push;
-pub(crate) mod run_keys;
 mod show;
 
 use self::files::{Existing, PUBLIC, SECRET, check_absent, write};

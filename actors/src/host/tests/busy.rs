@@ -96,156 +96,168 @@ fn longest(steps: &Steps) -> usize {
     runs.map(<[Step]>::len).max().unwrap_or(0)
 }
 
-#[test]
-fn between_two_rounds_of_its_neighbour_a_busy_component_serves_one_message() {
-    actix_rt::System::new().block_on(async {
-        let stage = Stage::on(ArbiterPool::pool(1));
-        let steps = Steps::default();
-        let (_safety, _) = stage.start(safety(&steps)).await;
-        let (_busy, busy) = stage.start(busy("busy", &steps)).await;
-        (0..40).for_each(|_| busy.tell(Load).unwrap());
+/// On real threads.
+mod real {
+    use super::*;
 
-        worked(&steps, 30).await;
+    #[test]
+    fn between_two_rounds_of_its_neighbour_a_busy_component_serves_one_message() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let stage = Stage::on(ArbiterPool::pool(1));
+            let steps = Steps::default();
+            let (_safety, _) = stage.start(safety(&steps)).await;
+            let (_busy, busy) = stage.start(busy("busy", &steps)).await;
+            (0..40).for_each(|_| busy.tell(Load).unwrap());
 
-        assert!(longest(&steps) <= 1, "{steps:?}");
-        stage.environment.arbiters.stop();
-    });
-}
+            worked(&steps, 30).await;
 
-#[test]
-fn two_that_send_to_each_other_leave_their_neighbour_its_rounds() {
-    struct Player {
-        steps: Steps,
-        to: &'static str,
+            assert!(longest(&steps) <= 1, "{steps:?}");
+            stage.environment.arbiters.stop();
+        });
     }
-    impl Component for Player {
-        fn ports(ports: &mut Ports<Self>) {
-            ports.accept::<Load>();
+
+    #[test]
+    fn two_that_send_to_each_other_leave_their_neighbour_its_rounds() {
+        let _turn = blastema_doubles::turn();
+        struct Player {
+            steps: Steps,
+            to: &'static str,
         }
+        impl Component for Player {
+            fn ports(ports: &mut Ports<Self>) {
+                ports.accept::<Load>();
+            }
+        }
+        impl Handle<Load> for Player {
+            async fn handle(&mut self, _: Load, cx: &mut Context<Self>) {
+                burn(30);
+                self.steps.lock().unwrap().push(Step::Work);
+                let _ = cx.sender::<Load>(self.to).map(|to| to.tell(Load));
+            }
+        }
+        actix_rt::System::new().block_on(async {
+            let stage = Stage::on(ArbiterPool::pool(1));
+            let steps = Steps::default();
+            let player = |name, to| {
+                let steps = steps.clone();
+                ChildSpec::new(name, move || Player { steps: steps.clone(), to })
+            };
+            let (_safety, _) = stage.start(safety(&steps)).await;
+            let (_ping, ping) = stage.start(player("ping", "pong")).await;
+            let (_pong, _) = stage.start(player("pong", "ping")).await;
+            ping.tell(Load).unwrap();
+
+            worked(&steps, 30).await;
+
+            assert!(longest(&steps) <= 2, "one of each: {steps:?}");
+            stage.environment.arbiters.stop();
+        });
     }
-    impl Handle<Load> for Player {
-        async fn handle(&mut self, _: Load, cx: &mut Context<Self>) {
-            burn(30);
-            self.steps.lock().unwrap().push(Step::Work);
-            let _ = cx.sender::<Load>(self.to).map(|to| to.tell(Load));
-        }
+
+    #[test]
+    fn listeners_serve_one_event_each_between_rounds_of_a_neighbour() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let stage = Stage::on(ArbiterPool::pool(1));
+            let steps = Steps::default();
+            let (_safety, _) = stage.start(safety(&steps)).await;
+            let (_one, _) = stage.start(busy("one", &steps)).await;
+            let (_two, _) = stage.start(busy("two", &steps)).await;
+            let publisher = stage.environment.topics().publisher::<Load>(Load::NAME).unwrap();
+            (0..16).for_each(|_| publisher.publish(Load).unwrap());
+
+            worked(&steps, 32).await;
+
+            assert!(longest(&steps) <= 2, "{steps:?}");
+            stage.environment.arbiters.stop();
+        });
     }
-    actix_rt::System::new().block_on(async {
-        let stage = Stage::on(ArbiterPool::pool(1));
-        let steps = Steps::default();
-        let player = |name, to| {
-            let steps = steps.clone();
-            ChildSpec::new(name, move || Player { steps: steps.clone(), to })
-        };
-        let (_safety, _) = stage.start(safety(&steps)).await;
-        let (_ping, ping) = stage.start(player("ping", "pong")).await;
-        let (_pong, _) = stage.start(player("pong", "ping")).await;
-        ping.tell(Load).unwrap();
 
-        worked(&steps, 30).await;
+    #[test]
+    fn between_two_rounds_of_its_neighbour_one_task_of_a_component_runs() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let stage = Stage::on(ArbiterPool::pool(1));
+            let steps = Steps::default();
+            let (_safety, _) = stage.start(safety(&steps)).await;
+            let kept = steps.clone();
+            let spec = ChildSpec::new("tasked", move || Tasked(kept.clone()));
+            let (mut tasked, _) = stage.start(spec).await;
 
-        assert!(longest(&steps) <= 2, "one of each: {steps:?}");
-        stage.environment.arbiters.stop();
-    });
-}
+            worked(&steps, 30).await;
 
-#[test]
-fn listeners_serve_one_event_each_between_rounds_of_a_neighbour() {
-    actix_rt::System::new().block_on(async {
-        let stage = Stage::on(ArbiterPool::pool(1));
-        let steps = Steps::default();
-        let (_safety, _) = stage.start(safety(&steps)).await;
-        let (_one, _) = stage.start(busy("one", &steps)).await;
-        let (_two, _) = stage.start(busy("two", &steps)).await;
-        let publisher = stage.environment.topics().publisher::<Load>(Load::NAME).unwrap();
-        (0..16).for_each(|_| publisher.publish(Load).unwrap());
-
-        worked(&steps, 32).await;
-
-        assert!(longest(&steps) <= 2, "{steps:?}");
-        stage.environment.arbiters.stop();
-    });
-}
-
-#[test]
-fn between_two_rounds_of_its_neighbour_one_task_of_a_component_runs() {
-    actix_rt::System::new().block_on(async {
-        let stage = Stage::on(ArbiterPool::pool(1));
-        let steps = Steps::default();
-        let (_safety, _) = stage.start(safety(&steps)).await;
-        let kept = steps.clone();
-        let spec = ChildSpec::new("tasked", move || Tasked(kept.clone()));
-        let (mut tasked, _) = stage.start(spec).await;
-
-        worked(&steps, 30).await;
-
-        assert!(longest(&steps) <= 1, "{steps:?}");
-        tasked.stop();
-        stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
-        stage.environment.arbiters.stop();
-    });
-}
-
-#[test]
-fn a_busy_component_stops_after_one_further_handler() {
-    actix_rt::System::new().block_on(async {
-        let stage = Stage::on(ArbiterPool::pool(1));
-        let steps = Steps::default();
-        let (mut child, busy) = stage.start(busy("busy", &steps)).await;
-        (0..60).for_each(|_| busy.tell(Load).unwrap());
-        worked(&steps, 5).await;
-
-        let before = steps.lock().unwrap().len();
-        child.stop();
-        stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
-
-        let after = steps.lock().unwrap().len();
-        assert!(after - before <= 2, "the one in service, and one more: {before}, {after}");
-        stage.environment.arbiters.stop();
-    });
-}
-
-#[test]
-fn a_component_whose_rounds_and_tasks_take_all_the_time_still_serves_messages() {
-    struct Both(Steps, Log);
-    impl Component for Both {
-        fn ports(ports: &mut Ports<Self>) {
-            ports.accept::<Load>();
-        }
-        async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-            let steps = self.0.clone();
-            cx.spawn(async move {
-                loop {
-                    burn(10);
-                    steps.lock().unwrap().push(Step::Work);
-                    tokio::task::yield_now().await;
-                }
-            });
-            Ok(())
-        }
-        async fn on_execute(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-            burn(10);
-            self.0.lock().unwrap().push(Step::Round);
-            Ok(())
-        }
+            assert!(longest(&steps) <= 1, "{steps:?}");
+            tasked.stop();
+            stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
+            stage.environment.arbiters.stop();
+        });
     }
-    impl Handle<Load> for Both {
-        async fn handle(&mut self, _: Load, _: &mut Context<Self>) {
-            self.1.lock().unwrap().push(1);
-        }
+
+    #[test]
+    fn a_busy_component_stops_after_one_further_handler() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let stage = Stage::on(ArbiterPool::pool(1));
+            let steps = Steps::default();
+            let (mut child, busy) = stage.start(busy("busy", &steps)).await;
+            (0..60).for_each(|_| busy.tell(Load).unwrap());
+            worked(&steps, 5).await;
+
+            let before = steps.lock().unwrap().len();
+            child.stop();
+            stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
+
+            let after = steps.lock().unwrap().len();
+            assert!(after - before <= 2, "the one in service, and one more: {before}, {after}");
+            stage.environment.arbiters.stop();
+        });
     }
-    actix_rt::System::new().block_on(async {
-        let stage = Stage::on(ArbiterPool::pool(1));
-        let (steps, served) = (Steps::default(), Log::default());
-        let (kept, log) = (steps.clone(), served.clone());
-        let spec = ChildSpec::new("both", move || Both(kept.clone(), log.clone())).rate_hz(200.0);
-        let (_both, both) = stage.start(spec).await;
-        (0..5).for_each(|_| both.tell(Load).unwrap());
 
-        worked(&steps, 15).await;
+    #[test]
+    fn a_component_whose_rounds_and_tasks_take_all_the_time_still_serves_messages() {
+        let _turn = blastema_doubles::turn();
+        struct Both(Steps, Log);
+        impl Component for Both {
+            fn ports(ports: &mut Ports<Self>) {
+                ports.accept::<Load>();
+            }
+            async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+                let steps = self.0.clone();
+                cx.spawn(async move {
+                    loop {
+                        burn(10);
+                        steps.lock().unwrap().push(Step::Work);
+                        tokio::task::yield_now().await;
+                    }
+                });
+                Ok(())
+            }
+            async fn on_execute(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+                burn(10);
+                self.0.lock().unwrap().push(Step::Round);
+                Ok(())
+            }
+        }
+        impl Handle<Load> for Both {
+            async fn handle(&mut self, _: Load, _: &mut Context<Self>) {
+                self.1.lock().unwrap().push(1);
+            }
+        }
+        actix_rt::System::new().block_on(async {
+            let stage = Stage::on(ArbiterPool::pool(1));
+            let (steps, served) = (Steps::default(), Log::default());
+            let (kept, log) = (steps.clone(), served.clone());
+            let spec =
+                ChildSpec::new("both", move || Both(kept.clone(), log.clone())).rate_hz(200.0);
+            let (_both, both) = stage.start(spec).await;
+            (0..5).for_each(|_| both.tell(Load).unwrap());
 
-        assert_eq!(logged(&served), [1; 5]);
-        assert!(steps.lock().unwrap().contains(&Step::Round));
-        stage.environment.arbiters.stop();
-    });
+            worked(&steps, 15).await;
+
+            assert_eq!(logged(&served), [1; 5]);
+            assert!(steps.lock().unwrap().contains(&Step::Round));
+            stage.environment.arbiters.stop();
+        });
+    }
 }

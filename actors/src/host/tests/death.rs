@@ -174,35 +174,6 @@ fn a_panic_anywhere_in_a_component_is_its_death() {
 }
 
 #[test]
-fn an_incarnation_whose_arbiter_goes_away_is_reported_as_aborted() {
-    let system = actix_rt::System::new();
-    system.block_on(async {
-        let stage = Stage::on(crate::arbiter::pool::ArbiterPool::pool(1));
-        let (_child, acc) = stage.start(acc("acc").0).await;
-        let asked = spawn_local({
-            let acc = acc.clone();
-            async move { acc.ask(Slow(3_600_000)).await }
-        });
-        settle().await;
-
-        stage.environment.arbiters.stop();
-
-        let exited = stage.exits.expect().await;
-        assert_eq!((exited.exit, exited.restarted_as), (ExitReason::Aborted, None));
-        let why = asked.await.unwrap().unwrap_err().kind;
-        assert!(
-            matches!(
-                why,
-                DeliveryError::PeerDied { .. }
-                    | DeliveryError::Stopped
-                    | DeliveryError::DeadlinePassed
-            ),
-            "{why}"
-        );
-    });
-}
-
-#[test]
 fn a_handler_that_waits_for_ever_is_given_up_on_the_same_arbiter() {
     paused(async {
         let stage = Stage::new();
@@ -330,4 +301,39 @@ fn a_component_that_ends_itself_has_returned_and_keeps_its_queue() {
         settle().await;
         assert_eq!(logged(&log), [1]);
     });
+}
+
+/// On real threads.
+mod real {
+    use super::*;
+
+    #[test]
+    fn an_incarnation_whose_arbiter_goes_away_is_reported_as_aborted() {
+        let _turn = blastema_doubles::turn();
+        let system = actix_rt::System::new();
+        system.block_on(async {
+            let stage = Stage::on(crate::arbiter::pool::ArbiterPool::pool(1));
+            let (_child, acc) = stage.start(acc("acc").0).await;
+            let asked = spawn_local({
+                let acc = acc.clone();
+                async move { acc.ask(Slow(3_600_000)).await }
+            });
+            settle().await;
+
+            stage.environment.arbiters.stop();
+
+            let exited = stage.exits.expect().await;
+            assert_eq!((exited.exit, exited.restarted_as), (ExitReason::Aborted, None));
+            let why = asked.await.unwrap().unwrap_err().kind;
+            assert!(
+                matches!(
+                    why,
+                    DeliveryError::PeerDied { .. }
+                        | DeliveryError::Stopped
+                        | DeliveryError::DeadlinePassed
+                ),
+                "{why}"
+            );
+        });
+    }
 }

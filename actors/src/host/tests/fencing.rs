@@ -81,39 +81,6 @@ fn thread(publisher: Publisher<Reading>) -> (Sender<u64>, Receiver<Option<Delive
 }
 
 #[test]
-fn a_publisher_in_a_thread_is_fenced_with_its_incarnation() {
-    actix_rt::System::new().block_on(async {
-        let stage = Stage::on(ArbiterPool::pool(1));
-        let bench = Bench::default();
-        let (spec, log) = ear();
-        let (_ear, _) = stage.start(spec).await;
-        let (mut child, source) = stage.start(source(&bench)).await;
-        child.set_restart_grant(order(5));
-        let first = bench.publishers.lock().unwrap()[0].clone();
-        let (tell, answers) = thread(first);
-
-        tell.send(1).unwrap();
-        assert_eq!(answers.recv().unwrap(), None);
-        source.tell(boom("x")).unwrap();
-        stage.exits.expect().await;
-        tell.send(2).unwrap();
-        assert_eq!(answers.recv().unwrap(), Some(DeliveryError::Fenced));
-        while bench.publishers.lock().unwrap().len() < 2 {
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
-        let second = bench.publishers.lock().unwrap()[1].clone();
-        second.publish(Reading(3)).unwrap();
-        while log.lock().unwrap().len() < 2 {
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
-
-        assert_eq!(logged(&log), [1, 3], "nothing of the first incarnation after its end");
-        assert_eq!(stage.environment.dead_letters.total(), 1, "the message that killed, no more");
-        stage.environment.arbiters.stop();
-    });
-}
-
-#[test]
 fn a_publisher_is_fenced_when_its_incarnation_is_given_up_or_stopped() {
     paused(async {
         let stage = Stage::new();
@@ -162,4 +129,47 @@ fn what_an_isolated_component_publishes_without_a_result_is_counted() {
         let counted = stage.environment.dead_letters.count(&topic, DeadReason::Isolated);
         assert_eq!(counted, 5);
     });
+}
+
+/// On real threads.
+mod real {
+    use super::*;
+
+    #[test]
+    fn a_publisher_in_a_thread_is_fenced_with_its_incarnation() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let stage = Stage::on(ArbiterPool::pool(1));
+            let bench = Bench::default();
+            let (spec, log) = ear();
+            let (_ear, _) = stage.start(spec).await;
+            let (mut child, source) = stage.start(source(&bench)).await;
+            child.set_restart_grant(order(5));
+            let first = bench.publishers.lock().unwrap()[0].clone();
+            let (tell, answers) = thread(first);
+
+            tell.send(1).unwrap();
+            assert_eq!(answers.recv().unwrap(), None);
+            source.tell(boom("x")).unwrap();
+            stage.exits.expect().await;
+            tell.send(2).unwrap();
+            assert_eq!(answers.recv().unwrap(), Some(DeliveryError::Fenced));
+            while bench.publishers.lock().unwrap().len() < 2 {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+            let second = bench.publishers.lock().unwrap()[1].clone();
+            second.publish(Reading(3)).unwrap();
+            while log.lock().unwrap().len() < 2 {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+
+            assert_eq!(logged(&log), [1, 3], "nothing of the first incarnation after its end");
+            assert_eq!(
+                stage.environment.dead_letters.total(),
+                1,
+                "the message that killed, no more"
+            );
+            stage.environment.arbiters.stop();
+        });
+    }
 }

@@ -145,113 +145,6 @@ fn name(text: &str) -> ObjectName {
 
 const LONG: Duration = Duration::from_secs(30);
 
-#[test]
-fn a_hang_is_fenced_and_replaced_with_its_queue() {
-    actix_rt::System::new().block_on(async {
-        let site = Site::new(1, LONG).await;
-        let (mut child, blocker) = site.stage.start(site.blocker("blocker")).await;
-        let (spec, _) = acc("neighbour");
-        let (_neighbour, neighbour) = site.stage.start(spec).await;
-        let hung = tokio::task::spawn_local({
-            let blocker = blocker.clone();
-            async move { blocker.ask_within(Block(1), LONG).await }
-        });
-        let (culprit, incarnation, during, victims) = site.hangs().await;
-        assert_eq!((culprit, incarnation, during), (name("blocker"), Incarnation(1), "Block"));
-        assert_eq!(victims, [name("neighbour")]);
-        blocker.tell(Said(5)).unwrap();
-        let here = NodeName::new("here").unwrap();
-        let location = FaultLocation::Object(ObjectAddress::new(here.clone(), name("blocker")));
-        let mut row = MonitorRow::blank(location, ObjectKind::Component);
-        row.incarnation = Incarnation(1);
-        site.stage.environment.watch_list.show_in(&here, std::slice::from_mut(&mut row));
-        let CurrentHandler { during, .. } = row.current.unwrap();
-        assert_eq!(during, "Block");
-        assert_eq!(row.queue.unwrap().queued, 1);
-
-        child.abandon();
-        let died = hung.await.unwrap().unwrap_err().kind;
-        assert_eq!(
-            died,
-            DeliveryError::PeerDied { incarnation: Incarnation(1) },
-            "while it still blocks"
-        );
-        assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
-        site.until("its queue came along", || logged(&site.received) == [5]).await;
-
-        let early = site.sighted.drain();
-        assert!(!early.iter().any(|s| matches!(s, LivenessReported::Resumed { .. })), "{early:?}");
-        site.open.send(()).unwrap();
-        assert_eq!(neighbour.ask_within(super::Add(3), LONG).await, Ok(3));
-        assert_eq!(neighbour.incarnation(), Incarnation(1), "it never moved");
-        assert_eq!(*site.refusals.lock().unwrap(), [Some(DeliveryError::Fenced)]);
-        assert_eq!(logged(&site.received), [0; 0], "what the zombie said went nowhere");
-        assert_eq!(site.stage.environment.arbiters.abandoned(), 0);
-        let resumed = site.sighted.wait(|s| matches!(s, LivenessReported::Resumed { .. })).await;
-        assert_eq!(resumed, LivenessReported::Resumed { objects: [name("neighbour")].into() });
-        site.stage.environment.arbiters.stop();
-    });
-}
-
-#[test]
-fn components_of_a_lost_arbiter_move_with_their_queues() {
-    actix_rt::System::new().block_on(async {
-        let site = Site::new(1, Duration::from_millis(100)).await;
-        let reported = Arc::new(Mutex::new(vec![]));
-        let kept = reported.clone();
-        let arbiters = &site.stage.environment.arbiters;
-        arbiters.on_abandoned(Box::new(move |lost| kept.lock().unwrap().push(lost.clone())));
-        let (mut child, blocker) = site.stage.start(site.blocker("blocker")).await;
-        let (mut moving, neighbour) = site.stage.start(site.blocker("neighbour")).await;
-        blocker.tell(Block(1)).unwrap();
-        site.hangs().await;
-        neighbour.tell(Said(7)).unwrap();
-        let topics = &site.stage.environment.topics();
-        topics.publisher("news").unwrap().publish(Said(8)).unwrap();
-
-        child.abandon();
-        let lost =
-            site.sighted.wait(|sighted| matches!(sighted, LivenessReported::Lost { .. })).await;
-        let (culprit, victims) = (name("blocker"), [name("neighbour")].into());
-        assert_eq!(lost, LivenessReported::Lost { culprit, victims });
-        assert_eq!(arbiters.abandoned(), 1);
-        assert_eq!(*reported.lock().unwrap(), [[(name("blocker"), 1)].into()]);
-        moving.abandon();
-        assert_eq!(site.stage.begin(&mut *moving, 2).await, ChildEvent::Started);
-        site.until("queue and events came along", || site.received.lock().unwrap().len() == 2)
-            .await;
-        assert_eq!(logged(&site.received), [7, 8]);
-        assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
-        site.until("the event, too", || logged(&site.received) == [8]).await;
-
-        site.open.send(()).unwrap();
-        site.until("the thread ends", || arbiters.abandoned() == 0).await;
-        assert_eq!(*site.refusals.lock().unwrap(), [Some(DeliveryError::Fenced)]);
-        assert_eq!(neighbour.incarnation(), Incarnation(2));
-        arbiters.stop();
-    });
-}
-
-#[test]
-fn a_hang_on_a_thread_of_its_own_takes_nobody_along() {
-    actix_rt::System::new().block_on(async {
-        let site = Site::new(1, Duration::from_millis(100)).await;
-        let (mut child, blocker) = site.stage.start(site.blocker("blocker").on_own_thread()).await;
-        blocker.tell(Block(1)).unwrap();
-        let (culprit, _, _, victims) = site.hangs().await;
-        assert_eq!((culprit, victims), (name("blocker"), vec![]));
-
-        child.abandon();
-        assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
-        let arbiters = &site.stage.environment.arbiters;
-        site.until("the thread is given up", || arbiters.abandoned() == 1).await;
-
-        site.open.send(()).unwrap();
-        site.until("the thread ends", || arbiters.abandoned() == 0).await;
-        arbiters.stop();
-    });
-}
-
 /// Has its listener start a task that blocks.
 #[derive(Clone, Event)]
 struct Spawn;
@@ -267,26 +160,6 @@ impl Handle<Spawn> for Spawner {
         let gate = self.0.clone();
         cx.spawn(async move { gate.lock().unwrap().recv().unwrap() });
     }
-}
-
-#[test]
-fn a_task_that_hangs_is_named_and_not_the_handler_that_was_served_last() {
-    actix_rt::System::new().block_on(async {
-        let site = Site::new(1, LONG).await;
-        let gate = site.gate.clone();
-        let spec = ChildSpec::new("spawner", move || Spawner(gate.clone()));
-        let spec = spec.max_block(Duration::from_millis(100));
-        let (mut child, spawner) = site.stage.start(spec).await;
-
-        spawner.tell(Spawn).unwrap();
-        let (culprit, _, during, _) = site.hangs().await;
-        assert_eq!((culprit, during), (name("spawner"), "a task of its own"));
-
-        child.abandon();
-        site.open.send(()).unwrap();
-        site.until("the thread goes on", || site.stage.environment.arbiters.abandoned() == 0).await;
-        site.stage.environment.arbiters.stop();
-    });
 }
 
 /// Blocks its listener.
@@ -316,64 +189,6 @@ impl Handle<Hold> for Witness {
     async fn handle(&mut self, _: Hold, _: &mut Context<Self>) {
         self.0.tell(Said(9)).unwrap();
     }
-}
-
-#[test]
-fn a_listener_that_hangs_in_an_event_is_the_culprit() {
-    actix_rt::System::new().block_on(async {
-        let site = Site::new(1, LONG).await;
-        let gate = site.gate.clone();
-        let spec = ChildSpec::new("holder", move || Holder(gate.clone()));
-        let (mut child, _) = site.stage.start(spec.max_block(Duration::from_millis(100))).await;
-        let ear = site.ear.clone();
-        let spec = ChildSpec::new("witness", move || Witness(ear.clone()));
-        let (_witness, witness) = site.stage.start(spec).await;
-        let topics = &site.stage.environment.topics();
-        let publisher = topics.publisher::<Hold>(<Hold as blastema_core::Contract>::NAME).unwrap();
-
-        publisher.publish(Hold).unwrap();
-        let (culprit, _, during, victims) = site.hangs().await;
-        assert_eq!((culprit, during), (name("holder"), "Hold"));
-        assert_eq!(victims, [name("witness")]);
-        child.abandon();
-        site.open.send(()).unwrap();
-
-        site.until("it speaks", || logged(&site.received) == [9]).await;
-        assert_eq!(witness.incarnation(), Incarnation(1));
-        assert_eq!(site.stage.exits.drain(), []);
-        site.stage.environment.arbiters.stop();
-    });
-}
-
-#[test]
-fn events_that_a_lost_arbiter_was_handing_out_come_along() {
-    actix_rt::System::new().block_on(async {
-        let site = Site::new(1, Duration::from_millis(100)).await;
-        let gate = site.gate.clone();
-        let spec = ChildSpec::new("holder", move || Holder(gate.clone()));
-        let spec = spec.max_block(Duration::from_millis(100));
-        let (mut culprit, _) = site.stage.start(spec).await;
-        let ear = site.ear.clone();
-        let spec = ChildSpec::new("witness", move || Witness(ear.clone()));
-        let (mut victim, witness) = site.stage.start(spec).await;
-        let topics = &site.stage.environment.topics();
-        let publisher = topics.publisher::<Hold>(<Hold as blastema_core::Contract>::NAME).unwrap();
-
-        publisher.publish(Hold).unwrap();
-        site.hangs().await;
-        publisher.publish(Hold).unwrap();
-        culprit.abandon();
-        site.sighted.wait(|sighted| matches!(sighted, LivenessReported::Lost { .. })).await;
-        victim.abandon();
-        assert_eq!(site.stage.begin(&mut *victim, 2).await, ChildEvent::Started);
-
-        site.until("both events came along", || site.received.lock().unwrap().len() == 2).await;
-        assert_eq!(witness.incarnation(), Incarnation(2));
-        site.open.send(()).unwrap();
-        site.until("the thread ends", || site.stage.environment.arbiters.abandoned() == 0).await;
-        assert_eq!(logged(&site.received), [9, 9], "the old incarnation is fenced");
-        site.stage.environment.arbiters.stop();
-    });
 }
 
 /// Gives signs of life until it is told not to.
@@ -498,31 +313,238 @@ impl Handle<Said> for Relapsing {
     }
 }
 
-#[test]
-fn a_death_is_told_while_the_replacement_keeps_its_thread() {
-    actix_rt::System::new().block_on(async {
-        let site = Site::new(1, Duration::from_secs(60)).await;
-        let gate = site.gate.clone();
-        let spec = ChildSpec::new("relapsing", move || Relapsing(gate.clone()));
-        let (mut child, relapsing) =
-            site.stage.start(spec.max_block(Duration::from_secs(60))).await;
-        child.set_restart_grant(order(1));
-        relapsing.tell(Said(0)).unwrap();
-        relapsing.tell(Said(1)).unwrap();
+/// On real threads.
+mod real {
+    use super::*;
 
-        site.open.send(()).unwrap();
+    #[test]
+    fn a_hang_is_fenced_and_replaced_with_its_queue() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let site = Site::new(1, LONG).await;
+            let (mut child, blocker) = site.stage.start(site.blocker("blocker")).await;
+            let (spec, _) = acc("neighbour");
+            let (_neighbour, neighbour) = site.stage.start(spec).await;
+            let hung = tokio::task::spawn_local({
+                let blocker = blocker.clone();
+                async move { blocker.ask_within(Block(1), LONG).await }
+            });
+            let (culprit, incarnation, during, victims) = site.hangs().await;
+            assert_eq!((culprit, incarnation, during), (name("blocker"), Incarnation(1), "Block"));
+            assert_eq!(victims, [name("neighbour")]);
+            blocker.tell(Said(5)).unwrap();
+            let here = NodeName::new("here").unwrap();
+            let location = FaultLocation::Object(ObjectAddress::new(here.clone(), name("blocker")));
+            let mut row = MonitorRow::blank(location, ObjectKind::Component);
+            row.incarnation = Incarnation(1);
+            site.stage.environment.watch_list.show_in(&here, std::slice::from_mut(&mut row));
+            let CurrentHandler { during, .. } = row.current.unwrap();
+            assert_eq!(during, "Block");
+            assert_eq!(row.queue.unwrap().queued, 1);
 
-        let exited = site.stage.exits.wait(|exited| exited.object == *child.name()).await;
-        assert_eq!(
-            (exited.incarnation, exited.restarted_as),
-            (Incarnation(1), Some(Incarnation(2)))
-        );
-        let died =
-            |event: &ChildEvent| matches!(event, ChildEvent::Died { restarted_as: Some(_), .. });
-        site.stage.reports.wait(|report| died(&report.event)).await;
-        assert_eq!(site.stage.exits.drain(), [], "once");
-        site.open.send(()).unwrap();
-        child.stop();
-        site.stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
-    });
+            child.abandon();
+            let died = hung.await.unwrap().unwrap_err().kind;
+            assert_eq!(
+                died,
+                DeliveryError::PeerDied { incarnation: Incarnation(1) },
+                "while it still blocks"
+            );
+            assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
+            site.until("its queue came along", || logged(&site.received) == [5]).await;
+
+            let early = site.sighted.drain();
+            assert!(
+                !early.iter().any(|s| matches!(s, LivenessReported::Resumed { .. })),
+                "{early:?}"
+            );
+            site.open.send(()).unwrap();
+            assert_eq!(neighbour.ask_within(super::super::Add(3), LONG).await, Ok(3));
+            assert_eq!(neighbour.incarnation(), Incarnation(1), "it never moved");
+            assert_eq!(*site.refusals.lock().unwrap(), [Some(DeliveryError::Fenced)]);
+            assert_eq!(logged(&site.received), [0; 0], "what the zombie said went nowhere");
+            assert_eq!(site.stage.environment.arbiters.abandoned(), 0);
+            let resumed =
+                site.sighted.wait(|s| matches!(s, LivenessReported::Resumed { .. })).await;
+            assert_eq!(resumed, LivenessReported::Resumed { objects: [name("neighbour")].into() });
+            site.stage.environment.arbiters.stop();
+        });
+    }
+
+    #[test]
+    fn components_of_a_lost_arbiter_move_with_their_queues() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let site = Site::new(1, Duration::from_millis(100)).await;
+            let reported = Arc::new(Mutex::new(vec![]));
+            let kept = reported.clone();
+            let arbiters = &site.stage.environment.arbiters;
+            arbiters.on_abandoned(Box::new(move |lost| kept.lock().unwrap().push(lost.clone())));
+            let (mut child, blocker) = site.stage.start(site.blocker("blocker")).await;
+            let (mut moving, neighbour) = site.stage.start(site.blocker("neighbour")).await;
+            blocker.tell(Block(1)).unwrap();
+            site.hangs().await;
+            neighbour.tell(Said(7)).unwrap();
+            let topics = &site.stage.environment.topics();
+            topics.publisher("news").unwrap().publish(Said(8)).unwrap();
+
+            child.abandon();
+            let lost =
+                site.sighted.wait(|sighted| matches!(sighted, LivenessReported::Lost { .. })).await;
+            let (culprit, victims) = (name("blocker"), [name("neighbour")].into());
+            assert_eq!(lost, LivenessReported::Lost { culprit, victims });
+            assert_eq!(arbiters.abandoned(), 1);
+            assert_eq!(*reported.lock().unwrap(), [[(name("blocker"), 1)].into()]);
+            moving.abandon();
+            assert_eq!(site.stage.begin(&mut *moving, 2).await, ChildEvent::Started);
+            site.until("queue and events came along", || site.received.lock().unwrap().len() == 2)
+                .await;
+            assert_eq!(logged(&site.received), [7, 8]);
+            assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
+            site.until("the event, too", || logged(&site.received) == [8]).await;
+
+            site.open.send(()).unwrap();
+            site.until("the thread ends", || arbiters.abandoned() == 0).await;
+            assert_eq!(*site.refusals.lock().unwrap(), [Some(DeliveryError::Fenced)]);
+            assert_eq!(neighbour.incarnation(), Incarnation(2));
+            arbiters.stop();
+        });
+    }
+
+    #[test]
+    fn a_hang_on_a_thread_of_its_own_takes_nobody_along() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let site = Site::new(1, Duration::from_millis(100)).await;
+            let (mut child, blocker) =
+                site.stage.start(site.blocker("blocker").on_own_thread()).await;
+            blocker.tell(Block(1)).unwrap();
+            let (culprit, _, _, victims) = site.hangs().await;
+            assert_eq!((culprit, victims), (name("blocker"), vec![]));
+
+            child.abandon();
+            assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
+            let arbiters = &site.stage.environment.arbiters;
+            site.until("the thread is given up", || arbiters.abandoned() == 1).await;
+
+            site.open.send(()).unwrap();
+            site.until("the thread ends", || arbiters.abandoned() == 0).await;
+            arbiters.stop();
+        });
+    }
+
+    #[test]
+    fn a_task_that_hangs_is_named_and_not_the_handler_that_was_served_last() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let site = Site::new(1, LONG).await;
+            let gate = site.gate.clone();
+            let spec = ChildSpec::new("spawner", move || Spawner(gate.clone()));
+            let spec = spec.max_block(Duration::from_millis(100));
+            let (mut child, spawner) = site.stage.start(spec).await;
+
+            spawner.tell(Spawn).unwrap();
+            let (culprit, _, during, _) = site.hangs().await;
+            assert_eq!((culprit, during), (name("spawner"), "a task of its own"));
+
+            child.abandon();
+            site.open.send(()).unwrap();
+            site.until("the thread goes on", || site.stage.environment.arbiters.abandoned() == 0)
+                .await;
+            site.stage.environment.arbiters.stop();
+        });
+    }
+
+    #[test]
+    fn a_listener_that_hangs_in_an_event_is_the_culprit() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let site = Site::new(1, LONG).await;
+            let gate = site.gate.clone();
+            let spec = ChildSpec::new("holder", move || Holder(gate.clone()));
+            let (mut child, _) = site.stage.start(spec.max_block(Duration::from_millis(100))).await;
+            let ear = site.ear.clone();
+            let spec = ChildSpec::new("witness", move || Witness(ear.clone()));
+            let (_witness, witness) = site.stage.start(spec).await;
+            let topics = &site.stage.environment.topics();
+            let publisher =
+                topics.publisher::<Hold>(<Hold as blastema_core::Contract>::NAME).unwrap();
+
+            publisher.publish(Hold).unwrap();
+            let (culprit, _, during, victims) = site.hangs().await;
+            assert_eq!((culprit, during), (name("holder"), "Hold"));
+            assert_eq!(victims, [name("witness")]);
+            child.abandon();
+            site.open.send(()).unwrap();
+
+            site.until("it speaks", || logged(&site.received) == [9]).await;
+            assert_eq!(witness.incarnation(), Incarnation(1));
+            assert_eq!(site.stage.exits.drain(), []);
+            site.stage.environment.arbiters.stop();
+        });
+    }
+
+    #[test]
+    fn events_that_a_lost_arbiter_was_handing_out_come_along() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let site = Site::new(1, Duration::from_millis(100)).await;
+            let gate = site.gate.clone();
+            let spec = ChildSpec::new("holder", move || Holder(gate.clone()));
+            let spec = spec.max_block(Duration::from_millis(100));
+            let (mut culprit, _) = site.stage.start(spec).await;
+            let ear = site.ear.clone();
+            let spec = ChildSpec::new("witness", move || Witness(ear.clone()));
+            let (mut victim, witness) = site.stage.start(spec).await;
+            let topics = &site.stage.environment.topics();
+            let publisher =
+                topics.publisher::<Hold>(<Hold as blastema_core::Contract>::NAME).unwrap();
+
+            publisher.publish(Hold).unwrap();
+            site.hangs().await;
+            publisher.publish(Hold).unwrap();
+            culprit.abandon();
+            site.sighted.wait(|sighted| matches!(sighted, LivenessReported::Lost { .. })).await;
+            victim.abandon();
+            assert_eq!(site.stage.begin(&mut *victim, 2).await, ChildEvent::Started);
+
+            site.until("both events came along", || site.received.lock().unwrap().len() == 2).await;
+            assert_eq!(witness.incarnation(), Incarnation(2));
+            site.open.send(()).unwrap();
+            site.until("the thread ends", || site.stage.environment.arbiters.abandoned() == 0)
+                .await;
+            assert_eq!(logged(&site.received), [9, 9], "the old incarnation is fenced");
+            site.stage.environment.arbiters.stop();
+        });
+    }
+
+    #[test]
+    fn a_death_is_told_while_the_replacement_keeps_its_thread() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let site = Site::new(1, Duration::from_secs(60)).await;
+            let gate = site.gate.clone();
+            let spec = ChildSpec::new("relapsing", move || Relapsing(gate.clone()));
+            let (mut child, relapsing) =
+                site.stage.start(spec.max_block(Duration::from_secs(60))).await;
+            child.set_restart_grant(order(1));
+            relapsing.tell(Said(0)).unwrap();
+            relapsing.tell(Said(1)).unwrap();
+
+            site.open.send(()).unwrap();
+
+            let exited = site.stage.exits.wait(|exited| exited.object == *child.name()).await;
+            assert_eq!(
+                (exited.incarnation, exited.restarted_as),
+                (Incarnation(1), Some(Incarnation(2)))
+            );
+            let died = |event: &ChildEvent| {
+                matches!(event, ChildEvent::Died { restarted_as: Some(_), .. })
+            };
+            site.stage.reports.wait(|report| died(&report.event)).await;
+            assert_eq!(site.stage.exits.drain(), [], "once");
+            site.open.send(()).unwrap();
+            child.stop();
+            site.stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
+        });
+    }
 }

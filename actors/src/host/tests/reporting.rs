@@ -120,28 +120,6 @@ fn an_incarnation_that_is_given_up_leaves_the_report_of_the_incarnation_before_i
     });
 }
 
-#[test]
-fn a_death_at_a_hub_is_reported_though_the_arbiter_ends_first() {
-    let system = actix_rt::System::new();
-    system.block_on(async {
-        let stage = Stage::on(ArbiterPool::pool(1));
-        let (_child, picky) = stage.start(picky("picky").0).await;
-        let cell = picky.0.clone();
-        let arbiter = cell.record.arbiter().unwrap().arbiter;
-
-        arbiter.handle.spawn_fn(move || {
-            let executor = crate::host::executor::executor_here(&cell).unwrap().upgrade().unwrap();
-            executor
-                .borrow_mut()
-                .die_of(Box::new("in a condition"), "a condition of a subscription");
-            actix_rt::Arbiter::current().stop();
-        });
-
-        let exited = stage.exits.expect().await;
-        assert!(matches!(exited.exit, ExitReason::Panicked { .. }), "{exited:?}");
-    });
-}
-
 /// Panics on each sample; what was left of its first incarnation blocks until the test lets it go.
 struct Clingy {
     held: Option<Arc<Held>>,
@@ -191,31 +169,6 @@ impl Drop for Clingy {
     }
 }
 
-#[test]
-fn a_panic_whose_drop_blocks_is_reported_once() {
-    actix_rt::System::new().block_on(async {
-        let stage = Stage::on(ArbiterPool::pool(1));
-        let (open, held) = Held::new();
-        let first = Mutex::new(Some(held.clone()));
-        let spec = ChildSpec::new("clingy", move || Clingy { held: first.lock().unwrap().take() });
-        let (mut child, clingy) = stage.start(spec).await;
-
-        clingy.tell(Sample(7)).unwrap();
-        held.until_a_thread_waits().await;
-        child.abandon();
-
-        let exited = stage.exits.expect().await;
-        let ExitReason::Panicked { text, .. } = &exited.exit else { panic!("{exited:?}") };
-        assert_eq!((text.as_str(), exited.incarnation), ("7 breaks it", Incarnation(1)));
-        assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);
-        drop(open);
-        clingy.tell(Sample(8)).unwrap();
-        let next = stage.exits.expect().await;
-        assert_eq!(next.incarnation, Incarnation(2), "the first was told once");
-        stage.environment.arbiters.stop();
-    });
-}
-
 /// Panics, and what the handler had blocks as the panic unwinds.
 struct Trap(Arc<Held>);
 
@@ -238,62 +191,6 @@ impl Handle<Sample> for Trap {
         let _local = (n == 7).then_some(Local(&self.0));
         panic!("{n} springs it");
     }
-}
-
-#[test]
-fn a_panic_whose_unwinding_blocks_is_reported_once() {
-    actix_rt::System::new().block_on(async {
-        let stage = Stage::on(ArbiterPool::pool(1));
-        let (open, held) = Held::new();
-        let of = held.clone();
-        let (mut child, trap) = stage.start(ChildSpec::new("trap", move || Trap(of.clone()))).await;
-
-        trap.tell(Sample(7)).unwrap();
-        held.until_a_thread_waits().await;
-        child.abandon();
-
-        let exited = tokio::time::timeout(Duration::from_secs(30), stage.exits.expect()).await;
-        let exited = exited.expect("the panic is reported while it unwinds");
-        let ExitReason::Panicked { text, at, during } = &exited.exit else { panic!("{exited:?}") };
-        assert_eq!((text.as_str(), exited.incarnation), ("7 springs it", Incarnation(1)));
-        assert!(at.contains("reporting.rs:") && during.contains("Sample"), "{exited:?}");
-        assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);
-        drop(open);
-        trap.tell(Sample(8)).unwrap();
-        let next = stage.exits.expect().await;
-        assert_eq!(next.incarnation, Incarnation(2), "the first was told once");
-        stage.environment.arbiters.stop();
-    });
-}
-
-#[test]
-fn a_panic_is_reported_though_the_factory_of_the_next_incarnation_blocks() {
-    actix_rt::System::new().block_on(async {
-        let stage = Stage::on(ArbiterPool::pool(1));
-        let ((_open, held), incarnations) = (Held::new(), AtomicU64::new(0));
-        let blocks = held.clone();
-        let spec = ChildSpec::new("clingy", move || {
-            if incarnations.fetch_add(1, Relaxed) == 1 {
-                blocks.wait();
-            }
-            Clingy { held: None }
-        });
-        let (mut child, clingy) = stage.start(spec).await;
-        child.set_restart_grant(order(1));
-
-        clingy.tell(Sample(7)).unwrap();
-        held.until_a_thread_waits().await;
-        child.abandon();
-
-        let exited = stage.exits.expect().await;
-        assert_eq!(exited.restarted_as, Some(Incarnation(2)));
-        assert!(matches!(exited.exit, ExitReason::Panicked { .. }), "{exited:?}");
-        // Told before, where the panic had used the turn up.
-        stage.reports.drain();
-        assert_eq!(stage.begin(&mut *child, 3).await, ChildEvent::Started);
-        assert_eq!(stage.exits.drain(), []);
-        stage.environment.arbiters.stop();
-    });
 }
 
 thread_local! {
@@ -350,52 +247,171 @@ impl Handle<Remnant> for Hoard {
     async fn handle(&mut self, _: Remnant, _: &mut Context<Self>) {}
 }
 
-#[test]
-fn a_supervisors_thread_drops_no_message_of_an_abandoned_incarnation() {
-    actix_rt::System::new().block_on(async {
-        KEEPS.set(true);
-        let stage = Stage::on(ArbiterPool::pool(1));
-        let (mut child, hoard) = stage.start(ChildSpec::new("hoard", || Hoard)).await;
-        child.abandon();
-        (0..3).for_each(|n| hoard.tell(Remnant(n)).unwrap());
+/// On real threads.
+mod real {
+    use super::*;
 
-        child.stop();
+    #[test]
+    fn a_death_at_a_hub_is_reported_though_the_arbiter_ends_first() {
+        let _turn = blastema_doubles::turn();
+        let system = actix_rt::System::new();
+        system.block_on(async {
+            let stage = Stage::on(ArbiterPool::pool(1));
+            let (_child, picky) = stage.start(picky("picky").0).await;
+            let cell = picky.0.clone();
+            let arbiter = cell.record.arbiter().unwrap().arbiter;
 
-        while OTHER_DROPS.load(Relaxed) < 3 {
+            arbiter.handle.spawn_fn(move || {
+                let executor =
+                    crate::host::executor::executor_here(&cell).unwrap().upgrade().unwrap();
+                executor
+                    .borrow_mut()
+                    .die_of(Box::new("in a condition"), "a condition of a subscription");
+                actix_rt::Arbiter::current().stop();
+            });
+
+            let exited = stage.exits.expect().await;
+            assert!(matches!(exited.exit, ExitReason::Panicked { .. }), "{exited:?}");
+        });
+    }
+
+    #[test]
+    fn a_panic_whose_drop_blocks_is_reported_once() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let stage = Stage::on(ArbiterPool::pool(1));
+            let (open, held) = Held::new();
+            let first = Mutex::new(Some(held.clone()));
+            let spec =
+                ChildSpec::new("clingy", move || Clingy { held: first.lock().unwrap().take() });
+            let (mut child, clingy) = stage.start(spec).await;
+
+            clingy.tell(Sample(7)).unwrap();
+            held.until_a_thread_waits().await;
+            child.abandon();
+
+            let exited = stage.exits.expect().await;
+            let ExitReason::Panicked { text, .. } = &exited.exit else { panic!("{exited:?}") };
+            assert_eq!((text.as_str(), exited.incarnation), ("7 breaks it", Incarnation(1)));
+            assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);
+            drop(open);
+            clingy.tell(Sample(8)).unwrap();
+            let next = stage.exits.expect().await;
+            assert_eq!(next.incarnation, Incarnation(2), "the first was told once");
+            stage.environment.arbiters.stop();
+        });
+    }
+
+    #[test]
+    fn a_panic_whose_unwinding_blocks_is_reported_once() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let stage = Stage::on(ArbiterPool::pool(1));
+            let (open, held) = Held::new();
+            let of = held.clone();
+            let (mut child, trap) =
+                stage.start(ChildSpec::new("trap", move || Trap(of.clone()))).await;
+
+            trap.tell(Sample(7)).unwrap();
+            held.until_a_thread_waits().await;
+            child.abandon();
+
+            let exited = tokio::time::timeout(Duration::from_secs(30), stage.exits.expect()).await;
+            let exited = exited.expect("the panic is reported while it unwinds");
+            let ExitReason::Panicked { text, at, during } = &exited.exit else {
+                panic!("{exited:?}")
+            };
+            assert_eq!((text.as_str(), exited.incarnation), ("7 springs it", Incarnation(1)));
+            assert!(at.contains("reporting.rs:") && during.contains("Sample"), "{exited:?}");
+            assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);
+            drop(open);
+            trap.tell(Sample(8)).unwrap();
+            let next = stage.exits.expect().await;
+            assert_eq!(next.incarnation, Incarnation(2), "the first was told once");
+            stage.environment.arbiters.stop();
+        });
+    }
+
+    #[test]
+    fn a_panic_is_reported_though_the_factory_of_the_next_incarnation_blocks() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let stage = Stage::on(ArbiterPool::pool(1));
+            let ((_open, held), incarnations) = (Held::new(), AtomicU64::new(0));
+            let blocks = held.clone();
+            let spec = ChildSpec::new("clingy", move || {
+                if incarnations.fetch_add(1, Relaxed) == 1 {
+                    blocks.wait();
+                }
+                Clingy { held: None }
+            });
+            let (mut child, clingy) = stage.start(spec).await;
+            child.set_restart_grant(order(1));
+
+            clingy.tell(Sample(7)).unwrap();
+            held.until_a_thread_waits().await;
+            child.abandon();
+
+            let exited = stage.exits.expect().await;
+            assert_eq!(exited.restarted_as, Some(Incarnation(2)));
+            assert!(matches!(exited.exit, ExitReason::Panicked { .. }), "{exited:?}");
+            // Told before, where the panic had used the turn up.
+            stage.reports.drain();
+            assert_eq!(stage.begin(&mut *child, 3).await, ChildEvent::Started);
+            assert_eq!(stage.exits.drain(), []);
+            stage.environment.arbiters.stop();
+        });
+    }
+
+    #[test]
+    fn a_supervisors_thread_drops_no_message_of_an_abandoned_incarnation() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            KEEPS.set(true);
+            let stage = Stage::on(ArbiterPool::pool(1));
+            let (mut child, hoard) = stage.start(ChildSpec::new("hoard", || Hoard)).await;
+            child.abandon();
+            (0..3).for_each(|n| hoard.tell(Remnant(n)).unwrap());
+
+            child.stop();
+
+            while OTHER_DROPS.load(Relaxed) < 3 {
+                assert_eq!(KEEPER_DROPS.load(Relaxed), 0);
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
             assert_eq!(KEEPER_DROPS.load(Relaxed), 0);
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
-        assert_eq!(KEEPER_DROPS.load(Relaxed), 0);
-        stage.environment.arbiters.stop();
-    });
-}
+            stage.environment.arbiters.stop();
+        });
+    }
 
-#[test]
-fn a_message_whose_drop_blocks_on_return_delays_no_other() {
-    actix_rt::System::new().block_on(async {
-        let stage = Stage::on(ArbiterPool::pool(1));
-        let (open, held) = Held::new();
-        *BURDEN.lock().unwrap() = Some(held.clone());
-        let (mut child, hoard) = stage.start(ChildSpec::new("hoard", || Hoard)).await;
-        child.abandon();
-        (1..=3).for_each(|n| hoard.tell(Burden(n)).unwrap());
+    #[test]
+    fn a_message_whose_drop_blocks_on_return_delays_no_other() {
+        let _turn = blastema_doubles::turn();
+        actix_rt::System::new().block_on(async {
+            let stage = Stage::on(ArbiterPool::pool(1));
+            let (open, held) = Held::new();
+            *BURDEN.lock().unwrap() = Some(held.clone());
+            let (mut child, hoard) = stage.start(ChildSpec::new("hoard", || Hoard)).await;
+            child.abandon();
+            (1..=3).for_each(|n| hoard.tell(Burden(n)).unwrap());
 
-        child.stop();
-        held.until_a_thread_waits().await;
-        stage.environment.callbacks.look(Duration::from_secs(60));
+            child.stop();
+            held.until_a_thread_waits().await;
+            stage.environment.callbacks.look(Duration::from_secs(60));
 
-        let fault = stage.faults.expect().await;
-        assert_eq!((fault.object.as_str(), fault.kind), ("hoard", FaultKind::CheckFailed));
-        assert!(fault.detail.contains("Burden has blocked its thread"), "{}", fault.detail);
-        assert_eq!(stage.environment.arbiters.lost()[&fault.object], 1);
-        while BURDENS_DROPPED.load(Relaxed) < 2 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
-        drop(open);
-        while stage.environment.arbiters.abandoned() > 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
-        assert_eq!(BURDENS_DROPPED.load(Relaxed), 3);
-        stage.environment.arbiters.stop();
-    });
+            let fault = stage.faults.expect().await;
+            assert_eq!((fault.object.as_str(), fault.kind), ("hoard", FaultKind::CheckFailed));
+            assert!(fault.detail.contains("Burden has blocked its thread"), "{}", fault.detail);
+            assert_eq!(stage.environment.arbiters.lost()[&fault.object], 1);
+            while BURDENS_DROPPED.load(Relaxed) < 2 {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+            drop(open);
+            while stage.environment.arbiters.abandoned() > 0 {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+            assert_eq!(BURDENS_DROPPED.load(Relaxed), 3);
+            stage.environment.arbiters.stop();
+        });
+    }
 }

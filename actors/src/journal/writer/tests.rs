@@ -64,37 +64,43 @@ fn a_record_that_cannot_be_read_is_requested_again() {
     });
 }
 
-#[test]
-fn the_thread_ends_with_its_node_though_its_queue_was_full() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("faults");
-    paused(async {
-        let (mut actor, guard) = journal(&path, &Arc::default());
-        for id in 1..=QUEUE as u64 {
-            let fault = Fault {
-                id: FaultId(id),
-                severity: FaultKind::Panic.severity(),
-                kind: FaultKind::Panic,
-                location: FaultLocation::Object("a:arm".parse().unwrap()),
-                incarnation: Incarnation::FIRST,
-                detail: String::new(),
-                found_at: Instant::ORIGIN,
-                symptom_of: None,
-                count: 1,
-            };
-            let step = Work::Step(Box::new(Now::read().blank(fault)));
-            assert!(actor.queue.try_send(step).is_ok());
-        }
-        guard.ends.set("a test".to_owned()).unwrap();
-        assert!(matches!(actor.queue.try_send(Work::End), Err(TrySendError::Full(_))));
+/// On real threads.
+mod real {
+    use super::*;
 
-        let thread = actor.thread.take().unwrap();
-        let recipient = actor.start().recipient();
-        std::thread::spawn(move || thread.run(&recipient));
+    #[test]
+    fn the_thread_ends_with_its_node_though_its_queue_was_full() {
+        let _turn = blastema_doubles::turn();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("faults");
+        paused(async {
+            let (mut actor, guard) = journal(&path, &Arc::default());
+            for id in 1..=QUEUE as u64 {
+                let fault = Fault {
+                    id: FaultId(id),
+                    severity: FaultKind::Panic.severity(),
+                    kind: FaultKind::Panic,
+                    location: FaultLocation::Object("a:arm".parse().unwrap()),
+                    incarnation: Incarnation::FIRST,
+                    detail: String::new(),
+                    found_at: Instant::ORIGIN,
+                    symptom_of: None,
+                    count: 1,
+                };
+                let step = Work::Step(Box::new(Now::read().blank(fault)));
+                assert!(actor.queue.try_send(step).is_ok());
+            }
+            guard.ends.set("a test".to_owned()).unwrap();
+            assert!(matches!(actor.queue.try_send(Work::End), Err(TrySendError::Full(_))));
 
-        let ended = guard.ended.recv_timeout(TIMEOUT);
-        assert_eq!(ended, Err(std::sync::mpsc::RecvTimeoutError::Disconnected));
-    });
-    let entries = read(&path).unwrap();
-    assert!(entries.iter().any(|entry| entry.code == NODE_ENDED));
+            let thread = actor.thread.take().unwrap();
+            let recipient = actor.start().recipient();
+            std::thread::spawn(move || thread.run(&recipient));
+
+            let ended = guard.ended.recv_timeout(TIMEOUT);
+            assert_eq!(ended, Err(std::sync::mpsc::RecvTimeoutError::Disconnected));
+        });
+        let entries = read(&path).unwrap();
+        assert!(entries.iter().any(|entry| entry.code == NODE_ENDED));
+    }
 }

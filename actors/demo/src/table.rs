@@ -1,0 +1,281 @@
+//! The tables at the end of a run, with the figures of the paper.
+
+use super::report::{
+    DeliveryTimes, FaultRow, LatencySummary, Report, ResponseTimes, counted, millis,
+};
+use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table, presets};
+use std::fmt::Write;
+use std::time::Duration;
+
+/// Text and tables are not wrapped to less.
+const NARROWEST: u16 = 40;
+/// Text is not wrapped to more.
+const WIDEST: u16 = 124;
+
+/// Returns the tables as text, wrapped to `columns` where their words permit it.
+pub(crate) fn draw(report: &Report, columns: u16) -> String {
+    let mut text = String::from("\n");
+    // Writing to a string cannot fail.
+    let _ = writeln!(text, "{}", faults(report, columns).trim_fmt());
+    if report.rows_left_out > 0 {
+        let rows = counted(report.rows_left_out, "earlier row");
+        text += &wrapped(&format!("({rows} without a problem)"), columns);
+    }
+    for problem in problems(report) {
+        text += &wrapped(&format!("! {problem}"), columns);
+    }
+    text.push('\n');
+    let _ = writeln!(text, "{}\n", latencies(report, columns).trim_fmt());
+    for note in &report.notes {
+        text += &wrapped(note, columns);
+    }
+    text.push('\n');
+    text + &wrapped(&verdict(report), columns)
+}
+
+fn faults(report: &Report, columns: u16) -> Table {
+    let mut table = table(columns);
+    table.set_header([
+        "",
+        "fault",
+        "where",
+        "found as",
+        "found",
+        "recovered",
+        "lost",
+        "doubled",
+        "symptoms",
+    ]);
+    for column in [0, 4, 5, 6, 7, 8] {
+        right_aligned(&mut table, column);
+    }
+    table.add_rows(report.rows.iter().map(|row| {
+        let recovered = figure(row.recovered_after);
+        let besides = [(row.perished, 'p'), (row.returned, 'd')].into_iter();
+        let besides = besides.filter(|(count, _)| *count > 0);
+        let besides: String = besides.map(|(count, mark)| format!("+{count}{mark} ")).collect();
+        [
+            row.number.to_string(),
+            row.fault.to_owned(),
+            row.location.clone(),
+            row.named.as_ref().map_or("-".into(), |named| format!("{} {}", named.code, named.text)),
+            figure(row.detected_after),
+            if row.from_repair { format!("{recovered} r") } else { recovered },
+            format!("{besides}{}", row.lost),
+            row.doubled.to_string(),
+            row.symptoms.to_string(),
+        ]
+    }));
+    table
+}
+
+/// Everything that broke a promise, each with its fault.
+fn problems(report: &Report) -> Vec<String> {
+    let in_rows = report.rows.iter().flat_map(|row| {
+        let FaultRow { number, fault, location, .. } = row;
+        row.problems.iter().map(move |problem| format!("{number} {fault} in {location}: {problem}"))
+    });
+    in_rows.chain(report.problems.iter().cloned()).collect()
+}
+
+fn latencies(report: &Report, columns: u16) -> Table {
+    let mut table = table(columns);
+    table.set_header(["latency", "over", "times", "mean", "median", "99 %", "worst", "paper c"]);
+    for column in 2..8 {
+        right_aligned(&mut table, column);
+    }
+    let row = |what: String, over: &str, summary: &LatencySummary, paper: String| {
+        let LatencySummary { count, mean, median, p99, worst, .. } = *summary;
+        let figures = [mean, median, p99, worst].map(figure);
+        [what, over.to_owned(), count.to_string()].into_iter().chain(figures).chain([paper])
+    };
+    for ResponseTimes { modules: [one, other], over, figures, paper_mean_ms } in &report.responses {
+        let what = format!("request {one}-{other}");
+        table.add_row(row(what, over, figures, format!("{paper_mean_ms:.3}")));
+    }
+    for DeliveryTimes { filtered, figures } in &report.events {
+        let what = if *filtered { "event, filtered" } else { "event, unfiltered" };
+        table.add_row(row(what.to_owned(), "", figures, String::new()));
+    }
+    table
+}
+
+fn verdict(report: &Report) -> String {
+    let sum = &report.messages;
+    let rows = report.rows.len() as u64 + report.rows_left_out;
+    let is_broken =
+        !report.problems.is_empty() || report.rows.iter().any(|row| !row.problems.is_empty());
+    let verdict = match (report.promises_kept, report.finished) {
+        (true, _) => "Every promise was kept",
+        (false, false) if !is_broken => "The run was ended early",
+        (false, _) => "A promise was broken",
+    };
+    let late = match report.late {
+        0 => String::new(),
+        late => format!(" ({late} that a row counts as lost arrived late)"),
+    };
+    let returned = match sum.returned {
+        0 => String::new(),
+        returned => format!(", {returned} returned as dead letters"),
+    };
+    let busy = match report.overloads {
+        0 => String::new(),
+        count => format!(
+            " The computer was too busy for the robot: {} found where none was injected.",
+            counted(count, "overload")
+        ),
+    };
+    format!(
+        "{verdict}: {} in {:.1} s, seed {}; reliable messages: {} lost{late}, {} doubled{returned}.{busy}",
+        counted(rows, "fault"),
+        report.took.as_secs_f64(),
+        report.seed,
+        sum.lost,
+        sum.doubled
+    )
+}
+
+fn table(columns: u16) -> Table {
+    let mut table = Table::new();
+    table
+        .load_style(presets::NOTHING)
+        .set_content_arrangement(ContentArrangement::Dynamic)
+        .set_width(columns.max(NARROWEST));
+    table
+}
+
+fn right_aligned(table: &mut Table, column: usize) {
+    if let Some(column) = table.column_mut(column) {
+        column.set_cell_alignment(CellAlignment::Right);
+        column.set_constraint(ColumnConstraint::ContentWidth);
+    }
+}
+
+/// One paragraph, with the end of its last line.
+fn wrapped(text: &str, columns: u16) -> String {
+    let mut table = table(columns.min(WIDEST));
+    table.add_row([text]);
+    if let Some(column) = table.column_mut(0) {
+        column.set_padding((0, 0));
+    }
+    table.trim_fmt() + "\n"
+}
+
+/// Milliseconds, with more decimals for smaller figures.
+fn figure(span: Option<Duration>) -> String {
+    let Some(span) = span else { return "-".into() };
+    match millis(span) {
+        millis if millis >= 100.0 => format!("{millis:.0}"),
+        millis if millis >= 10.0 => format!("{millis:.1}"),
+        millis => format!("{millis:.3}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flow_accounting::FlowLosses;
+    use crate::golden;
+    use crate::report::{NOTES, ReportedFault, paper_figure};
+    use crate::robot::Module;
+    use crate::robot_state::Measured;
+    use crate::timings::Timings;
+
+    fn row(number: u32, fault: &'static str, location: &str, named: (&str, &str)) -> FaultRow {
+        let (code, text) = named;
+        FaultRow {
+            number,
+            fault,
+            location: location.into(),
+            named: Some(ReportedFault {
+                code: code.into(),
+                text: text.into(),
+                location: location.into(),
+                detail: String::new(),
+            }),
+            detected_after: Some(Duration::from_nanos(21_400)),
+            recovered_after: Some(Duration::from_micros(65)),
+            from_repair: false,
+            lost: 0,
+            doubled: 0,
+            perished: 0,
+            returned: 0,
+            symptoms: 0,
+            paper: paper_figure(fault),
+            problems: vec![],
+        }
+    }
+
+    pub(crate) fn report() -> Report {
+        let mut rows = vec![
+            row(1, "panic", "module1:skin/17", ("B01", "panic")),
+            row(2, "cable cut", "module1 -ethernet- module2", ("B11", "link down")),
+            row(3, "both cables cut, return", "module1 - module2", ("B13", "node lost")),
+            row(4, "kill -9, rejoin", "module3", ("B13", "node lost")),
+        ];
+        rows[2].from_repair = true;
+        rows[2].returned = 240;
+        rows[3].recovered_after = None;
+        rows[3].lost = 2;
+        rows[3].perished = 14;
+        rows[3].symptoms = 15;
+        rows[3].problems = vec!["service is not back".into(), "2 messages were lost".into()];
+        let mut timings = Timings::default();
+        for micros in [40, 55, 1_200] {
+            timings.record(Duration::from_micros(micros));
+        }
+        let pairs = [(Module::Module1, Module::Module2), (Module::Module2, Module::Module3)];
+        let measured = Measured {
+            responses: pairs.map(|pair| (pair, timings.clone())).into(),
+            unfiltered: timings,
+            ..Measured::default()
+        };
+        let mut report = Report {
+            promises_kept: false,
+            finished: true,
+            seed: 1,
+            chaos: false,
+            took: Duration::from_millis(21_345),
+            rows,
+            rows_left_out: 3,
+            problems: vec!["module2 named hang in module2:laser, where nothing was done".into()],
+            messages: FlowLosses { lost: 2, doubled: 0, perished: 14, returned: 240 },
+            late: 0,
+            received: 9_000,
+            overloads: 3,
+            responses: vec![],
+            events: vec![],
+            notes: NOTES.into(),
+        };
+        report.take_measured(&measured);
+        report
+    }
+
+    #[test]
+    fn the_tables_state_each_fault_and_the_papers_figures() {
+        golden::check("table.txt", &draw(&report(), 140));
+    }
+
+    #[test]
+    fn a_narrow_terminal_gets_wrapped_tables() {
+        golden::check("table_narrow.txt", &draw(&report(), 80));
+    }
+
+    #[test]
+    fn the_document_holds_what_the_table_shows() {
+        let mut document = serde_json::to_string_pretty(&report()).expect("plain data");
+        document.push('\n');
+        golden::check("report.json", &document);
+    }
+
+    #[test]
+    fn a_figure_has_as_many_places_as_say_something() {
+        let check = |nanos, wanted| assert_eq!(figure(Some(Duration::from_nanos(nanos))), wanted);
+        check(0, "0.000");
+        check(21_400, "0.021");
+        check(9_999_000, "9.999");
+        check(11_123_000, "11.1");
+        check(1_234_567_000, "1235");
+        assert_eq!(figure(None), "-");
+    }
+}

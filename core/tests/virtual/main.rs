@@ -1,0 +1,17 @@
+//! Tests of the core in virtual time, or of functions and machines alone: for each, one run is as good as
+//! a hundred, so that a failure shuts the gate.
+
+mod claims_at_scale;
+mod codec;
+mod contract_identity;
+mod derives;
+mod greetings_on_a_bus;
+mod net_header;
+mod net_hostile;
+mod net_simulation;
+mod supervision;
+
+/// What the derives name as the facade.
+mod facade {
+    pub(crate) use blastema_core::{self as core, serde};
+}

@@ -1,0 +1,354 @@
+//! Runs every example as its reader would, and checks what it prints.
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
+use std::{fs, thread};
+
+/// The slowest example takes about a second; the rest is for a machine that is busy with other
+/// tests.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Examples that show what becomes of others when a node goes without a word.
+const DROPS_A_NODE: [&str; 1] = ["names"];
+
+/// Where Cargo puts the example, beside the folder of this test.
+fn program(name: &str) -> PathBuf {
+    let test = std::env::current_exe().expect("a running program has a path");
+    let profile = test.ancestors().nth(2).expect("a test lies in a folder of its profile");
+    let program = profile.join("examples").join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
+    // `cargo test --test real` builds no examples.
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(format!("{name}.rs"));
+    let changed = |path: &Path| fs::metadata(path).and_then(|file| file.modified()).ok();
+    assert!(
+        changed(&program) >= changed(&source),
+        "{name} is not built, or has changed since: run `cargo test -p blastema-examples`"
+    );
+    program
+}
+
+/// What the example prints until it ends, which it must do in time and well.
+fn output(name: &str) -> String {
+    let mut child = Command::new(program(name))
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap_or_else(|error| panic!("{name}: {error}"));
+    let mut stdout = child.stdout.take().expect("it was asked for");
+    let mut stderr = child.stderr.take().expect("it was asked for");
+    let told = thread::spawn(move || {
+        let mut text = String::new();
+        stderr.read_to_string(&mut text).map(|_| text)
+    });
+    let (done, printed) = sync_channel(1);
+    thread::spawn(move || {
+        let mut text = String::new();
+        let read = stdout.read_to_string(&mut text);
+        // The test may have given up by now.
+        let _ = done.send(read.map(|_| text));
+    });
+    let Ok(text) = printed.recv_timeout(PATIENCE) else {
+        child.kill().expect("it still runs");
+        panic!("{name} did not end within {PATIENCE:?}");
+    };
+    let status = child.wait().expect("it was started here");
+    let text = text.expect("examples print UTF-8");
+    assert!(status.success(), "{name} ended with {status}; it had printed:\n{text}");
+    let told = told.join().expect("it reads").expect("examples print UTF-8");
+    let ends_wrongly = |line: &&str| {
+        let dropped = line.contains("was dropped") && !DROPS_A_NODE.contains(&name);
+        dropped || line.contains("unexpected exit")
+    };
+    assert_eq!(told.lines().find(ends_wrongly), None, "{name} does not end in order:\n{told}");
+    text
+}
+
+/// The example prints these lines in this order, perhaps with others in between.
+#[track_caller]
+fn check(name: &str, expected: &[&str]) {
+    let text = output(name);
+    let mut lines = text.lines();
+    for line in expected {
+        assert!(lines.any(|printed| printed == *line), "{line:?} is missing in:\n{text}");
+    }
+}
+
+#[test]
+fn hello_outlives_the_death_of_its_laser() {
+    let _turn = blastema_doubles::turn();
+    check(
+        "hello",
+        &[
+            "`laser/nearest` to module1:laser failed: the receiver died in its incarnation #1 while it served \
+             this message",
+            "0.8 m",
+        ],
+    );
+}
+
+#[test]
+fn supervised_restarts_what_depends_on_the_laser_and_comes_to_rest_with_its_brakes_on() {
+    let _turn = blastema_doubles::turn();
+    check(
+        "supervised",
+        &[
+            "laser#1 works",
+            "planner#1 works",
+            "motors#1 works",
+            "-- the laser is struck",
+            "motors#1 rests",
+            "planner#1 rests",
+            "laser#2 works",
+            "planner#2 works",
+            "motors#2 works",
+            "-- the laser is struck",
+            "motors#2 rests",
+            "planner#2 rests",
+            "brakes on: restart storm of module1",
+            "in safe state: drive needed more than 0 restarts in 10s: laser needed more than 1 restarts in 10s: \
+             it died",
+        ],
+    );
+}
+
+#[test]
+fn own_strategy_regrasps_until_it_holds() {
+    let _turn = blastema_doubles::turn();
+    check("own_strategy", &["attempt 1 at regrasp", "attempt 2 at regrasp"]);
+    check(
+        "own_strategy",
+        &["GRIPPER-SLIP of module1:gripper: Found", "GRIPPER-SLIP of module1:gripper: Recovered"],
+    );
+}
+
+#[test]
+fn events_reach_those_who_want_them() {
+    let _turn = blastema_doubles::turn();
+    check("events", &["15 %", "5 %"]);
+    // Between two topics no order is promised.
+    let mut lines: Vec<String> = output("events").lines().map(str::to_owned).collect();
+    lines.sort();
+    assert_eq!(lines, ["15 %", "5 %", "99 %"]);
+}
+
+#[test]
+fn validity_keeps_old_and_wrong_orders_from_the_motors() {
+    let _turn = blastema_doubles::turn();
+    check(
+        "validity",
+        &[
+            "turning at 1.2 m/s",
+            "still turning at 1.2 m/s",
+            "too old: 1",
+            "check failed: speed is 9.0, and should be in 0.0..=1.5",
+            "still turning at 1.2 m/s",
+        ],
+    );
+}
+
+#[test]
+fn death_watch_tells_the_tool_changer_of_the_arm() {
+    let _turn = blastema_doubles::turn();
+    check(
+        "death_watch",
+        &[
+            "may release: true",
+            "`arm/move` to module1:arm failed: the receiver died in its incarnation #1 while it served this \
+             message",
+            "may release: false",
+        ],
+    );
+    let down = "arm#1 died in arm/move: 2 m is out of reach";
+    check("death_watch", &["may release: true", down, "may release: false"]);
+}
+
+#[test]
+fn flood_loses_only_what_its_queue_says() {
+    let _turn = blastema_doubles::turn();
+    check(
+        "flood",
+        &[
+            "newest: reading 1000 was the last",
+            "newest: some gave way: true",
+            "careful: a reading came back: `sensor/reading` to module1:careful was not sent: its \
+             queue of 8 is full",
+            "careful: it was taken when there was room",
+            "newest: removed with 0 waiting",
+        ],
+    );
+}
+
+#[test]
+fn hang_replaces_the_culprit_and_moves_its_neighbour_with_what_waited() {
+    let _turn = blastema_doubles::turn();
+    check(
+        "hang",
+        &["count 1", "hang of module1:map", "found again: true", "count 2", "threads given up: 1"],
+    );
+}
+
+#[test]
+fn two_nodes_lose_nothing_when_a_cable_is_cut() {
+    let _turn = blastema_doubles::turn();
+    check(
+        "two_nodes",
+        &[
+            "300 requests answered, one after the other",
+            "link down: module1 -ethernet- module2",
+            "300 events heard, once and in order",
+        ],
+    );
+}
+
+#[test]
+fn names_are_taken_over_by_a_standby_that_was_found_by_itself() {
+    let _turn = blastema_doubles::turn();
+    check("names", &["map is at module1:cartographer", "map is at module2:cartographer"]);
+}
+
+#[test]
+fn cable_pulled_leaves_the_arm_moving() {
+    let _turn = blastema_doubles::turn();
+    check(
+        "cable_pulled",
+        &[
+            "the left cable is pulled",
+            "link down: brain -left- shoulder",
+            "the arm took 500 steps, once and in order, to 1.57 rad",
+        ],
+    );
+}
+
+#[test]
+fn serial_and_udp_carry_out_every_order_once_whichever_cable_is_pulled() {
+    let _turn = blastema_doubles::turn();
+    check(
+        "serial_and_udp",
+        &[
+            "link down: body -ethernet- arm",
+            "link down: body -serial- arm",
+            "300 orders carried out, each once",
+            "both cables are back",
+        ],
+    );
+}
+
+#[test]
+fn own_medium_carries_requests_over_two_fifos() {
+    let _turn = blastema_doubles::turn();
+    check("own_medium", &["3 squared is 9", "12 squared is 144"]);
+}
+
+#[test]
+fn plain_actix_lets_a_plain_actor_speak_for_a_component() {
+    let _turn = blastema_doubles::turn();
+    check("plain_actix", &["0.1 N: warned: false", "3.5 N: warned: true"]);
+    check("plain_actix", &["I was touched with 3.5 N"]);
+}
+
+#[test]
+fn parameters_are_read_set_and_refused_with_the_reason() {
+    let _turn = blastema_doubles::turn();
+    check("parameters", &["begins with 1.5 m/s", "goes on with 0.8 m/s, 3 attempts"]);
+    check(
+        "parameters",
+        &[
+            "refused by a check: `max_speed` is 5.0, and must be in 0.0..=2.0 m/s",
+            "refused by a check: there is no parameter `max_sped`: did you mean `max_speed`?",
+            "parameters of arm: `attempts` is \"many\", and must be a whole number from 0 to 255",
+        ],
+    );
+}
+
+#[test]
+fn variables_of_another_node_are_written_together_and_outlive_their_owner_as_declared() {
+    let _turn = blastema_doubles::turn();
+    check(
+        "variables",
+        &[
+            "limit: 0.5 rad/s",
+            "limit: 0.2 rad/s",
+            "refused by a check: the arm breaks above 2 rad/s; the load is still 3 kg",
+            "target: shelf",
+            "after a blow: Undecided",
+            "arm/target of arm awaits a decision: restore it, take its default, or give it a value",
+            "target: rest",
+            "the load is still 3 kg",
+        ],
+    );
+}
+
+#[test]
+fn commander_leaves_the_wheels_at_rest_when_its_cable_is_cut() {
+    let _turn = blastema_doubles::turn();
+    check(
+        "commander",
+        &[
+            "the wheels turn at 1 m/s",
+            "the console is refused",
+            "-- the cable is cut",
+            "brakes on",
+            "the console commands: 0.1 m/s",
+        ],
+    );
+    // Neither waits for the other: the brakes are called beside the component.
+    check(
+        "commander",
+        &["-- the cable is cut", "the wheels turn at 0 m/s", "the console commands: 0.1 m/s"],
+    );
+    check(
+        "commander",
+        &[
+            "the planner hears: the commander holds no lease of module2:wheels, or no more: claim it",
+        ],
+    );
+}
+
+#[test]
+fn either_order_waits_for_motors_that_start_later_and_that_restart() {
+    let _turn = blastema_doubles::turn();
+    check(
+        "either_order",
+        &["the planner is active", "motors #1: 1 m/s", "-- the motors fail", "motors #2: 1 m/s"],
+    );
+}
+
+#[test]
+fn standby_goes_on_counting_when_the_node_that_serves_is_cut_off() {
+    let _turn = blastema_doubles::turn();
+    check(
+        "standby",
+        &[
+            "100 counted",
+            "-- the node that serves is cut off",
+            "200 counted, by another node: true",
+            "the first one is back, and stands by",
+        ],
+    );
+}
+
+#[test]
+fn an_example_whose_reader_has_gone_says_no_more_than_that_its_node_ends() {
+    let _turn = blastema_doubles::turn();
+    let mut child = Command::new(program("hello"))
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the example can be started");
+    drop(child.stdout.take());
+
+    let output = child.wait_with_output().expect("it was started here");
+
+    assert_eq!(output.status.code(), Some(141), "as after SIGPIPE");
+    // Its laser panics before, which is a fault and is printed as one.
+    let told = String::from_utf8_lossy(&output.stderr);
+    let is_known = |line: &str| {
+        let of_laser = line.starts_with("blastema: error on node ") && line.contains("laser");
+        of_laser || line.contains("was dropped by a panic while it ran")
+    };
+    assert!(told.lines().all(is_known), "{told}");
+}

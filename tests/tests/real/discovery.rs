@@ -1,0 +1,195 @@
+//! Nodes that find each other without being described to each other, on real sockets.
+
+use blastema::core::net::LinkState;
+use blastema::prelude::*;
+use blastema::{Network, NodeBuilder};
+use std::net::{SocketAddr, TcpListener, UdpSocket};
+use std::sync::mpsc::{self, RecvTimeoutError, channel};
+use std::time::Duration;
+
+/// For nodes to find each other on a computer that is busy with other tests.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// How often it is looked whether they have.
+const LOOK: Duration = Duration::from_millis(10);
+
+/// Adds one, and answers the sum.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "sum/add", reply = u32, idempotent)]
+struct Add(u32);
+
+#[derive(Default)]
+struct Sum(u32);
+
+impl Component for Sum {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Add>();
+    }
+}
+
+impl Handle<Add> for Sum {
+    async fn handle(&mut self, add: Add, _: &mut Context<Self>) -> u32 {
+        self.0 += add.0;
+        self.0
+    }
+}
+
+/// Free addresses of this computer, for UDP and for TCP.
+fn free<const N: usize>() -> [SocketAddr; N] {
+    let held = [0; N].map(|_| {
+        let tcp = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let address = tcp.local_addr().expect("it is bound");
+        (UdpSocket::bind(address), tcp, address)
+    });
+    held.map(|(_, _, address)| address)
+}
+
+async fn start(node: NodeBuilder) -> Node {
+    node.child(ChildSpec::new("sum", Sum::default)).start().await.expect("it starts")
+}
+
+/// Waits until the node has a link of its own to this neighbour that is up.
+async fn linked(node: &Node, neighbour: &str) {
+    let linked = async {
+        loop {
+            let links = node.links().await;
+            let there = |link: &&blastema::LinkRow| {
+                let found = link.neighbour.as_ref();
+                found.is_some_and(|found| found.node.as_str() == neighbour)
+                    && link.state == LinkState::Up
+            };
+            if links.iter().any(|link| there(&link)) {
+                return;
+            }
+            tokio::time::sleep(LOOK).await;
+        }
+    };
+    let found = tokio::time::timeout(PATIENCE, linked).await;
+    assert!(found.is_ok(), "{} has no link to {neighbour}: {:?}", node.name(), node.links().await);
+}
+
+async fn add(node: &Node, to: &str) -> u32 {
+    let sum: Sender<Add> = node.sender(to).expect("a name");
+    sum.ask_within(Add(1), PATIENCE).await.expect("it is answered")
+}
+
+/// Modules 1 and 3 know only module2, which then goes without a word.
+async fn outlive_the_one_between(medium: &str) {
+    let [a, b, c] = free::<3>();
+    let network = |own: SocketAddr| Network::new("ethernet", &format!("{medium}://{own}"));
+    let only_b = |own| network(own).peer("module2", &b.to_string());
+    let between =
+        network(b).peer("module1", &a.to_string()).peer("module3", &c.to_string()).discover([]);
+    let one = start(Node::builder("module1").network(only_b(a).discover(["module3"]))).await;
+    let two = start(Node::builder("module2").network(between)).await;
+    let three = start(Node::builder("module3").network(only_b(c).discover_anybody())).await;
+    linked(&one, "module3").await;
+    linked(&three, "module1").await;
+    assert!(one.connected("module3", PATIENCE).await);
+    assert_eq!(add(&one, "module3:sum").await, 1);
+
+    let mut faults = one.fault_events();
+    drop(two);
+    while let Some(event) = faults.next().await {
+        if event.fault.kind == FaultKind::NodeLost {
+            assert_eq!(event.fault.location.to_string(), "module2");
+            break;
+        }
+    }
+
+    assert_eq!(add(&one, "module3:sum").await, 2);
+    assert_eq!(add(&three, "module1:sum").await, 1);
+    one.shutdown().await;
+    three.shutdown().await;
+}
+
+#[test]
+fn two_nodes_that_know_only_a_third_speak_on_when_it_is_gone_over_udp() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(outlive_the_one_between("udp"));
+}
+
+#[test]
+fn two_nodes_that_know_only_a_third_speak_on_when_it_is_gone_over_tcp() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(outlive_the_one_between("tcp"));
+}
+
+#[test]
+fn nodes_that_know_nobody_find_each_other_by_beacons() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let [a, b, group] = free::<3>();
+        let group = format!("239.255.77.9:{}", group.port());
+        let network = |medium: &str, own: SocketAddr| {
+            Network::new("ethernet", &format!("{medium}://{own}")).beacons(&group)
+        };
+        let one = network("tcp", a).discover(["module2"]);
+        let two = network("tcp", b).discover_anybody();
+        let one = start(Node::builder("module1").network(one)).await;
+        let two = start(Node::builder("module2").network(two)).await;
+
+        assert!(one.connected("module2", PATIENCE).await, "{:?}", one.links().await);
+        assert_eq!(add(&one, "module2:sum").await, 1);
+        one.shutdown().await;
+        two.shutdown().await;
+    });
+}
+
+#[test]
+fn a_flood_of_forged_beacons_is_a_fault_and_harms_nobody() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let [a, b, group] = free::<3>();
+        let group = SocketAddr::from(([239, 255, 77, 10], group.port()));
+        let network = |own: SocketAddr| {
+            let network = Network::new("ethernet", &format!("udp://{own}"));
+            network.beacons(&group.to_string()).discover_anybody()
+        };
+        let one = start(Node::builder("module1").network(network(a))).await;
+        let two = start(Node::builder("module2").network(network(b))).await;
+        assert!(one.connected("module2", PATIENCE).await);
+
+        let mut faults = one.fault_events();
+        let liar = Liar::start(group);
+        let named = async {
+            while let Some(event) = faults.next().await {
+                if event.fault.location.to_string() == "module1:net/discovery" {
+                    return event.fault;
+                }
+            }
+            panic!("the node has ended");
+        };
+        let fault = tokio::time::timeout(PATIENCE, named).await.expect("it is named");
+        drop(liar);
+        assert_eq!(fault.kind, FaultKind::CheckFailed);
+        assert!(fault.detail.contains("by beacons"), "{}", fault.detail);
+
+        assert!(one.links().await.len() <= 32);
+        assert_eq!(add(&one, "module2:sum").await, 1);
+        one.shutdown().await;
+        two.shutdown().await;
+    });
+}
+
+/// Says on a thread of its own, until it is dropped, that ever new nodes are at its address.
+struct Liar {
+    _over: mpsc::Sender<()>,
+}
+
+impl Liar {
+    fn start(group: SocketAddr) -> Self {
+        let (over, told) = channel();
+        std::thread::spawn(move || {
+            // From the interface on which the nodes listen.
+            let socket = UdpSocket::bind("127.0.0.1:0").expect("a free port");
+            let mut n = 0_u32;
+            while told.recv_timeout(Duration::from_millis(1)) == Err(RecvTimeoutError::Timeout) {
+                n += 1;
+                let beacon = [b"BLB\x01\x00\x09liar".to_vec(), n.to_string().into()].concat();
+                // A buffer that is full now is empty a little later.
+                let _ = socket.send_to(&beacon, group);
+            }
+        });
+        Liar { _over: over }
+    }
+}

@@ -1,0 +1,146 @@
+//! Messages of a mebibyte between two nodes, on real sockets.
+
+use blastema::prelude::*;
+use blastema::{Blob, Link, Network};
+use std::net::{SocketAddr, TcpListener, UdpSocket};
+use std::time::Duration;
+
+/// For two nodes to find each other on a computer that is busy with other tests.
+const PATIENCE: Duration = Duration::from_secs(30);
+const MEBIBYTE: usize = 1 << 20;
+/// Many times what a session holds.
+const IMAGES: u32 = 40;
+
+/// Bytes that are shared, behind which nothing stands.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "large/image", max_size = 2 << 20, bulk)]
+struct Image {
+    number: u32,
+    pixels: Blob,
+}
+
+/// How many images have come.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "large/count", reply = u32)]
+struct Count;
+
+#[derive(Default)]
+struct Screen(u32);
+
+/// An order, to another component than the images.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "large/order", reply = u32)]
+struct Order(u32);
+
+/// Counts orders.
+#[derive(Default)]
+struct Motor(u32);
+
+impl Component for Motor {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Order>();
+    }
+}
+
+impl Handle<Order> for Motor {
+    async fn handle(&mut self, Order(number): Order, _: &mut Context<Self>) -> u32 {
+        assert_eq!(number, self.0, "none is lost, doubled or overtaken");
+        self.0 += 1;
+        self.0
+    }
+}
+
+impl Component for Screen {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Image>().serve::<Count>();
+    }
+}
+
+impl Handle<Image> for Screen {
+    async fn handle(&mut self, image: Image, _: &mut Context<Self>) {
+        assert_eq!(image.number, self.0, "none is lost, doubled or overtaken");
+        assert!(image.pixels == pixels(image.number), "it is whole");
+        self.0 += 1;
+    }
+}
+
+impl Handle<Count> for Screen {
+    async fn handle(&mut self, _: Count, _: &mut Context<Self>) -> u32 {
+        self.0
+    }
+}
+
+/// Every byte of it has another neighbour than in the next image.
+fn pixels(number: u32) -> Blob {
+    (0..MEBIBYTE).map(|at| (at / 7 + number as usize) as u8).collect()
+}
+
+/// A free address.
+fn free() -> SocketAddr {
+    let tcp = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = tcp.local_addr().expect("it is bound");
+    UdpSocket::bind(address).map_or_else(|_| free(), |_| address)
+}
+
+/// All of them are given to the sender before the other node has heard of any; and orders are asked
+/// beside them.
+fn images_arrive_over(medium: fn(&'static str, SocketAddr) -> Network) {
+    blastema::run(async {
+        let [here, there] = [free(), free()];
+        let far = Node::builder("module2")
+            .network(medium("net0", there).link(Link::new("module1", here)))
+            .child(ChildSpec::new("screen", Screen::default).queue(4, WhenFull::Wait))
+            .child(ChildSpec::new("motor", Motor::default))
+            .start()
+            .await
+            .expect("module2 starts");
+        let near = Node::builder("module1")
+            .network(medium("net0", here).link(Link::new("module2", there)))
+            .start()
+            .await
+            .expect("module1 starts");
+        assert!(near.connected("module2", PATIENCE).await, "{:?}", near.links().await);
+
+        let burst: Vec<_> =
+            (0..IMAGES).map(|number| Image { number, pixels: pixels(number) }).collect();
+        let images: Sender<Image> = near.sender("module2:screen").expect("a name");
+        let burst = async {
+            for image in burst {
+                images.deliver(image).await.expect("it is taken");
+            }
+        };
+        let orders: Sender<Order> = near.sender("module2:motor").expect("a name");
+        let orders = async {
+            for number in 0.. {
+                let asked = orders.ask_within(Order(number), PATIENCE).await;
+                assert_eq!(asked.ok(), Some(number + 1), "what is small finds room beside bulk");
+            }
+        };
+        tokio::select! {
+            () = burst => {}
+            () = orders => {}
+        }
+
+        let count: Sender<Count> = near.sender("module2:screen").expect("a name");
+        let all_have_come = async {
+            while count.ask(Count).await.ok() != Some(IMAGES) {
+                tokio::task::yield_now().await;
+            }
+        };
+        tokio::time::timeout(PATIENCE, all_have_come).await.expect("what was taken arrives");
+        near.shutdown().await;
+        far.shutdown().await;
+    });
+}
+
+#[test]
+fn a_burst_of_the_first_images_to_a_node_arrives_whole_over_udp() {
+    let _turn = blastema_doubles::turn();
+    images_arrive_over(Network::udp);
+}
+
+#[test]
+fn a_burst_of_the_first_images_to_a_node_arrives_whole_over_tcp() {
+    let _turn = blastema_doubles::turn();
+    images_arrive_over(Network::tcp);
+}

@@ -1,0 +1,26 @@
+//! Tests of whole robots on real threads, with real processes, sockets or clocks. They take turns, wait for events
+//! with a generous bound, and judge counts and order, never a duration.
+
+mod actix_facts;
+mod busy;
+mod busy_computer;
+mod chain_outside;
+mod discovery;
+mod exposure;
+mod hostile_transports;
+mod inspection;
+mod kill_storm;
+mod large_messages;
+mod media;
+mod namesakes;
+mod node_start;
+mod overload;
+mod panic_strategy;
+mod processes;
+mod program_ends;
+mod program_errors;
+mod readiness;
+mod sealed;
+mod settings;
+mod slow_machine;
+mod slow_path;

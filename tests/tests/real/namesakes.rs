@@ -1,0 +1,201 @@
+//! Two nodes of one name on one network, on real sockets.
+//!
+//! ```text
+//!   arm ───── base ───── head ───── arm (another)
+//! ```
+
+use blastema::prelude::*;
+use blastema::{Fault, FaultEvents, Network, NodeBuilder};
+use std::net::{SocketAddr, UdpSocket};
+use std::time::Duration;
+
+/// For nodes to find each other on a computer that is busy with other tests.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Adds one, and answers the sum.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "sum/add", reply = u32)]
+struct Add(u32);
+
+struct Sum(u32);
+
+impl Component for Sum {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Add>();
+    }
+}
+
+impl Handle<Add> for Sum {
+    async fn handle(&mut self, add: Add, _: &mut Context<Self>) -> u32 {
+        self.0 += add.0;
+        self.0
+    }
+}
+
+fn free<const N: usize>() -> [SocketAddr; N] {
+    let held = [0; N].map(|_| UdpSocket::bind("127.0.0.1:0").expect("a free port"));
+    held.map(|socket| socket.local_addr().expect("it is bound"))
+}
+
+fn node(name: &str, own: SocketAddr, peers: &[(&str, SocketAddr)]) -> NodeBuilder {
+    let mut network = Network::new("ethernet", &format!("udp://{own}"));
+    for (name, address) in peers {
+        network = network.peer(name, &address.to_string());
+    }
+    Node::builder(name).network(network)
+}
+
+async fn start_arm(own: SocketAddr, beside: (&str, SocketAddr), sum: u32) -> Node {
+    let arm = node("arm", own, &[beside]).child(ChildSpec::new("sum", move || Sum(sum)));
+    arm.start().await.expect("the arm starts")
+}
+
+async fn taken(mut faults: FaultEvents) -> Fault {
+    let found = async {
+        while let Some(event) = faults.next().await {
+            if event.fault.kind == FaultKind::NameTaken {
+                return event.fault;
+            }
+        }
+        panic!("the node has ended");
+    };
+    tokio::time::timeout(PATIENCE, found).await.expect("the fault is found")
+}
+
+#[test]
+fn a_second_node_of_a_name_is_kept_out_and_told_so_and_the_first_ones_traffic_is_unharmed() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let [arm, base, head, other] = free::<4>();
+        let middle = node("base", base, &[("arm", arm), ("head", head)]);
+        let middle = middle.start().await.expect("the base starts");
+        let far = node("head", head, &[("base", base), ("arm", other)]);
+        let far = far.start().await.expect("the head starts");
+        let first = start_arm(arm, ("base", base), 0).await;
+        assert!(far.connected("arm", PATIENCE).await && middle.connected("arm", PATIENCE).await);
+        let sum: Sender<Add> = far.sender("arm:sum").expect("a name");
+        let mut expected = 0;
+        let mut add = async || {
+            expected += 1;
+            // Each is answered, by the same arm as the one before: nothing is asked again.
+            let answer = sum.ask_within(Add(1), PATIENCE).await;
+            assert_eq!(answer.expect("it is answered"), expected);
+        };
+        add().await;
+
+        let of_far = far.fault_events();
+        let second = start_arm(other, ("head", head), 1_000).await;
+        let of_second = second.fault_events();
+        let both = async { tokio::join!(taken(of_far), taken(of_second)) };
+        let mut both = std::pin::pin!(both);
+        let (of_far, of_second) = loop {
+            add().await;
+            if let Ok(both) = tokio::time::timeout(Duration::from_millis(1), &mut both).await {
+                break both;
+            }
+        };
+        for _ in 0..100 {
+            add().await;
+        }
+
+        let locations = [&of_far, &of_second].map(|fault| fault.location.to_string());
+        assert_eq!(locations, ["head:net/router", "arm:net/router"]);
+        assert!(of_far.detail.contains("kept out; end one of them"), "{}", of_far.detail);
+        assert!(of_second.detail.contains("give it another name"), "{}", of_second.detail);
+        assert!(second.sessions().await.iter().all(|session| session.status.incarnation.is_none()));
+
+        // Callers on that node get the reason why there is no answer.
+        let elsewhere: Sender<Add> = second.sender("head:sum").expect("a name");
+        let why = elsewhere.ask_within(Add(1), PATIENCE).await.expect_err("it is kept out").kind;
+        let said = why.to_string();
+        assert!(
+            said.contains("the name arm of this node is taken") && said.contains("incarnation"),
+            "{said}"
+        );
+
+        // When the first has gone, the second is the arm.
+        drop(first);
+        let answered = async {
+            loop {
+                if let Ok(answer) = sum.ask_within(Add(1), PATIENCE).await {
+                    return answer;
+                }
+                tokio::time::sleep(Duration::from_millis(10)).await;
+            }
+        };
+        let answer = tokio::time::timeout(PATIENCE, answered).await.expect("it takes over");
+        assert_eq!(answer, 1_001);
+        for node in [second, far, middle] {
+            node.shutdown().await;
+        }
+    });
+}
+
+#[test]
+fn neighbours_of_one_name_are_told_so_until_one_is_called_otherwise() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let [left, right] = free::<2>();
+        let start = async |name, own, far| {
+            let mut builder = node(name, own, &[("base", far)]);
+            let faults = builder.fault_events();
+            (builder.start().await.expect("it starts"), faults)
+        };
+        let (arm, of_arm) = start("arm", left, right).await;
+        let (other, of_other) = start("arm", right, left).await;
+
+        let faults = [taken(of_arm).await, taken(of_other).await];
+
+        for fault in faults {
+            assert_eq!(fault.location.to_string(), "arm:net/links/ethernet");
+            assert!(fault.detail.contains("also called arm"), "{}", fault.detail);
+        }
+        other.shutdown().await;
+        let base = node("base", right, &[("arm", left)]).start().await.expect("it starts");
+        assert!(arm.connected("base", PATIENCE).await);
+        let stands = async || arm.faults().await.entries.iter().any(|entry| entry.stands());
+        let over = async {
+            while stands().await {
+                tokio::time::sleep(Duration::from_millis(10)).await;
+            }
+        };
+        tokio::time::timeout(PATIENCE, over).await.expect("all is as it should be");
+        for node in [arm, base] {
+            node.shutdown().await;
+        }
+    });
+}
+
+#[test]
+fn a_node_that_begins_anew_is_the_same_node_and_no_dispute() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let [arm, base] = free::<2>();
+        let middle = node("base", base, &[("arm", arm)]).start().await.expect("the base starts");
+        drop(start_arm(arm, ("base", base), 0).await);
+        for incarnation in 1..=2 {
+            let again = start_arm(arm, ("base", base), incarnation * 100).await;
+            let sum: Sender<Add> = middle.sender("arm:sum").expect("a name");
+            let answered = async {
+                loop {
+                    match sum.ask_within(Add(1), PATIENCE).await {
+                        Ok(answer) if answer / 100 == incarnation => return,
+                        _ => tokio::time::sleep(Duration::from_millis(10)).await,
+                    }
+                }
+            };
+            tokio::time::timeout(PATIENCE, answered).await.expect("the new incarnation answers");
+            for node in [&middle, &again] {
+                let record = node.faults().await;
+                let taken = |entry: &&_| entry_kind(entry) == FaultKind::NameTaken;
+                assert_eq!(record.entries.iter().filter(taken).count(), 0);
+            }
+            drop(again);
+        }
+        middle.shutdown().await;
+    });
+}
+
+fn entry_kind(entry: &blastema::core::detection::FaultEntry) -> FaultKind {
+    entry.fault.kind.clone()
+}

@@ -1,0 +1,103 @@
+//! What a node that cannot start says, and what it leaves behind. One test at a time counts
+//! threads, so they stand in one function.
+
+use blastema::prelude::*;
+use blastema::{Network, NodeBuilder};
+use blastema_tests::free_addresses;
+use std::net::{SocketAddr, UdpSocket};
+use std::time::{Duration, Instant};
+
+struct Lamp;
+impl Component for Lamp {}
+
+fn threads() -> usize {
+    std::fs::read_dir("/proc/self/task").expect("Linux lists a process's threads").count()
+}
+
+/// Waits for threads that have been told to end; says how many are left.
+async fn settled(at_most: usize) -> usize {
+    let patience = Instant::now() + Duration::from_secs(10);
+    while threads() > at_most && Instant::now() < patience {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    threads()
+}
+
+/// Waits until no socket of this process has the address.
+async fn freed(at: SocketAddr) {
+    let patience = Instant::now() + Duration::from_secs(10);
+    while let Err(error) = UdpSocket::bind(at) {
+        assert!(Instant::now() < patience, "{at}: {error}");
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+}
+
+/// Starts a node with a network and something wrong, in so many ways, on its own threads and here.
+async fn fail_after_a_network(at: SocketAddr) {
+    let beside = |network: Network| move |node: NodeBuilder| node.network(network);
+    let local = || Network::udp("second", ([127, 0, 0, 1], 0).into());
+    for here in [false, true] {
+        let needy = ChildSpec::new("lamp", || Lamp).depends_on(["socket"]);
+        let wrong: [Box<dyn FnOnce(NodeBuilder) -> NodeBuilder>; 5] = [
+            Box::new(beside(Network::new("cable", "serial:///dev/ttyS0?buad=9600"))),
+            Box::new(beside(local().peer("n", "nowhere"))),
+            Box::new(beside(local().beacons("239.255.0.1:7399"))),
+            Box::new(beside(local().discover(["a name"]))),
+            Box::new(move |node| node.child(needy)),
+        ];
+        for (number, spoil) in wrong.into_iter().enumerate() {
+            let node = Node::builder("m").network(Network::udp("lan", at));
+            let node = if here { node.on_this_thread() } else { node };
+            let started = spoil(node).start().await;
+            assert!(started.is_err(), "{number}");
+            freed(at).await;
+        }
+    }
+}
+
+#[test]
+fn a_node_that_cannot_start_says_why_and_leaves_no_thread() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let before = threads();
+
+        let stranger = ChildSpec::new("lamp", || Lamp).depends_on(["socket"]);
+        let error = Node::builder("m").child(stranger).start().await.expect_err("no such object");
+        assert!(matches!(error, StartError::Dependency { .. }), "{error}");
+        let narcissus = ChildSpec::new("lamp", || Lamp).depends_on(["m:lamp"]);
+        let error = Node::builder("m").child(narcissus).start().await.expect_err("itself");
+        assert!(error.to_string().contains("lamp -> lamp"), "{error}");
+        let needs = |name, other| ChildSpec::new(name, || Lamp).depends_on([other]);
+        let ring = Node::builder("m")
+            .child(needs("a", "b"))
+            .supervisor(SupervisorSpec::new("s", Strategy::OneForOne).child(needs("b", "m:c")))
+            .child(needs("c", "a"));
+        let error = ring.start().await.expect_err("each waits for the next");
+        assert!(error.to_string().contains("a -> b -> c -> a"), "{error}");
+        let twice = Node::builder("m")
+            .child(ChildSpec::new("lamp", || Lamp))
+            .child(ChildSpec::new("lamp", || Lamp));
+        assert!(matches!(twice.start().await, Err(StartError::Spec(_))));
+        let endless = ChildSpec::new("lamp", || Lamp).queue(usize::MAX, WhenFull::Refuse);
+        assert!(matches!(
+            Node::builder("m").child(endless).start().await,
+            Err(StartError::Spec(_))
+        ));
+        let unseen = Node::builder("m")
+            .child(ChildSpec::new("lamp", || Lamp))
+            .inspection_socket("/no/m.window");
+        assert!(matches!(unseen.start().await, Err(StartError::Shown(_))));
+        fail_after_a_network(free_addresses(1)[0]).await;
+        assert!(settled(before).await <= before);
+
+        for _ in 0..10 {
+            let node = Node::builder("m")
+                .child(ChildSpec::new("lamp", || Lamp).on_own_thread())
+                .start()
+                .await
+                .expect("a lamp starts");
+            node.shutdown().await;
+        }
+        assert!(settled(before).await <= before, "{} threads, {before} before", threads());
+    });
+}

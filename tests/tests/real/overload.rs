@@ -1,0 +1,321 @@
+//! Components that keep their thread by real work, on real threads. Everything is judged by counts
+//! and order: a busy machine makes these tests slower, and changes nothing else.
+
+use blastema::core::detection::{FaultEntry, FaultRecord};
+use blastema::core::recovery::{Ladder, Plan, RecoveryAction};
+use blastema::prelude::*;
+use blastema::{Incarnation, NodeBuilder};
+use blastema_testkit::TestNode;
+use rustix::time::{ClockId, clock_gettime};
+use std::sync::Arc;
+use std::sync::atomic::Ordering::SeqCst;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::time::{Duration, Instant};
+
+const MS: Duration = Duration::from_millis(1);
+/// As long as anything here may take on a busy machine.
+const LONG: Duration = Duration::from_secs(60);
+
+/// Work that needs a processor for so long.
+fn burn(span: Duration) {
+    let used = || Duration::try_from(clock_gettime(ClockId::ThreadCPUTime)).expect("it counts up");
+    let end = used() + span;
+    while used() < end {
+        std::hint::spin_loop();
+    }
+}
+
+#[derive(Clone, Copy, Debug, Event)]
+struct Plan30;
+
+/// Needs 30 ms for each message.
+struct Planner(Arc<AtomicU64>);
+impl Component for Planner {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Plan30>();
+    }
+}
+impl Handle<Plan30> for Planner {
+    async fn handle(&mut self, _: Plan30, _: &mut Context<Self>) {
+        burn(30 * MS);
+        self.0.fetch_add(1, SeqCst);
+    }
+}
+
+/// Counts its rounds, each of which takes so long.
+struct Safety(Arc<AtomicU64>, Duration);
+impl Component for Safety {
+    async fn on_execute(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        burn(self.1);
+        self.0.fetch_add(1, SeqCst);
+        Ok(())
+    }
+}
+
+#[derive(Default)]
+struct Counts {
+    planned: Arc<AtomicU64>,
+    rounds: Arc<AtomicU64>,
+    load: Arc<AtomicBool>,
+}
+
+impl Counts {
+    fn planner(&self) -> ChildSpec<Planner> {
+        let planned = self.planned.clone();
+        ChildSpec::new("planner", move || Planner(planned.clone()))
+            .queue(16, WhenFull::DropOldest)
+            .max_block(LONG)
+            .ready_within(LONG)
+    }
+
+    fn safety(&self, name: &str, work: Duration) -> ChildSpec<Safety> {
+        let rounds = self.rounds.clone();
+        let spec = ChildSpec::new(name, move || Safety(rounds.clone(), work));
+        spec.max_block(LONG).ready_within(LONG)
+    }
+
+    /// A planner that gets 40 messages a second, and a 50 Hz neighbour with a watch of 110 ms.
+    fn robot(&self) -> NodeBuilder {
+        let safety = self.safety("safety", Duration::ZERO).rate_hz(50.0);
+        Node::builder("m")
+            .work_threads(1)
+            .child(self.planner())
+            .child(safety.liveness(Liveness::push(20 * MS, 5)))
+    }
+
+    /// Feeds the planner until it is told to end.
+    fn feed(&self, node: &Node) {
+        let planner = node.sender::<Plan30>("planner").expect("a planner");
+        let load = self.load.clone();
+        load.store(true, SeqCst);
+        tokio::task::spawn_local(async move {
+            while load.load(SeqCst) {
+                let _ = planner.tell(Plan30);
+                tokio::time::sleep(25 * MS).await;
+            }
+        });
+    }
+}
+
+async fn start(builder: NodeBuilder) -> TestNode {
+    TestNode::of(builder.start().await.expect("the node starts")).await
+}
+
+/// Waits for the overload of a component; it is the computer's where that has hardly any time.
+async fn await_overload(node: &Node, name: &str) {
+    let location = format!("m:{name}");
+    let is_overload =
+        |entry: &FaultEntry| is_of(entry, &FaultKind::Overload, &location) || is_computers(entry);
+    until("an overload", node, |record| record.entries.iter().any(is_overload)).await;
+}
+
+async fn until(what: &str, node: &Node, mut holds: impl FnMut(&FaultRecord) -> bool) {
+    let begun = Instant::now();
+    loop {
+        let record = node.faults().await;
+        if holds(&record) {
+            return;
+        }
+        assert!(begun.elapsed() < LONG, "{what}: never; {record:#?}");
+        tokio::time::sleep(20 * MS).await;
+    }
+}
+
+fn is_of(entry: &FaultEntry, kind: &FaultKind, location: &str) -> bool {
+    entry.fault.kind == *kind && entry.fault.location.to_string() == location
+}
+
+/// The computer is overloaded, which it may be wherever tests are run.
+fn is_computers(entry: &FaultEntry) -> bool {
+    is_of(entry, &FaultKind::Overload, "m")
+}
+
+/// Everything that was found is the planner's overload, or its symptom.
+fn has_one_root(record: &FaultRecord) -> bool {
+    let planner = |entry: &&FaultEntry| {
+        is_of(entry, &FaultKind::Overload, "m:planner") || is_computers(entry)
+    };
+    let roots: Vec<_> = record.entries.iter().filter(planner).map(|e| e.fault.id).collect();
+    record.entries.iter().all(|entry| match entry.fault.symptom_of {
+        Some(root) => roots.contains(&root) && entry.decided.is_none(),
+        None => planner(&entry),
+    })
+}
+
+#[test]
+fn who_keeps_a_thread_is_the_root_of_an_overload_and_its_neighbour_is_not_restarted() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let counts = Counts::default();
+        let node = start(counts.robot()).await;
+
+        counts.feed(&node);
+        await_overload(&node, "planner").await;
+        tokio::time::sleep(1000 * MS).await;
+
+        let record = node.faults().await;
+        assert!(has_one_root(&record), "{record:#?}");
+        let planners = |entry: &&FaultEntry| is_of(entry, &FaultKind::Overload, "m:planner");
+        let mut planners = record.entries.iter().filter(planners);
+        assert!(planners.all(|entry| entry.fault.detail.contains("it keeps its thread for")));
+        assert!(node.row("safety").await.missed_rounds > 0);
+        counts.load.store(false, SeqCst);
+        let none_stands = |record: &FaultRecord| record.entries.iter().all(|e| !e.stands());
+        until("the load is gone, and so are the faults", &node, none_stands).await;
+        assert!(has_one_root(&node.faults().await));
+        for name in ["planner", "safety"] {
+            assert_eq!(node.row(name).await.incarnation, Incarnation(1), "{name}");
+        }
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_planner_that_was_moved_to_its_own_thread_lets_its_neighbour_keep_its_rounds() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let counts = Counts::default();
+        let ladder = Ladder::first(RecoveryAction::MoveToOwnThread).then(RecoveryAction::Observe);
+        let plan = Plan::default().on(FaultKind::Overload, ladder);
+        let mut node = start(counts.robot().plan(plan)).await;
+
+        counts.feed(&node);
+        node.await_recovered(FaultKind::Overload, "planner").await;
+
+        assert_eq!(node.row("planner").await.incarnation, Incarnation(2));
+        assert_eq!(node.row("safety").await.incarnation, Incarnation(1));
+        let count = || (counts.planned.load(SeqCst), counts.rounds.load(SeqCst));
+        let (planned, rounds) = count();
+        until("it goes on planning", &node, |_| count().0 >= planned + 60).await;
+        let kept = count().1 - rounds;
+        // On one thread there would be one round for each plan at most.
+        assert!(kept > 66, "{kept} rounds of about 90");
+        counts.load.store(false, SeqCst);
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn rounds_that_overrun_their_period_are_counted_and_a_fault() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let counts = Counts::default();
+        let slow = counts.safety("slow", 25 * MS).rate_hz(100.0);
+        let node = start(Node::builder("m").work_threads(1).child(slow)).await;
+
+        await_overload(&node, "slow").await;
+
+        let record = node.faults().await;
+        let tells = |entry: &FaultEntry| entry.fault.detail.contains("rounds were missed");
+        assert!(record.entries.iter().any(tells), "{record:#?}");
+        let row = node.row("slow").await;
+        let (missed, done) = (row.missed_rounds, counts.rounds.load(SeqCst));
+        assert!(missed > done / 2, "{missed} missed, {done} done");
+        assert_eq!(row.incarnation, Incarnation(1));
+        node.shutdown().await;
+    });
+}
+
+/// Sets a thousand timers of 10 ms, each of which takes 20 µs: twice what a thread can do.
+struct Clockwork(Arc<AtomicU64>);
+impl Component for Clockwork {
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        for _ in 0..1000 {
+            cx.every(10 * MS, |clockwork, _| {
+                burn(Duration::from_micros(20));
+                clockwork.0.fetch_add(1, SeqCst);
+            });
+        }
+        Ok(())
+    }
+}
+
+#[test]
+fn timers_that_cannot_be_kept_are_run_as_often_as_can_be_and_are_an_overload() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let counts = Counts::default();
+        let calls = counts.planned.clone();
+        let clockwork = ChildSpec::new("clockwork", move || Clockwork(calls.clone()));
+        let safety = counts.safety("safety", Duration::ZERO).rate_hz(50.0);
+        let builder = Node::builder("m").work_threads(1).child(clockwork).child(safety);
+        let node = start(builder).await;
+
+        await_overload(&node, "clockwork").await;
+
+        assert!(node.row("clockwork").await.missed_rounds > 0);
+        let count = || (counts.planned.load(SeqCst), counts.rounds.load(SeqCst));
+        let (called, rounds) = count();
+        until("it goes on", &node, |_| count().0 >= called + 20_000).await;
+        let (called, rounds) = (count().0 - called, count().1 - rounds);
+        // A thousand in each interval of the safety component, if both share the thread alone.
+        assert!(called >= 200 * rounds && rounds > 0, "{called} calls, {rounds} rounds");
+        assert!(called <= 2000 * rounds, "{called} calls, {rounds} rounds");
+        assert_eq!(node.row("clockwork").await.incarnation, Incarnation(1));
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_flooded_component_that_is_asked_is_alive() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let counts = Counts::default();
+        let watch = Liveness::pull(100 * MS, 100 * MS);
+        let planner = counts.planner().queue(100, WhenFull::Refuse).liveness(watch);
+        let node = start(Node::builder("m").work_threads(1).child(planner)).await;
+
+        let sender = node.sender::<Plan30>("planner").expect("a planner");
+        (0..100).for_each(|_| sender.tell(Plan30).expect("there is room"));
+        until("all are served", &node, |_| counts.planned.load(SeqCst) == 100).await;
+
+        let record = node.faults().await;
+        let overload = |entry: &FaultEntry| {
+            is_of(entry, &FaultKind::Overload, "m:planner") || is_computers(entry)
+        };
+        assert!(record.entries.iter().all(overload), "{record:#?}");
+        assert!(!record.entries.is_empty(), "its messages waited for three seconds");
+        assert_eq!(node.row("planner").await.incarnation, Incarnation(1));
+        node.shutdown().await;
+    });
+}
+
+#[derive(Clone, Copy, Debug, Request)]
+#[contract(reply = ())]
+struct Calibrate;
+
+struct Camera;
+impl Component for Camera {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Calibrate>();
+    }
+}
+impl Handle<Calibrate> for Camera {
+    async fn handle(&mut self, _: Calibrate, cx: &mut Context<Self>) {
+        let _long = cx.long_operation(LONG);
+        drop(cx.long_operation(MS));
+        // It needs no processor, only the thread.
+        let end = Instant::now() + 250 * MS;
+        while Instant::now() < end {
+            std::hint::spin_loop();
+        }
+    }
+}
+
+#[test]
+fn a_declared_long_operation_is_no_hang_though_a_short_one_ended_within_it() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let camera = ChildSpec::new("camera", || Camera).max_block(60 * MS);
+        let node = start(Node::builder("m").work_threads(1).child(camera)).await;
+
+        let camera = node.sender::<Calibrate>("camera").expect("a camera");
+        for _ in 0..6 {
+            camera.ask_within(Calibrate, LONG).await.expect("it lives");
+        }
+
+        node.expect_no_faults().await;
+        assert_eq!(node.row("camera").await.incarnation, Incarnation(1));
+        node.shutdown().await;
+    });
+}

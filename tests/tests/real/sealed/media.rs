@@ -1,0 +1,134 @@
+//! Each medium that leaves the process carries sealed links.
+
+use super::{PATIENCE, ask, is_up, node, until};
+use blastema::{Network, Node};
+use blastema_ptys::{Adapters, Cable};
+use blastema_tests::{RobotKeys, free_addresses};
+use std::path::Path;
+
+/// Two nodes on these networks find each other, and ask each other.
+async fn carries(folder: &Path, networks: [Network; 2], cipher: &str, requests: u32) -> [Node; 2] {
+    let keys = RobotKeys::new(folder, &["left", "right"], 1);
+    let [left, right] = networks;
+    let left = node(&keys, "left", left).start().await.expect("it starts");
+    let right = node(&keys, "right", right).start().await.expect("it starts");
+    assert!(left.connected("right", PATIENCE).await, "{:?}", left.links().await);
+    assert!(right.connected("left", PATIENCE).await, "{:?}", right.links().await);
+    for number in 1..=requests {
+        assert_eq!(ask(&left, "right").await, number);
+        assert_eq!(ask(&right, "left").await, number);
+    }
+    for node in [&left, &right] {
+        let network = &node.networks()[0];
+        assert!(network.sealed && !network.insecure, "{network:?}");
+        let links = node.links().await;
+        let seal = links[0].seal.expect("it is sealed");
+        assert!(seal.cipher.contains(cipher), "{seal:?}");
+        let shown = node.snapshot().await.to_json();
+        for part in [r#""sealed":true"#, &format!(r#""seal":"{}""#, seal.cipher)] {
+            assert!(shown.contains(part), "{part} is missing in {shown}");
+        }
+    }
+    [left, right]
+}
+
+async fn end(nodes: [Node; 2]) {
+    for node in nodes {
+        node.shutdown().await;
+    }
+}
+
+#[test]
+fn udp_tcp_and_unix_sockets_carry_sealed_links() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        for scheme in ["udp", "tcp"] {
+            let folder = tempfile::tempdir().expect("a folder");
+            let at = free_addresses(2);
+            let network = |own: usize, peer: &str| {
+                let endpoint = format!("{scheme}://{}", at[own]);
+                Network::new("lan", &endpoint).peer(peer, &at[1 - own].to_string())
+            };
+            end(carries(folder.path(), [network(0, "right"), network(1, "left")], "GCM", 20).await)
+                .await;
+        }
+        let folder = tempfile::tempdir().expect("a folder");
+        let socket = |name: &str| folder.path().join(name).display().to_string();
+        let network = |own: &str, peer: &str| {
+            Network::new("local", &format!("unix://{}", socket(own))).peer(peer, &socket(peer))
+        };
+        let networks = [network("left", "right"), network("right", "left")];
+        end(carries(folder.path(), networks, "GCM", 20).await).await;
+    });
+}
+
+#[test]
+fn a_serial_line_carries_sealed_links_and_a_can_bus_authenticated_ones() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let cable = Cable::new();
+        let network = |port: &Path, peer: &str| {
+            let endpoint = format!("serial://{}?baud=921600", port.display());
+            Network::new("line", &endpoint).peer(peer, "")
+        };
+        let networks = [network(&cable.left(), "right"), network(&cable.right(), "left")];
+        end(carries(folder.path(), networks, "GCM", 20).await).await;
+
+        let folder = tempfile::tempdir().expect("a folder");
+        let adapters = Adapters::new();
+        [1, 2].into_iter().for_each(|number| adapters.plug(number));
+        let network = |own: u8, peer: &str| {
+            let port = adapters.port(own);
+            let endpoint = format!("slcan://{}?bitrate=1000000&address={own}", port.display());
+            Network::new("bus", &endpoint).peer(peer, &(3 - own).to_string())
+        };
+        end(carries(folder.path(), [network(1, "right"), network(2, "left")], "SHA", 20).await)
+            .await;
+    });
+}
+
+#[test]
+fn nodes_that_discover_each_other_get_sealed_links() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let keys = RobotKeys::new(folder.path(), &["left", "middle", "right"], 1);
+        let at = free_addresses(3);
+        let lan =
+            |own: usize| Network::new("lan", &format!("udp://{}", at[own])).discover_anybody();
+        let middle = || at[1].to_string();
+        let left = node(&keys, "left", lan(0).peer("middle", &middle())).start().await.unwrap();
+        let right = node(&keys, "right", lan(2).peer("middle", &middle())).start().await.unwrap();
+        let network = lan(1).peer("left", &at[0].to_string()).peer("right", &at[2].to_string());
+        let middle = node(&keys, "middle", network).start().await.unwrap();
+
+        // By way of the middle's gossip.
+        until(async || left.links().await.len() == 2 && is_up(&left).await, "it is found").await;
+        assert!(left.connected("right", PATIENCE).await);
+        assert_eq!(ask(&left, "right").await, 1);
+        until(
+            async || left.links().await.iter().all(|link| link.seal.is_some()),
+            "both links are sealed",
+        )
+        .await;
+        for node in [left, right, middle] {
+            node.shutdown().await;
+        }
+    });
+}
+
+#[test]
+fn the_slowest_serial_line_carries_sealed_links_with_the_frames_that_it_chooses() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let cable = Cable::slow(960);
+        let network = |port: &Path, peer: &str| {
+            let endpoint = format!("serial://{}?baud=9600", port.display());
+            Network::new("line", &endpoint).peer(peer, "")
+        };
+        let networks = [network(&cable.left(), "right"), network(&cable.right(), "left")];
+        end(carries(folder.path(), networks, "GCM", 3).await).await;
+    });
+}

@@ -1,0 +1,224 @@
+//! Nodes with keys whose processes are killed, stopped and starved.
+
+use super::{Count, PATIENCE, ask, node, until};
+use blastema::prelude::*;
+use blastema::{LinkState, Network};
+use blastema_tests::{Process, RobotKeys, addresses, free_addresses, role};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+const NODES: [&str; 2] = ["left", "right"];
+
+fn network(scheme: &str, own: usize, at: &[String]) -> Network {
+    Network::new("lan", &format!("{scheme}://{}", at[own])).peer(NODES[1 - own], &at[1 - own])
+}
+
+/// Is the right node: with the addresses of both, the medium, and the folder of the keys.
+#[test]
+fn a_process_plays_its_role() {
+    let Some(scheme) = role() else { return };
+    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
+    let at = addresses();
+    if scheme == FILE {
+        return play_as_described();
+    }
+    let file = Path::new(&at[2]).join("right.key");
+    blastema::run(async {
+        let counter = ChildSpec::new("right-counter", || super::Counter(0));
+        let builder = Node::builder("right").work_threads(1).keys(file).child(counter);
+        let _node = builder.network(network(&scheme, 1, &at)).start().await.expect("it starts");
+        std::future::pending::<()>().await;
+    });
+}
+
+/// A role whose networks and keys stand in a file that the environment names, and overrides.
+const FILE: &str = "file";
+
+fn play_as_described() {
+    blastema::run(async {
+        let counter = ChildSpec::new("right-counter", || super::Counter(0));
+        let builder = Node::builder("right").work_threads(1).child(counter);
+        let _node = builder.start().await.expect("it starts");
+        std::future::pending::<()>().await;
+    });
+}
+
+/// The left node here, the right one in a process.
+struct Pair {
+    left: Node,
+    right: Process,
+    at: Vec<String>,
+    _folder: tempfile::TempDir,
+}
+
+impl Pair {
+    async fn start(scheme: &'static str) -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let keys = RobotKeys::new(folder.path(), &NODES, 1);
+        let mut at: Vec<_> = free_addresses(2).iter().map(ToString::to_string).collect();
+        at.push(folder.path().display().to_string());
+        let right = Process::start_with(module_path!(), scheme, &at, &[]);
+        let left = node(&keys, "left", network(scheme, 0, &at)).start().await.expect("it starts");
+        assert!(left.connected("right", PATIENCE).await, "{:?}", left.links().await);
+        Pair { left, right, at, _folder: folder }
+    }
+
+    /// The incarnation that the right node's link is with.
+    async fn incarnation(&self) -> u64 {
+        let links = self.left.links().await;
+        links[0].neighbour.as_ref().map_or(0, |neighbour| neighbour.incarnation.0)
+    }
+
+    /// Asks until there is an answer.
+    async fn first_answer(&self) -> u32 {
+        let counter = self.left.sender::<Count>("right:right-counter").expect("a name");
+        let mut answer = None;
+        until(
+            async || {
+                answer = counter.ask_within(Count, PATIENCE).await.ok();
+                answer.is_some()
+            },
+            "an answer",
+        )
+        .await;
+        answer.expect("it came")
+    }
+
+    async fn is_up(&self) -> bool {
+        self.left.links().await[0].state == LinkState::Up
+    }
+}
+
+#[test]
+fn a_killed_process_is_found_again_with_new_keys_and_serves_no_request_of_the_past() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        for scheme in ["udp", "tcp"] {
+            let mut pair = Pair::start(scheme).await;
+            for round in 0..5 {
+                let before = pair.incarnation().await;
+                // A request to the process that was killed is told to be lost, and is not served.
+                let first = pair.first_answer().await;
+                assert_eq!(first, 1, "{scheme}, {round}");
+                for number in 2..=10 {
+                    assert_eq!(ask(&pair.left, "right").await, number, "{scheme}, {round}");
+                }
+                pair.right.kill();
+                pair.right = Process::start_with(module_path!(), scheme, &pair.at, &[]);
+                until(async || pair.is_up().await && pair.incarnation().await > before, "again")
+                    .await;
+                assert!(pair.left.connected("right", PATIENCE).await);
+            }
+            // A restart within tenths of a second is no second computer with the key.
+            let mut faults = pair.left.faults().await.entries.into_iter();
+            assert!(!faults.any(|entry| entry.fault.kind == FaultKind::NameTaken), "{scheme}");
+            pair.left.shutdown().await;
+        }
+    });
+}
+
+#[test]
+fn a_stopped_process_goes_on_with_the_keys_that_it_had() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let pair = Pair::start("udp").await;
+        let (mut served, incarnation) = (0, pair.incarnation().await);
+        for _ in 0..5 {
+            served += 1;
+            assert_eq!(ask(&pair.left, "right").await, served);
+            pair.right.signal("-STOP");
+            until(async || !pair.is_up().await, "the left node sees that it is silent").await;
+            pair.right.signal("-CONT");
+            until(async || pair.is_up().await, "it is back").await;
+        }
+        assert_eq!(pair.incarnation().await, incarnation);
+        assert!(pair.left.connected("right", PATIENCE).await);
+        served += 1;
+        assert_eq!(ask(&pair.left, "right").await, served);
+        pair.left.shutdown().await;
+    });
+}
+
+#[test]
+fn beside_four_times_as_many_busy_threads_as_processors_keys_are_agreed_on_and_kept() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let busy = Arc::new(());
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        for _ in 0..4 * cores {
+            let busy = Arc::downgrade(&busy);
+            std::thread::spawn(move || while busy.strong_count() > 0 {});
+        }
+        let pair = Pair::start("udp").await;
+        for number in 1..=50 {
+            assert_eq!(ask(&pair.left, "right").await, number);
+            blastema::sleep(Duration::from_millis(10)).await;
+        }
+        let refusals = pair.left.links().await[0].refusals;
+        assert_eq!(refusals.forged + refusals.malformed, 0, "{refusals:?}");
+        drop(busy);
+        pair.left.shutdown().await;
+    });
+}
+
+/// A roster is changed as a file: by another program, while the nodes run.
+#[test]
+fn a_revoked_node_loses_its_link_while_all_run_and_a_listed_one_gets_one() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let pair = Pair::start("udp").await;
+        let folder = Path::new(&pair.at[2]);
+        assert_eq!(ask(&pair.left, "right").await, 1);
+        let replace = |nodes: &[&str], serial| {
+            let text = RobotKeys::roster(nodes, 1, serial);
+            std::fs::write(folder.join("new"), text).expect("a folder");
+            std::fs::rename(folder.join("new"), folder.join("ranger.roster")).expect("a folder");
+        };
+
+        replace(&["left"], 2);
+        until(async || !pair.is_up().await, "the link is down").await;
+        let gone = async || pair.left.links().await[0].seal.is_none();
+        until(gone, "its keys are gone").await;
+
+        replace(&NODES, 3);
+        until(async || pair.is_up().await, "the link is back").await;
+        assert!(pair.left.connected("right", PATIENCE).await);
+        assert_eq!(pair.first_answer().await, 2);
+        pair.left.shutdown().await;
+    });
+}
+
+#[test]
+fn networks_and_keys_stand_in_files_and_environment_and_program_override_them() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        RobotKeys::new(folder.path(), &NODES, 1);
+        let at = free_addresses(2);
+        // Both files have a wrong address of the other node, or of their own.
+        let write = |own: usize, endpoint: &str, peer: &str| {
+            let file = folder.path().join(format!("{}.toml", NODES[own]));
+            let text = format!(
+                "keys = \"{}.key\"\n[networks.lan]\nendpoint = \"udp://{endpoint}\"\n\
+                 peers = {{ {} = \"{peer}\" }}\n",
+                NODES[own],
+                NODES[1 - own]
+            );
+            std::fs::write(&file, text).expect("a folder");
+            file
+        };
+        let left = write(0, &at[0].to_string(), "127.0.0.1:1");
+        let right = write(1, "127.0.0.1:1", &at[0].to_string()).display().to_string();
+        let set = format!("networks.lan.endpoint=udp://{}; ", at[1]);
+        let variables = [("BLASTEMA_NETWORKS", &right), ("BLASTEMA_SET", &set)];
+        let _right = Process::start_with(module_path!(), FILE, &[], &variables);
+        let left = Node::builder("left").work_threads(1).networks_from(left);
+        let left = left.set(&format!("networks.lan.peers.right={}", at[1]));
+        let left = left.start().await.expect("it starts");
+        assert!(left.connected("right", PATIENCE).await, "{:?}", left.links().await);
+        assert!(left.networks()[0].sealed);
+        assert_eq!(ask(&left, "right").await, 1);
+        left.shutdown().await;
+    });
+}

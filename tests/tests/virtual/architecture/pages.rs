@@ -1,0 +1,123 @@
+//! Rules about the pages that people read first.
+
+use crate::architecture::tree::{Breach, Tree};
+
+/// One word per concept: in types, files, manual and command line.
+const VOCABULARY: [&str; 26] = [
+    "node",
+    "object",
+    "component",
+    "contract",
+    "sender",
+    "port",
+    "transport",
+    "link",
+    "session",
+    "route",
+    "incarnation",
+    "fault",
+    "error",
+    "failure",
+    "heartbeat",
+    "ping",
+    "trusted",
+    "suspect",
+    "failed",
+    "strategy",
+    "child spec",
+    "intensity",
+    "escalate",
+    "proxy",
+    "safe state",
+    "degraded",
+];
+
+/// The README explains every word of the vocabulary in the first column of its glossary.
+pub(crate) fn glossary(tree: &Tree) -> Vec<Breach> {
+    let rows = section(tree, "## Glossary");
+    let terms: String = rows
+        .filter_map(|row| row.strip_prefix('|')?.split('|').next())
+        .collect::<Vec<_>>()
+        .join(" ")
+        .to_lowercase();
+    VOCABULARY
+        .iter()
+        .filter(|term| !terms.contains(*term))
+        .map(|term| Breach::new("README.md", 1, format!("the glossary lacks \"{term}\"")))
+        .collect()
+}
+
+/// The README's map names every package and its folder in one row.
+pub(crate) fn map(tree: &Tree) -> Vec<Breach> {
+    let rows: Vec<&str> = section(tree, "## The map").collect();
+    tree.manifests
+        .iter()
+        .filter_map(|manifest| {
+            let package = manifest.package.as_deref()?;
+            let folder = manifest.folder().trim_end_matches('/');
+            let named = rows.iter().any(|row| {
+                row.contains(&format!("`{folder}/`")) && row.contains(&format!("`{package}`"))
+            });
+            let what = format!("the map has no row for `{folder}/` with `{package}`");
+            (!named).then(|| Breach::new("README.md", 1, what))
+        })
+        .collect()
+}
+
+/// A page is read in a terminal beside the code. A row of a table cannot be broken.
+const WIDTH: usize = 120;
+
+/// No line of a page is wider than that, but for tables.
+pub(crate) fn width(tree: &Tree) -> Vec<Breach> {
+    let pages = tree.files.iter().filter(|(path, _)| path.ends_with(".md"));
+    let lines = pages.flat_map(|(path, text)| text.lines().zip(1..).map(move |line| (path, line)));
+    lines
+        .filter(|(_, (line, _))| {
+            !line.trim_start().starts_with('|') && line.chars().count() > WIDTH
+        })
+        .map(|(path, (_, number))| Breach::new(path, number, "wider than 120 columns".to_owned()))
+        .collect()
+}
+
+/// The lines below a heading, up to the next one of its rank.
+fn section<'a>(tree: &'a Tree, heading: &'a str) -> impl Iterator<Item = &'a str> {
+    let text = tree.files.get("README.md").map_or("", String::as_str);
+    text.lines()
+        .skip_while(move |line| *line != heading)
+        .skip(1)
+        .take_while(|line| !line.starts_with("## "))
+}
+
+/// Words that leave open which part of the system acts.
+const VAGUE: [&str; 5] = ["whoever", "nobody", "somebody", "anybody", "anew"];
+
+/// How often they may stand in the sources and pages of a folder. A folder that is rewritten gets
+/// its new, lower number; none rises.
+const VAGUE_MAX: [(&str, usize); 6] = [
+    ("actors/", 55),
+    ("core/", 164),
+    ("examples/", 0),
+    ("tests/", 10),
+    ("transports/", 0),
+    ("README.md", 0),
+];
+
+/// A sentence names the part of the system that acts: the peer, the sender, the other node.
+pub(crate) fn subjects(tree: &Tree) -> Vec<Breach> {
+    let count = |text: &str| {
+        let words = text.split(|c: char| !c.is_alphanumeric() && c != '_');
+        words.filter(|word| VAGUE.iter().any(|vague| word.eq_ignore_ascii_case(vague))).count()
+    };
+    let is_prose = |path: &str| path.ends_with(".rs") || path.ends_with(".md");
+    VAGUE_MAX
+        .iter()
+        .filter_map(|&(folder, most)| {
+            let own = tree.files.iter().filter(|(path, _)| path.starts_with(folder));
+            let found: usize =
+                own.filter(|(path, _)| is_prose(path)).map(|(_, text)| count(text)).sum();
+            let what =
+                format!("{found} words such as \"nobody\" and \"whoever\", of {most} at most");
+            (found > most).then(|| Breach::new(folder, 1, what))
+        })
+        .collect()
+}

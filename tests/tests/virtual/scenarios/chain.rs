@@ -1,0 +1,87 @@
+//! Faults in the middleware itself, as far as an application can provoke them.
+
+use crate::scenarios::puppet::{Deed, Strings, ask, incarnation, strike};
+use blastema::prelude::*;
+use blastema::{MemoryMedium, Network};
+use blastema_testkit::TestNode;
+use std::time::Duration;
+
+#[blastema_testkit::test]
+async fn the_chain_shows_itself_in_the_table() {
+    let node = TestNode::start(Node::builder("module1")).await;
+
+    for name in ["chain/monitor", "chain/detector", "chain/notifier", "chain/recoverer", "root"] {
+        let row = node.row(name).await;
+        assert_eq!(row.restarts, 0, "{name}");
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_reader_of_fault_events_that_goes_away_is_forgotten() {
+    let strings = Strings::default();
+    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("laser"))).await;
+    let events = node.fault_events();
+    drop(events);
+
+    for _ in 0..3 {
+        strike(&node, "laser").await;
+        node.await_recovered(FaultKind::Panic, "laser").await;
+    }
+
+    assert_eq!(incarnation(&node, "laser").await, 4);
+}
+
+#[blastema_testkit::test]
+async fn a_reader_that_never_reads_loses_events_and_is_told_how_many() {
+    let strings = Strings::default();
+    let plan = Plan::default().on(FaultKind::CheckFailed, Ladder::first(RecoveryAction::Restart));
+    let builder = Node::builder("module1")
+        .plan(plan)
+        .intensity(1000, Duration::from_secs(10))
+        .child(strings.spec("laser"));
+    let node = TestNode::start(builder).await;
+    let slow = node.fault_events();
+
+    for _ in 0..600 {
+        let _ = ask(&node, "laser", Deed::Panic("again".into())).await;
+        node.settle().await;
+    }
+
+    assert!(slow.missed() > 0);
+    assert_eq!(incarnation(&node, "laser").await, 601);
+    let record = node.faults().await;
+    assert!(record.entries.len() + usize::try_from(record.dropped).unwrap() == 600);
+}
+
+#[blastema_testkit::test]
+async fn safe_outputs_that_panic_do_not_keep_the_node_from_its_rest() {
+    let strings = Strings::default();
+    let builder = Node::builder("module1")
+        .intensity(1, Duration::from_secs(10))
+        .when_exceeded(WhenExceeded::Escalate)
+        .safe_outputs(|_| panic!("no brakes"))
+        .child(strings.spec("laser"));
+    let node = TestNode::start(builder).await;
+
+    strike(&node, "laser").await;
+    strike(&node, "laser").await;
+
+    assert!(matches!(node.ended().await, NodeState::InSafeState { .. }));
+}
+
+#[blastema_testkit::test]
+async fn a_router_that_panics_is_recorded_and_lives_on() {
+    let medium = MemoryMedium::default();
+    let network = Network::memory("ethernet", &medium, "module1");
+    let mut node = TestNode::start(Node::builder("module1").network(network)).await;
+
+    for _ in 0..3 {
+        node.panic_router();
+        node.await_fault(FaultKind::Panic, "net/router").await;
+        node.await_recovered(FaultKind::Panic, "net/router").await;
+        node.advance(Duration::from_secs(10)).await;
+    }
+
+    node.expect_no_faults().await;
+    assert_eq!(node.row("net/router").await.restarts, 3);
+}

@@ -1,0 +1,156 @@
+//! A component says that it is in error.
+
+use crate::scenarios::puppet::{Deed, Pull, Strings, ask, incarnation};
+use blastema::core::detection::FaultRecord;
+use blastema::prelude::*;
+use blastema::{Incarnation, Lifecycle, Severity};
+use blastema_testkit::TestNode;
+use std::time::Duration;
+
+async fn node_of(strings: &Strings) -> TestNode {
+    TestNode::start(Node::builder("module1").child(strings.spec("arm").rate_hz(100.0))).await
+}
+
+async fn fail(node: &TestNode, why: &str) {
+    ask(node, "arm", Deed::Fail(why.into())).await.expect("it answers before it fails");
+}
+
+/// What was decided last about each fault, in the order in which they were found.
+fn decided(record: &FaultRecord) -> Vec<&str> {
+    let action = |entry: &blastema::core::detection::FaultEntry| entry.decided.is_some();
+    assert!(record.entries.iter().all(action), "{record:?}");
+    record.entries.iter().filter_map(|e| e.decided.as_ref()).map(|(_, m)| m.as_str()).collect()
+}
+
+#[blastema_testkit::test]
+async fn an_error_is_reset_within_the_same_incarnation() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings).await;
+    strings.diary();
+
+    fail(&node, "the gripper slips").await;
+    let fault = node.await_fault(FaultKind::ErrorState, "arm").await;
+    node.await_recovered(FaultKind::ErrorState, "arm").await;
+
+    assert_eq!((fault.detail.as_str(), fault.incarnation), ("the gripper slips", Incarnation(1)));
+    let hooks = ["arm#1 on_aborting", "arm#1 on_error", "arm#1 on_reset", "arm#1 on_activated"];
+    assert_eq!(strings.diary(), hooks);
+    assert_eq!(incarnation(&node, "arm").await, 1);
+    assert_eq!(decided(&node.faults().await), ["reset"]);
+    assert_eq!(node.row("arm").await.state, Some(Lifecycle::Active));
+}
+
+#[blastema_testkit::test]
+async fn a_hook_that_fails_is_an_error_too() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings).await;
+
+    strings.pull("arm", "on_execute", Pull::Fail("no current"));
+    let fault = node.await_fault(FaultKind::ErrorState, "arm").await;
+    node.await_recovered(FaultKind::ErrorState, "arm").await;
+
+    assert_eq!(fault.detail, "no current");
+    assert_eq!(incarnation(&node, "arm").await, 1);
+}
+
+#[blastema_testkit::test]
+async fn an_error_that_comes_back_climbs_the_ladder_to_a_restart() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings).await;
+
+    for _ in 0..2 {
+        fail(&node, "it slips again").await;
+        node.await_recovered(FaultKind::ErrorState, "arm").await;
+        node.advance(Duration::from_secs(1)).await;
+    }
+
+    assert_eq!(decided(&node.faults().await), ["reset", "restart"]);
+    assert_eq!(incarnation(&node, "arm").await, 2);
+
+    // Long after, it is treated from the beginning.
+    node.advance(Duration::from_secs(60)).await;
+    fail(&node, "it slips").await;
+    node.await_recovered(FaultKind::ErrorState, "arm").await;
+    assert_eq!(decided(&node.faults().await), ["reset", "restart", "reset"]);
+}
+
+#[blastema_testkit::test]
+async fn a_reset_that_fails_is_followed_by_a_restart() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings).await;
+    strings.pull("arm", "on_reset", Pull::Fail("it is bent"));
+    strings.diary();
+
+    fail(&node, "the gripper slips").await;
+    node.await_recovered(FaultKind::ErrorState, "arm").await;
+
+    assert_eq!(incarnation(&node, "arm").await, 2);
+    let finalized = strings.diary().iter().position(|line| line == "arm#1 on_finalize");
+    assert!(finalized.is_some(), "the old incarnation had its last word");
+    let record = node.faults().await;
+    assert_eq!(decided(&record)[0], "restart");
+    let ended = |e: &blastema::core::detection::FaultEntry| e.recovered_at.is_some();
+    assert!(record.entries.iter().all(ended), "{record:?}");
+}
+
+#[blastema_testkit::test]
+async fn a_reset_that_never_answers_is_followed_by_a_restart() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings).await;
+    strings.pull("arm", "on_reset", Pull::Wait(Duration::from_secs(3600)));
+
+    fail(&node, "the gripper slips").await;
+    node.await_recovered(FaultKind::ErrorState, "arm").await;
+
+    assert_eq!(incarnation(&node, "arm").await, 2);
+}
+
+#[blastema_testkit::test]
+async fn a_fatal_failure_is_answered_by_a_new_incarnation() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings).await;
+
+    ask(&node, "arm", Deed::FailFatally("it burns".into())).await.unwrap();
+    let fault = node.await_fault(FaultKind::Fatal, "arm").await;
+    node.await_recovered(FaultKind::Fatal, "arm").await;
+
+    assert_eq!((fault.detail.as_str(), fault.severity), ("it burns", Severity::Critical));
+    assert_eq!(incarnation(&node, "arm").await, 2);
+    node.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn a_panic_while_it_aborts_or_resets_is_answered_by_a_new_incarnation() {
+    for hook in ["on_aborting", "on_error", "on_reset"] {
+        let strings = Strings::default();
+        let mut node = node_of(&strings).await;
+        strings.pull("arm", hook, Pull::Panic("worse and worse"));
+
+        fail(&node, "the gripper slips").await;
+        node.await_fault(FaultKind::Panic, "arm").await;
+        node.await_recovered(FaultKind::Panic, "arm").await;
+        node.advance(Duration::from_secs(5)).await;
+
+        assert_eq!(incarnation(&node, "arm").await, 2, "{hook}");
+        let record = node.faults().await;
+        let stands: Vec<_> = record
+            .entries
+            .iter()
+            .filter(|entry| entry.status() == blastema::FaultStatus::Open)
+            .collect();
+        assert!(stands.is_empty(), "{hook}: {stands:?}");
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_ends_itself_is_an_unexpected_exit() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings).await;
+
+    ask(&node, "arm", Deed::Stop).await.unwrap();
+    node.await_fault(FaultKind::UnexpectedExit, "arm").await;
+    node.await_recovered(FaultKind::UnexpectedExit, "arm").await;
+
+    assert_eq!(incarnation(&node, "arm").await, 2);
+    node.expect_no_faults().await;
+}

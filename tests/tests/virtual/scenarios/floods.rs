@@ -1,0 +1,155 @@
+//! More messages than a component can serve.
+
+use crate::scenarios::puppet::{Deed, Do, Note, Puppet, Strings, ask};
+use blastema::core::delivery::dead_letters::DeadReason;
+use blastema::core::detection::{Liveness, Opinion, Pull};
+use blastema::prelude::*;
+use blastema_testkit::{TestNode, now};
+use std::time::Duration;
+
+/// A component with a queue of four that is busy for a second.
+async fn busy(strings: &Strings, when_full: WhenFull) -> (TestNode, ActorRef<Puppet>) {
+    let spec = strings.spec("hall").queue(4, when_full);
+    let node = TestNode::start(Node::builder("module1").child(spec)).await;
+    let hall = node.actor::<Puppet>("hall").unwrap();
+    hall.tell(Do(Deed::Await(1000))).unwrap();
+    node.settle().await;
+    (node, hall)
+}
+
+fn lost(node: &TestNode) -> u64 {
+    node.dead_letters().count(&"hall".parse().unwrap(), DeadReason::Full)
+}
+
+/// The notes that were served in the end.
+async fn served(node: &TestNode, strings: &Strings) -> Vec<String> {
+    node.advance(Duration::from_secs(2)).await;
+    strings.lines("note").iter().map(|line| line.replace("hall#1 note ", "")).collect()
+}
+
+#[blastema_testkit::test]
+async fn a_queue_that_refuses_gives_the_message_back() {
+    let strings = Strings::default();
+    let (node, hall) = busy(&strings, WhenFull::Refuse).await;
+
+    (1..=4).for_each(|n| hall.tell(Note(n)).unwrap());
+    let refused = hall.tell(Note(5)).expect_err("it is full");
+
+    assert_eq!((refused.kind, refused.message), (DeliveryError::Full, Note(5)));
+    assert_eq!((hall.queued(), lost(&node)), (4, 0), "its sender has it, so that nothing is lost");
+    assert_eq!(served(&node, &strings).await, ["1", "2", "3", "4"]);
+}
+
+#[blastema_testkit::test]
+async fn a_queue_that_drops_the_oldest_keeps_the_newest_and_counts() {
+    let strings = Strings::default();
+    let (node, hall) = busy(&strings, WhenFull::DropOldest).await;
+
+    (1..=9).for_each(|n| hall.tell(Note(n)).unwrap());
+
+    assert_eq!((hall.queued(), lost(&node)), (4, 5));
+    assert_eq!(served(&node, &strings).await, ["6", "7", "8", "9"]);
+}
+
+#[blastema_testkit::test]
+async fn a_queue_that_drops_the_newest_keeps_the_first_and_counts() {
+    let strings = Strings::default();
+    let (node, hall) = busy(&strings, WhenFull::DropNewest).await;
+
+    (1..=9).for_each(|n| hall.tell(Note(n)).unwrap());
+
+    assert_eq!((hall.queued(), lost(&node)), (4, 5));
+    assert_eq!(served(&node, &strings).await, ["1", "2", "3", "4"]);
+}
+
+#[blastema_testkit::test]
+async fn whoever_waits_for_room_is_served_in_turn() {
+    let strings = Strings::default();
+    let (node, hall) = busy(&strings, WhenFull::Wait).await;
+    let start = now();
+
+    for n in 1..=9 {
+        hall.deliver(Note(n)).await.unwrap();
+    }
+
+    assert_eq!(now() - start, Duration::from_millis(1000));
+    assert_eq!(lost(&node), 0);
+    assert_eq!(served(&node, &strings).await, ["1", "2", "3", "4", "5", "6", "7", "8", "9"]);
+}
+
+#[blastema_testkit::test]
+async fn a_flooded_component_still_answers_and_its_overload_is_seen() {
+    let strings = Strings::default();
+    let watch = Liveness::Pull(Pull::default());
+    let spec = strings.spec("hall").queue(8, WhenFull::DropOldest).liveness(watch);
+    let spec = spec.max_delay(Duration::from_millis(500));
+    let mut node = TestNode::start(Node::builder("module1").child(spec)).await;
+    let hall = node.actor::<Puppet>("hall").unwrap();
+
+    // Each takes 200 ms, and each 100 ms there is another one.
+    for _ in 0..30 {
+        hall.tell(Do(Deed::Await(200))).unwrap();
+        node.advance(Duration::from_millis(100)).await;
+    }
+
+    let row = node.row("hall").await;
+    assert_eq!(row.opinion, Opinion::Trusted, "{row:?}");
+    assert!(row.queue.is_some_and(|queue| queue.queued > 4), "{row:?}");
+    let fault = node.await_fault(FaultKind::Overload, "hall").await;
+    assert!(fault.detail.contains("messages wait"), "{}", fault.detail);
+    assert_eq!(hall.incarnation().0, 1, "{:?}", node.faults().await);
+    node.advance(Duration::from_secs(5)).await;
+    node.expect_no_faults().await;
+    let record = node.faults().await;
+    assert!(!record.entries[0].stands(), "it passes: {record:?}");
+}
+
+#[blastema_testkit::test]
+async fn a_flooded_component_obeys_stop() {
+    let strings = Strings::default();
+    let (node, hall) = busy(&strings, WhenFull::DropOldest).await;
+    (1..=99).for_each(|_| hall.tell(Do(Deed::Await(1000))).unwrap());
+    let start = now();
+
+    node.remove_child("hall").await.unwrap();
+
+    assert_eq!(now() - start, Duration::from_secs(1), "after the present handler");
+    assert!(strings.diary().contains(&"hall#1 on_finalize".into()));
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_does_not_end_is_ended_when_its_time_is_over() {
+    let strings = Strings::default();
+    let spec = strings.spec("hall").shutdown_within(Duration::from_secs(2));
+    let node = TestNode::start(Node::builder("module1").child(spec)).await;
+    let waiting = node.sender::<Do>("hall").unwrap();
+    let waiting = tokio::task::spawn_local(async move {
+        waiting.ask_within(Do(Deed::Await(3_600_000)), Duration::from_secs(60)).await
+    });
+    node.settle().await;
+    let start = now();
+
+    node.remove_child("hall").await.unwrap();
+
+    assert_eq!(now() - start, Duration::from_secs(2));
+    let error = waiting.await.unwrap().expect_err("it was cut short");
+    assert!(matches!(error.kind, DeliveryError::PeerDied { .. }), "{}", error.kind);
+    let lost = node.dead_letters().count(&"hall".parse().unwrap(), DeadReason::PeerDied);
+    assert_eq!(lost, 1, "what it served is a dead letter");
+}
+
+#[blastema_testkit::test]
+async fn a_flood_harms_no_neighbour() {
+    let strings = Strings::default();
+    let builder = Node::builder("module1")
+        .child(strings.spec("hall").queue(100_000, WhenFull::Refuse))
+        .child(strings.spec("room"));
+    let node = TestNode::start(builder).await;
+    let hall = node.actor::<Puppet>("hall").unwrap();
+
+    (0..100_000).for_each(|n| hall.tell(Note(n)).unwrap());
+    assert_eq!(ask(&node, "room", Deed::Nothing).await.unwrap(), 1);
+
+    assert!(hall.queued() > 90_000, "the neighbour did not have to wait for all of it");
+    strings.diary();
+}

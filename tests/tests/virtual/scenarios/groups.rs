@@ -1,0 +1,219 @@
+//! Siblings that cannot do without each other.
+
+use crate::scenarios::puppet::{Deed, Do, Pull, Strings, ask, incarnation, strike};
+use blastema::core::recovery::ChildState;
+use blastema::prelude::*;
+use blastema_testkit::TestNode;
+use std::time::Duration;
+
+/// Three siblings `a`, `b` and `c` under a supervisor of their own, beside a stranger.
+async fn node_of(strings: &Strings, strategy: Strategy) -> TestNode {
+    let group = SupervisorSpec::new("group", strategy)
+        .child(strings.spec("a"))
+        .child(strings.spec("b"))
+        .child(strings.spec("c"));
+    let builder = Node::builder("module1").child(strings.spec("stranger")).supervisor(group);
+    let node = TestNode::start(builder).await;
+    strings.diary();
+    node
+}
+
+async fn incarnations(node: &TestNode) -> [u64; 4] {
+    [
+        incarnation(node, "a").await,
+        incarnation(node, "b").await,
+        incarnation(node, "c").await,
+        incarnation(node, "stranger").await,
+    ]
+}
+
+/// The first hooks of incarnations, and the last ones.
+fn begins_and_ends(strings: &Strings) -> Vec<String> {
+    let short = |line: String| {
+        line.strip_suffix(" on_initialize")
+            .map(|who| format!("+{who}"))
+            .or_else(|| line.strip_suffix(" on_finalize").map(|who| format!("-{who}")))
+    };
+    strings.diary().into_iter().filter_map(short).collect()
+}
+
+#[blastema_testkit::test]
+async fn one_for_all_stops_in_reverse_order_and_starts_in_order() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings, Strategy::OneForAll).await;
+
+    strike(&node, "b").await;
+    node.await_recovered(FaultKind::Panic, "b").await;
+
+    // The one that panicked has no last word.
+    assert_eq!(begins_and_ends(&strings), ["-c#1", "-a#1", "+a#2", "+b#2", "+c#2"]);
+    assert_eq!(incarnations(&node).await, [2, 2, 2, 1]);
+    node.await_fault(FaultKind::Panic, "b").await;
+    node.expect_no_faults().await;
+}
+
+/// What becomes of `a`, `b`, a supervisor of `c` and `d`, `e` and `f` in this order, some on
+/// threads of their own, the others spread over three arbiters, when `b` panics. Their ends and
+/// beginnings take time.
+async fn over_all_arbiters(strategy: Strategy) -> Vec<String> {
+    let strings = Strings::default();
+    let pair = SupervisorSpec::new("pair", Strategy::OneForOne)
+        .child(strings.spec("c"))
+        .child(strings.spec("d").on_own_thread());
+    let group = SupervisorSpec::new("group", strategy)
+        .child(strings.spec("a"))
+        .child(strings.spec("b").on_own_thread())
+        .supervisor(pair)
+        .child(strings.spec("e"))
+        .child(strings.spec("f"));
+    let builder = Node::builder("module1").work_threads(3).supervisor(group);
+    let mut node = TestNode::of(builder.start().await.expect("the node starts")).await;
+    strings.diary();
+    for name in ["a", "c", "d", "e", "f"] {
+        strings.pull(name, "on_deactivated", Pull::Wait(Duration::from_millis(5)));
+        strings.pull(name, "on_initialize", Pull::Wait(Duration::from_millis(5)));
+    }
+
+    strike(&node, "b").await;
+    node.await_recovered(FaultKind::Panic, "b").await;
+    let last = node.sender::<Do>("f").expect("a puppet of this name");
+    let incarnation = last.ask_within(Do(Deed::Nothing), Duration::from_secs(30)).await;
+    assert_eq!(incarnation.expect("all are at work"), 2);
+    node.shutdown().await;
+    begins_and_ends(&strings)
+}
+
+#[blastema_testkit::test]
+async fn rest_for_one_takes_those_that_were_started_after_it() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings, Strategy::RestForOne).await;
+
+    strike(&node, "b").await;
+    node.await_recovered(FaultKind::Panic, "b").await;
+
+    assert_eq!(begins_and_ends(&strings), ["-c#1", "+b#2", "+c#2"]);
+    assert_eq!(incarnations(&node).await, [1, 2, 2, 1]);
+}
+
+#[blastema_testkit::test]
+async fn one_for_one_touches_nobody_else() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings, Strategy::OneForOne).await;
+
+    strike(&node, "b").await;
+    node.await_recovered(FaultKind::Panic, "b").await;
+
+    assert_eq!(begins_and_ends(&strings), ["+b#2"]);
+    assert_eq!(incarnations(&node).await, [1, 2, 1, 1]);
+}
+
+#[blastema_testkit::test]
+async fn a_member_that_fails_while_the_group_starts_holds_up_those_behind_it_only() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings, Strategy::OneForAll).await;
+    strings.pull("b", "on_initialize", Pull::Fail("jammed"));
+
+    strike(&node, "a").await;
+    node.await_recovered(FaultKind::InitializationFailed, "b").await;
+
+    let order = begins_and_ends(&strings);
+    assert_eq!(&order[..4], ["-c#1", "-b#1", "+a#2", "+b#2"]);
+    let tree = node.tree().await.unwrap();
+    let group = tree.children[1].below.as_ref().expect("the group answers");
+    assert!(group.children.iter().all(|leaf| leaf.state == ChildState::Running), "{group:?}");
+}
+
+#[blastema_testkit::test]
+async fn a_sibling_that_does_not_stop_is_given_up_after_its_time() {
+    let strings = Strings::default();
+    let group = SupervisorSpec::new("group", Strategy::OneForAll)
+        .child(strings.spec("a"))
+        .child(strings.spec("b").shutdown_within(Duration::from_secs(2)));
+    let mut node = TestNode::start(Node::builder("module1").supervisor(group)).await;
+    strings.pull("b", "on_deactivated", Pull::Wait(Duration::from_secs(3600)));
+
+    strike(&node, "a").await;
+    let took = node.await_recovered(FaultKind::Panic, "a").await;
+
+    assert!(took >= Duration::from_secs(2) && took < Duration::from_secs(3), "{took:?}");
+    assert_eq!((incarnation(&node, "a").await, incarnation(&node, "b").await), (2, 2));
+    node.await_fault(FaultKind::Panic, "a").await;
+    node.await_fault(FaultKind::ErrorState, "b").await;
+    node.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn what_is_sent_while_a_group_restarts_is_served_afterwards() {
+    let strings = Strings::default();
+    let node = node_of(&strings, Strategy::OneForAll).await;
+    strings.pull("b", "on_initialize", Pull::Wait(Duration::from_millis(300)));
+
+    strike(&node, "a").await;
+
+    // The one that is between two incarnations keeps its queue.
+    assert_eq!(ask(&node, "a", Deed::Nothing).await.unwrap(), 2);
+    assert_eq!(ask(&node, "b", Deed::Nothing).await.unwrap(), 2);
+}
+
+#[blastema_testkit::test]
+async fn a_member_that_needs_another_and_fails_while_that_one_returns_holds_up_neither() {
+    let strings = Strings::default();
+    let group = SupervisorSpec::new("group", Strategy::RestForOne)
+        .child(strings.spec("a"))
+        .child(strings.spec("b").depends_on(["a"]))
+        .child(strings.spec("c").depends_on(["b"]));
+    let mut node = TestNode::start(Node::builder("module1").supervisor(group)).await;
+    strings.pull("b", "on_initialize", Pull::Fail("no a"));
+
+    strike(&node, "a").await;
+    node.await_fault(FaultKind::Panic, "a").await;
+    let took = node.await_recovered(FaultKind::InitializationFailed, "b").await;
+
+    assert!(took < Duration::from_secs(1), "a deadline had to pass: {took:?}");
+    assert_eq!(incarnation(&node, "a").await, 2);
+    assert_eq!((incarnation(&node, "b").await, incarnation(&node, "c").await), (3, 2));
+    node.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn a_temporary_member_is_stopped_with_its_group_and_does_not_return() {
+    for strategy in [Strategy::OneForAll, Strategy::RestForOne] {
+        let strings = Strings::default();
+        let group = SupervisorSpec::new("group", strategy)
+            .child(strings.spec("a"))
+            .child_with(strings.spec("guest"), Restart::Temporary)
+            .child(strings.spec("c"));
+        let mut node = TestNode::start(Node::builder("module1").supervisor(group)).await;
+        strings.diary();
+
+        strike(&node, "a").await;
+        node.await_recovered(FaultKind::Panic, "a").await;
+
+        let order = ["-c#1", "-guest#1", "+a#2", "+c#2"];
+        assert_eq!(begins_and_ends(&strings), order, "{strategy:?}");
+        let refused = ask(&node, "guest", Deed::Nothing).await.expect_err("it is not missed");
+        assert_eq!(refused.kind, DeliveryError::Stopped);
+        let tree = node.tree().await.unwrap();
+        let group = tree.children[0].below.as_ref().expect("the group answers");
+        assert_eq!(group.children[1].state, ChildState::Finished, "{group:?}");
+    }
+}
+
+/// On real threads.
+mod real {
+    use super::*;
+
+    #[test]
+    fn a_group_stops_in_reverse_order_and_starts_in_order_also_across_arbiters() {
+        let _turn = blastema_doubles::turn();
+        blastema::run(async {
+            let shutdown = ["-f#2", "-e#2", "-d#2", "-c#2", "-b#2"];
+            let replaced = ["+b#2", "+c#2", "+d#2", "+e#2", "+f#2"];
+            let stopped = ["-f#1", "-e#1", "-d#1", "-c#1"];
+            let all = [&stopped[..], &["-a#1", "+a#2"], &replaced, &shutdown, &["-a#2"]];
+            assert_eq!(over_all_arbiters(Strategy::OneForAll).await, all.concat());
+            let rest = [&stopped[..], &replaced, &shutdown, &["-a#1"]];
+            assert_eq!(over_all_arbiters(Strategy::RestForOne).await, rest.concat());
+        });
+    }
+}

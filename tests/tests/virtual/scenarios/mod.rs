@@ -1,0 +1,40 @@
+//! Whole nodes and what strikes them, through the public interface and the whole fault chain.
+//!
+//! Everything but the modules `real` runs in virtual time on one thread. Each scenario says what was
+//! done to the robot, and what its record of faults, its table and its tree show afterwards.
+
+mod chain;
+mod chaos;
+mod commanders;
+mod death_watch;
+mod declared;
+mod either_order;
+mod endings;
+mod error_texts;
+mod errors;
+mod escalation;
+mod events;
+mod floods;
+mod groups;
+mod initialization;
+mod isolation;
+mod last_hooks;
+mod names;
+mod networks;
+mod panics;
+mod parameters;
+mod puppet;
+mod real;
+mod refusals;
+mod rest;
+mod retries;
+mod sending;
+mod services;
+mod silence;
+mod strategies;
+mod throwers;
+mod topics;
+mod tree;
+mod two_types;
+mod variables;
+mod watching;

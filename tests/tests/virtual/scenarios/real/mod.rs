@@ -1,0 +1,4 @@
+//! Scenarios on real threads.
+
+mod hangs;
+mod starving;

@@ -1,0 +1,223 @@
+//! Every result of sending, and that each request resolves.
+
+use crate::scenarios::puppet::{Deed, Do, Note, Pull, Strings, ask, strike};
+use blastema::core::delivery::dead_letters::DeadReason;
+use blastema::prelude::*;
+use blastema_testkit::{Harness, TestNode, now};
+use std::time::Duration;
+
+async fn node_of(strings: &Strings) -> TestNode {
+    TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await
+}
+
+#[blastema_testkit::test]
+async fn a_request_resolves_when_its_deadline_passes() {
+    let strings = Strings::default();
+    let node = node_of(&strings).await;
+    let arm = node.sender::<Do>("arm").unwrap();
+    let start = now();
+
+    let late = arm.ask_within(Do(Deed::Await(5000)), Duration::from_millis(700)).await;
+
+    let error = late.expect_err("it takes too long");
+    assert_eq!((error.kind, error.message), (DeliveryError::DeadlinePassed, None));
+    let took = now() - start;
+    assert!(took >= Duration::from_millis(700) && took <= Duration::from_millis(720), "{took:?}");
+    assert_eq!(arm.ask_within(Do(Deed::Nothing), Duration::from_secs(60)).await.unwrap(), 1);
+}
+
+#[blastema_testkit::test]
+async fn a_request_whose_deadline_passed_in_the_queue_is_not_served() {
+    let strings = Strings::default();
+    let node = node_of(&strings).await;
+    let arm = node.sender::<Do>("arm").unwrap();
+    arm.tell(Do(Deed::Await(3000))).unwrap();
+
+    let late = arm.ask(Do(Deed::Panic("too late".into()))).await;
+    node.advance(Duration::from_secs(5)).await;
+
+    assert_eq!(late.expect_err("it waits too long").kind, DeliveryError::DeadlinePassed);
+    assert_eq!(ask(&node, "arm", Deed::Nothing).await.unwrap(), 1, "no life ended by it");
+    let name = "arm".parse().unwrap();
+    assert_eq!(node.dead_letters().count(&name, DeadReason::DeadlinePassed), 1);
+}
+
+#[blastema_testkit::test]
+async fn a_request_in_the_queue_survives_the_receivers_death() {
+    let strings = Strings::default();
+    let node = node_of(&strings).await;
+    let arm = node.sender::<Do>("arm").unwrap();
+    arm.tell(Do(Deed::Panic("first".into()))).unwrap();
+
+    assert_eq!(arm.ask(Do(Deed::Nothing)).await.unwrap(), 2);
+}
+
+#[blastema_testkit::test]
+async fn between_two_incarnations_a_full_queue_says_restarting() {
+    let strings = Strings::default();
+    let group = SupervisorSpec::new("group", Strategy::OneForAll)
+        .child(strings.spec("first"))
+        .child(strings.spec("arm").queue(2, WhenFull::Refuse));
+    let node = TestNode::start(Node::builder("module1").supervisor(group)).await;
+    let notes = node.sender::<Note>("arm").unwrap();
+    strings.pull("first", "on_deactivated", Pull::Wait(Duration::from_secs(1)));
+
+    strike(&node, "arm").await;
+    node.settle().await;
+    (1..=2).for_each(|n| notes.tell(Note(n)).unwrap());
+    let refused = notes.tell(Note(3)).expect_err("there is no room for it");
+
+    assert_eq!((refused.kind, refused.message), (DeliveryError::Restarting, Note(3)));
+    notes.deliver(Note(3)).await.expect("it waits for room");
+    node.advance(Duration::from_secs(1)).await;
+    assert_eq!(strings.lines("note"), ["arm#2 note 1", "arm#2 note 2", "arm#2 note 3"]);
+}
+
+#[blastema_testkit::test]
+async fn who_is_unknown_is_told_before_anything_is_sent() {
+    let strings = Strings::default();
+    let node = node_of(&strings).await;
+
+    for name in ["leg", "not a name", "module1:leg"] {
+        let why = node.sender::<Do>(name).expect_err("no such object");
+        assert!(matches!(&why, DeliveryError::Unknown { name: named } if named == name), "{why}");
+    }
+    assert_eq!(node.sender::<Do>("module1:arm").unwrap().ask(Do(Deed::Nothing)).await.unwrap(), 1);
+}
+
+#[derive(Clone, Debug, Event)]
+#[contract(name = "test/unheard")]
+struct Unheard;
+
+#[blastema_testkit::test]
+async fn an_error_names_the_receiver_its_node_the_contract_and_the_limit() {
+    let strings = Strings::default();
+    let spec = strings.spec("arm").queue(2, WhenFull::Refuse);
+    let node = TestNode::start(Node::builder("module1").child(spec)).await;
+    let (arm, notes) = (node.sender::<Do>("arm").unwrap(), node.sender::<Note>("arm").unwrap());
+    arm.tell(Do(Deed::Await(1000))).unwrap();
+    node.settle().await;
+
+    let full = (0..).find_map(|n| notes.tell(Note(n)).err()).expect("queues are bounded");
+    let late = arm.ask_within(Do(Deed::Nothing), Duration::ZERO).await.expect_err("it is full");
+
+    let named = full.receiver().expect("it is named");
+    assert_eq!(named.to_string(), "module1:arm");
+    assert_eq!((named.contract, named.queue), ("test/note", Some(2)));
+    assert!(
+        full.to_string().ends_with("module1:arm was not sent: its queue of 2 is full"),
+        "{full}"
+    );
+    assert_eq!(late.receiver().expect("it is named").contract, "test/do");
+}
+
+/// What `Note` might be in another program.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "test/note")]
+struct OtherNote {
+    text: String,
+}
+
+#[blastema_testkit::test]
+async fn who_takes_no_such_contract_or_another_one_says_so() {
+    let strings = Strings::default();
+    let node = node_of(&strings).await;
+
+    let unknown = node.sender::<Unheard>("arm").expect_err("it does not take it");
+    let differs = node.sender::<OtherNote>("arm").expect_err("it is another contract");
+
+    assert!(matches!(unknown, DeliveryError::NotServed { .. }), "{unknown}");
+    let DeliveryError::ContractDiffers { difference } = differs else { panic!("{differs}") };
+    assert!(difference.contains("test/note"), "{difference}");
+    assert!(OtherNote { text: String::new() }.text.is_empty());
+}
+
+#[blastema_testkit::test]
+async fn who_asks_somebody_that_asks_back_gets_a_deadline_and_not_a_knot() {
+    let strings = Strings::default();
+    let builder = Node::builder("module1").child(strings.spec("arm")).child(strings.spec("leg"));
+    let node = TestNode::start(builder).await;
+    let (arm, leg) = (node.sender::<Do>("arm").unwrap(), node.sender::<Do>("leg").unwrap());
+    let hour = Duration::from_secs(3600);
+
+    arm.tell(Do(Deed::Consult("leg".into()))).unwrap();
+    leg.tell(Do(Deed::Consult("arm".into()))).unwrap();
+
+    assert_eq!(arm.ask_within(Do(Deed::Nothing), hour).await.unwrap(), 1);
+    assert_eq!(leg.ask_within(Do(Deed::Nothing), hour).await.unwrap(), 1);
+    node.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn a_node_that_has_stopped_refuses_everything_and_says_so() {
+    let strings = Strings::default();
+    let node = node_of(&strings).await;
+    let (deeds, notes) = (node.sender::<Do>("arm").unwrap(), node.sender::<Note>("arm").unwrap());
+
+    node.shutdown().await;
+
+    assert_eq!(
+        deeds.ask(Do(Deed::Nothing)).await.expect_err("it is over").kind,
+        DeliveryError::Stopped
+    );
+    assert_eq!(notes.tell(Note(1)).expect_err("it is over").kind, DeliveryError::Stopped);
+    assert_eq!(notes.deliver(Note(1)).await.expect_err("it is over").kind, DeliveryError::Stopped);
+}
+
+/// Hands out a sender that belongs to its present incarnation.
+struct Lender(std::sync::mpsc::SyncSender<Sender<Note>>);
+
+impl Component for Lender {
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let arm = cx.sender::<Note>("arm").map_err(|why| why.to_string())?;
+        let _ = self.0.try_send(cx.detached(&arm));
+        Ok(())
+    }
+}
+
+#[derive(Clone, Debug, Event)]
+struct Die;
+
+impl Handle<Die> for Lender {
+    async fn handle(&mut self, _: Die, _: &mut Context<Self>) {
+        panic!("as it was told");
+    }
+}
+
+#[blastema_testkit::test]
+async fn what_a_thread_of_a_dead_incarnation_still_says_goes_nowhere() {
+    let strings = Strings::default();
+    let (lend, lent) = std::sync::mpsc::sync_channel(8);
+    let spec = ChildSpec::new("lender", move || Lender(lend.clone()));
+    let lender = Harness::within(node_of(&strings).await, spec).await;
+    let first = lent.try_recv().expect("it lent one");
+    first.tell(Note(1)).expect("its incarnation lasts");
+
+    lender.tell(Die).unwrap();
+    lender.settle().await;
+    let second = lent.try_recv().expect("its next incarnation lent one");
+
+    let refused = first.tell(Note(2)).expect_err("that incarnation is over");
+    assert_eq!((refused.kind, refused.message), (DeliveryError::Fenced, Note(2)));
+    second.tell(Note(3)).expect("this one lasts");
+    lender.settle().await;
+    assert_eq!(strings.lines("note"), ["arm#1 note 1", "arm#1 note 3"]);
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_is_told_to_rest_serves_again_when_it_is_told_to_work() {
+    let strings = Strings::default();
+    let node = node_of(&strings).await;
+    let arm = node.actor::<crate::scenarios::puppet::Puppet>("arm").unwrap();
+
+    arm.deactivate();
+    node.settle().await;
+    arm.tell(Note(1)).expect("it is queued");
+    node.advance(Duration::from_secs(60)).await;
+    assert_eq!((strings.lines("note"), arm.queued()), (vec![], 1));
+    arm.activate();
+    node.settle().await;
+
+    assert_eq!(strings.lines("note"), ["arm#1 note 1"]);
+    node.expect_no_faults().await;
+}
