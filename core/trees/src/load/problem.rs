@@ -1,0 +1,212 @@
+//! What can be wrong with a file, and how it is shown.
+
+use crate::model::PortDirection;
+use std::fmt;
+
+/// All that is wrong with a tree's files.
+#[derive(Debug, thiserror::Error)]
+pub struct TreeErrors {
+    errors: Vec<TreeError>,
+}
+
+impl TreeErrors {
+    pub(super) fn new(errors: Vec<TreeError>) -> TreeErrors {
+        TreeErrors { errors }
+    }
+
+    /// Each of them, in the order of the files.
+    pub fn iter(&self) -> std::slice::Iter<'_, TreeError> {
+        self.errors.iter()
+    }
+}
+
+impl fmt::Display for TreeErrors {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (index, error) in self.errors.iter().enumerate() {
+            let end = if index == 0 { "" } else { "\n" };
+            write!(f, "{end}{error}")?;
+        }
+        Ok(())
+    }
+}
+
+/// One thing that is wrong, and where.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{file}:{line}:{column}: {problem}{}\n{}", hint(.suggestion), marked(.line, .column, .excerpt))]
+#[non_exhaustive]
+pub struct TreeError {
+    /// The file.
+    pub file: String,
+    /// The line, from 1.
+    pub line: usize,
+    /// The column in characters, from 1.
+    pub column: usize,
+    /// The line's text.
+    pub excerpt: String,
+    /// What is wrong.
+    pub problem: Problem,
+    /// The nearest right spelling.
+    pub suggestion: Option<String>,
+}
+
+fn hint(suggestion: &Option<String>) -> String {
+    suggestion.as_ref().map(|right| format!("; did you mean `{right}`?")).unwrap_or_default()
+}
+
+/// The line with a mark below the column.
+fn marked(line: &usize, column: &usize, text: &str) -> String {
+    let number = line.to_string();
+    let blanks = " ".repeat(number.len());
+    // A line may be the whole file: 40 characters before the place and 60 after it are shown.
+    let skipped = column.saturating_sub(41);
+    let shown: String = text.chars().skip(skipped).take(100).collect();
+    let mark = " ".repeat(column - 1 - skipped);
+    format!("  {number} | {shown}\n  {blanks} | {mark}^")
+}
+
+/// What is wrong with a place in a file.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Problem {
+    /// The file is no XML.
+    #[error("no XML: {0}")]
+    Xml(String),
+    /// The outermost element has another name.
+    #[error("the outermost element is <{0}> instead of <root>")]
+    Root(String),
+    /// An element that has no meaning at this place.
+    #[error("<{0}> has no meaning here")]
+    Element(String),
+    /// An element without an attribute that it needs.
+    #[error("<{element}> needs the attribute `{attribute}`")]
+    Attribute {
+        /// The element.
+        element: String,
+        /// The attribute.
+        attribute: &'static str,
+    },
+    /// `ID` of an element that is a type of node itself.
+    #[error("<{0}> takes no `ID`: the element is the type")]
+    CompactId(String),
+    /// A name that is empty, reserved, or has characters that names may not have.
+    #[error("`{0}` cannot be the name of a tree")]
+    Name(String),
+    /// A tree that is called like a type of node, or like another tree.
+    #[error("the name `{0}` is taken")]
+    Taken(String),
+    /// An included file that cannot be read.
+    #[error("cannot include `{path}`: {reason}")]
+    Include {
+        /// The file.
+        path: String,
+        /// Why.
+        reason: String,
+    },
+    /// Files that include each other, or trees that contain each other.
+    #[error("a circle: {}", .0.join(" -> "))]
+    Circle(Vec<String>),
+    /// No type of node has this name.
+    #[error("no type of node is called `{0}`")]
+    UnknownNode(String),
+    /// No tree has this name.
+    #[error("no tree is called `{0}`")]
+    UnknownTree(String),
+    /// Which tree is to run is not said.
+    #[error("`main_tree_to_execute` has to say which tree is the main one")]
+    NoMainTree,
+    /// The type of node has no such port.
+    #[error("`{node}` has no port `{port}`")]
+    UnknownPort {
+        /// The node's type.
+        node: String,
+        /// The port.
+        port: String,
+    },
+    /// A port that must be given is not.
+    #[error("`{node}` needs the port `{port}`")]
+    MissingPort {
+        /// The node's type, or the subtree.
+        node: String,
+        /// The port.
+        port: String,
+    },
+    /// An attribute that is ignored, and almost the name of a condition.
+    #[error("`{0}` is no condition of a node")]
+    UnknownCondition(String),
+    /// A value that does not convert.
+    #[error("`{value}` is no {kind}")]
+    Value {
+        /// The value.
+        value: String,
+        /// The type of the port.
+        kind: &'static str,
+    },
+    /// A port that the node writes is connected to no entry.
+    #[error("`{0}` is written, so it takes the name of an entry: `{{key}}`")]
+    NotAKey(String),
+    /// A text in braces that is no name of an entry.
+    #[error("`{0}` is no name of an entry")]
+    Key(String),
+    /// A script that cannot be read.
+    #[error("{0}")]
+    Script(String),
+    /// A script that is taken from the blackboard.
+    #[error("a script is written out, and not taken from an entry")]
+    ScriptInEntry,
+    /// Too few children, or too many.
+    #[error("`{node}` has {found} children instead of {expected}")]
+    Children {
+        /// The node's type.
+        node: String,
+        /// How many it has.
+        found: usize,
+        /// How many it may have.
+        expected: String,
+    },
+    /// More than one child can be interrupted between its children.
+    #[error("a ReactiveSequence has at most one AsyncSequence as its child")]
+    AsyncChildren,
+    /// A threshold that the number of children cannot reach.
+    #[error("a threshold of {threshold} with {children} children")]
+    Threshold {
+        /// How many are to succeed or to fail.
+        threshold: i64,
+        /// How many there are.
+        children: usize,
+    },
+    /// Two ports of different types use one entry.
+    #[error("the entry `{key}` is of type {known} already, and not {kind}")]
+    EntryType {
+        /// The entry's key.
+        key: String,
+        /// The type of the port that was met first.
+        known: &'static str,
+        /// The type of this port.
+        kind: &'static str,
+    },
+    /// Two subtrees of one tree have the same `name`.
+    #[error("two subtrees have the path `{0}`")]
+    Path(String),
+    /// The file's own model of a node differs from that of the program.
+    #[error("`{node}` is {known} in the program")]
+    Model {
+        /// The node's type, or its port.
+        node: String,
+        /// What the program knows it as.
+        known: String,
+    },
+    /// Nested too deep, too many nodes, or too large a file.
+    #[error("more than {0}")]
+    Limit(&'static str),
+}
+
+impl Problem {
+    /// How messages name a direction.
+    pub(super) fn direction(direction: PortDirection) -> String {
+        match direction {
+            PortDirection::Input => "an input_port".into(),
+            PortDirection::Output => "an output_port".into(),
+            PortDirection::InOut => "an inout_port".into(),
+        }
+    }
+}

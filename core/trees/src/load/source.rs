@@ -1,0 +1,258 @@
+//! The files of a tree: read, included, and kept as plain elements with their places.
+
+use super::problem::{Problem, TreeError};
+use std::collections::BTreeMap;
+
+/// Elements nested deeper than this are refused, as by the library; nodes are ticked recursively.
+pub(super) const MAX_DEPTH: usize = 256;
+/// A hand-written file has a hundred kilobytes at most.
+const MAX_FILE: usize = 4 << 20;
+/// Behind so many errors stand no further ones that a person would read.
+const MAX_ERRORS: usize = 100;
+
+/// A place in a file.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    pub(super) file: usize,
+    /// In bytes.
+    pub(super) at: usize,
+}
+
+/// An element of a file.
+#[derive(Debug)]
+pub(super) struct Element {
+    pub(super) name: String,
+    pub(super) place: Place,
+    pub(super) attributes: Vec<Attribute>,
+    pub(super) children: Vec<Element>,
+}
+
+/// An attribute of an element.
+#[derive(Debug)]
+pub(super) struct Attribute {
+    pub(super) name: String,
+    pub(super) value: String,
+    pub(super) place: Place,
+    /// Where the value is written.
+    pub(super) value_place: Place,
+}
+
+impl Element {
+    pub(super) fn attribute(&self, name: &str) -> Option<&Attribute> {
+        self.attributes.iter().find(|attribute| attribute.name == name)
+    }
+
+    pub(super) fn value(&self, name: &str) -> Option<&str> {
+        self.attribute(name).map(|attribute| attribute.value.as_str())
+    }
+}
+
+/// The files, and what has been found wrong with them.
+#[derive(Default)]
+pub(super) struct Sources {
+    /// Names and texts.
+    files: Vec<(String, String)>,
+    pub(super) errors: Vec<TreeError>,
+    /// The elements below `root`, without the includes.
+    pub(super) elements: Vec<Element>,
+    /// The value of `main_tree_to_execute` in the first file.
+    pub(super) main: Option<Attribute>,
+}
+
+/// Gives the text of a file that is included.
+pub(super) type Include<'a> = &'a mut dyn FnMut(&str) -> Result<String, String>;
+
+impl Sources {
+    /// Reads a file and all that it includes, each file once.
+    pub(super) fn read(&mut self, name: &str, text: &str, include: Include<'_>) {
+        self.read_file(normalized(name), text.to_owned(), &mut Vec::new(), include);
+    }
+
+    fn read_file(
+        &mut self,
+        name: String,
+        text: String,
+        including: &mut Vec<String>,
+        include: Include<'_>,
+    ) {
+        let file = self.files.len();
+        let too_large = text.len() > MAX_FILE;
+        self.files.push((name.clone(), text.clone()));
+        let start = Place { file, at: 0 };
+        if too_large {
+            return self.error(start, Problem::Limit("4 MiB in one file"));
+        }
+        let document = match roxmltree::Document::parse(&text) {
+            Ok(document) => document,
+            Err(error) => {
+                let at = offset(&text, error.pos());
+                return self.error(Place { file, at }, Problem::Xml(error.to_string()));
+            }
+        };
+        let Some(root) = self.element(file, document.root_element(), 0) else { return };
+        if root.name != "root" {
+            return self.error(root.place, Problem::Root(root.name));
+        }
+        including.push(name);
+        let (includes, elements): (Vec<_>, Vec<_>) =
+            root.children.into_iter().partition(|element| element.name == "include");
+        for element in includes {
+            self.include(&element, including, include);
+        }
+        including.pop();
+        if file == 0 {
+            let main = root.attributes.into_iter().find(|a| a.name == "main_tree_to_execute");
+            self.main = main;
+        }
+        self.elements.extend(elements);
+    }
+
+    fn include(&mut self, element: &Element, including: &mut Vec<String>, include: Include<'_>) {
+        let Some(path) = element.attribute("path") else {
+            let problem = Problem::Attribute { element: "include".into(), attribute: "path" };
+            return self.error(element.place, problem);
+        };
+        let place = path.value_place;
+        if let Some(package) = element.attribute("ros_pkg") {
+            let reason = "the packages of ROS are not known here".into();
+            let problem = Problem::Include { path: path.value.clone(), reason };
+            return self.error(package.place, problem);
+        }
+        // An included path is relative to the file that includes it.
+        let file = &self.files[element.place.file].0;
+        let folder = file.rsplit_once('/').map(|(folder, _)| format!("{folder}/"));
+        let absolute = path.value.starts_with('/');
+        let folder = folder.filter(|_| !absolute).unwrap_or_default();
+        let name = normalized(&format!("{folder}{}", path.value));
+        if let Some(first) = including.iter().position(|known| *known == name) {
+            let mut circle = including[first..].to_vec();
+            circle.push(name);
+            return self.error(place, Problem::Circle(circle));
+        }
+        if self.files.iter().any(|(known, _)| *known == name) {
+            return;
+        }
+        if including.len() >= MAX_DEPTH {
+            return self.error(place, Problem::Limit("256 files that include each other"));
+        }
+        match include(&name) {
+            Ok(text) => self.read_file(name, text, including, include),
+            Err(reason) => self.error(place, Problem::Include { path: name, reason }),
+        }
+    }
+
+    /// The element with those below it, unless they are nested too deep.
+    fn element(
+        &mut self,
+        file: usize,
+        node: roxmltree::Node<'_, '_>,
+        depth: usize,
+    ) -> Option<Element> {
+        let place = Place { file, at: node.range().start };
+        // Beside the nodes of a tree there are `root` and `BehaviorTree`.
+        if depth > MAX_DEPTH + 2 {
+            self.error(place, Problem::Limit("256 elements that are nested"));
+            return None;
+        }
+        let attributes = node.attributes().map(|attribute| Attribute {
+            name: attribute.name().to_owned(),
+            value: attribute.value().to_owned(),
+            place: Place { file, at: attribute.range().start },
+            value_place: Place { file, at: attribute.range_value().start },
+        });
+        let mut element = Element {
+            name: node.tag_name().name().to_owned(),
+            place,
+            attributes: attributes.collect(),
+            children: Vec::new(),
+        };
+        for child in node.children().filter(roxmltree::Node::is_element) {
+            element.children.push(self.element(file, child, depth + 1)?);
+        }
+        Some(element)
+    }
+
+    /// Notes what is wrong.
+    pub(super) fn error(&mut self, place: Place, problem: Problem) {
+        self.misspelt(place, problem, "", []);
+    }
+
+    /// Notes what is wrong, with the known word that is nearest to the one that was written.
+    pub(super) fn misspelt<'a>(
+        &mut self,
+        place: Place,
+        problem: Problem,
+        wrong: &str,
+        known: impl IntoIterator<Item = &'a str>,
+    ) {
+        if self.errors.len() >= MAX_ERRORS {
+            return;
+        }
+        let (file, text) = &self.files[place.file];
+        let before = &text[..place.at];
+        let start = before.rfind('\n').map_or(0, |end| end + 1);
+        self.errors.push(TreeError {
+            file: file.clone(),
+            line: before.matches('\n').count() + 1,
+            column: before[start..].chars().count() + 1,
+            excerpt: text[start..].lines().next().unwrap_or_default().to_owned(),
+            problem,
+            suggestion: nearest(wrong, known).map(str::to_owned),
+        });
+    }
+
+    /// Where this byte of an attribute's value is written: an entity is several bytes long.
+    pub(super) fn within(&self, attribute: &Attribute, at: usize) -> Place {
+        let Place { file, at: start } = attribute.value_place;
+        let raw = &self.files[file].1[start..];
+        let (mut read, mut decoded) = (0, 0);
+        while decoded < at {
+            let rest = &raw[read..];
+            let entity = rest.strip_prefix('&').and_then(|name| name.find(';'));
+            let (length, width) = match (entity, rest.chars().next()) {
+                (Some(end), _) => (end + 2, 1),
+                (None, Some(c)) => (c.len_utf8(), c.len_utf8()),
+                (None, None) => break,
+            };
+            (read, decoded) = (read + length, decoded + width);
+        }
+        Place { file, at: start + read }
+    }
+}
+
+/// The byte at a line and column, which count from 1.
+fn offset(text: &str, position: roxmltree::TextPos) -> usize {
+    let line = text.split_inclusive('\n').take(position.row as usize - 1).map(str::len).sum();
+    let rest: &str = &text[line..];
+    line + rest.chars().take(position.col as usize - 1).map(char::len_utf8).sum::<usize>()
+}
+
+/// The path without `.` and `..`, so that one file has one name.
+fn normalized(path: &str) -> String {
+    let mut parts: Vec<&str> = Vec::new();
+    for part in path.split('/') {
+        match part {
+            "." => {}
+            ".." if parts.last().is_some_and(|last| *last != ".." && !last.is_empty()) => {
+                parts.pop();
+            }
+            _ => parts.push(part),
+        }
+    }
+    parts.join("/")
+}
+
+/// The known word that is spelt most like the wrong one, unless none is like it at all.
+pub(super) fn nearest<'a>(
+    wrong: &str,
+    known: impl IntoIterator<Item = &'a str>,
+) -> Option<&'a str> {
+    let wrong_case = wrong.to_lowercase();
+    let edits = |word: &str| strsim::levenshtein(&wrong_case, &word.to_lowercase());
+    let nearest = known.into_iter().min_by_key(|word| edits(word))?;
+    // More than a third of the letters differ: that is another word, not a slip.
+    (!wrong.is_empty() && edits(nearest) <= 1 + wrong.len() / 3).then_some(nearest)
+}
+
+/// Names to things, in the order of the names.
+pub(super) type Named<T> = BTreeMap<String, T>;

@@ -1,0 +1,284 @@
+//! Which types of nodes there are: their names, ports and how many children they have.
+
+use crate::status::Status;
+use crate::value::{PortType, PortValue};
+use std::ops::RangeInclusive;
+
+/// Which way a value goes through a port.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PortDirection {
+    /// The node reads it.
+    Input,
+    /// The node writes it.
+    Output,
+    /// Both.
+    InOut,
+}
+
+/// A port of a type of node.
+#[derive(Clone, Debug)]
+pub struct Port {
+    pub(crate) name: &'static str,
+    pub(crate) direction: PortDirection,
+    pub(crate) kind: PortType,
+    pub(crate) default: Option<&'static str>,
+    pub(crate) optional: bool,
+    pub(crate) about: &'static str,
+}
+
+impl Port {
+    const fn new(name: &'static str, direction: PortDirection, kind: PortType) -> Port {
+        Port { name, direction, kind, default: None, optional: false, about: "" }
+    }
+
+    /// A port that the node reads. Each tree must give it, unless it has a default or is optional.
+    pub const fn input<T: PortValue>(name: &'static str) -> Port {
+        Port::new(name, PortDirection::Input, T::TYPE)
+    }
+
+    /// A port that the node writes. A tree need not connect it.
+    pub const fn output<T: PortValue>(name: &'static str) -> Port {
+        Port::new(name, PortDirection::Output, T::TYPE)
+    }
+
+    /// A port that the node reads and writes.
+    pub const fn inout<T: PortValue>(name: &'static str) -> Port {
+        Port::new(name, PortDirection::InOut, T::TYPE)
+    }
+
+    /// What the port is where a tree does not give it, as a tree would write it: `3.0` or `{key}`.
+    pub const fn or(mut self, default: &'static str) -> Port {
+        self.default = Some(default);
+        self
+    }
+
+    /// A tree need not give the port.
+    pub const fn optional(mut self) -> Port {
+        self.optional = true;
+        self
+    }
+
+    /// A sentence for editors of trees.
+    pub const fn about(mut self, about: &'static str) -> Port {
+        self.about = about;
+        self
+    }
+
+    pub(crate) const fn reads(&self) -> bool {
+        !matches!(self.direction, PortDirection::Output)
+    }
+}
+
+/// The categories of nodes, as XML files name them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Category {
+    /// Does something.
+    Action,
+    /// Looks at something, and changes nothing.
+    Condition,
+    /// Has children, and decides which one is ticked.
+    Control,
+    /// Has one child.
+    Decorator,
+}
+
+impl Category {
+    /// The name in XML files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Category::Action => "Action",
+            Category::Condition => "Condition",
+            Category::Control => "Control",
+            Category::Decorator => "Decorator",
+        }
+    }
+
+    /// The category of this name in XML files.
+    pub fn from_name(name: &str) -> Option<Category> {
+        let all = [Category::Action, Category::Condition, Category::Control, Category::Decorator];
+        all.into_iter().find(|category| category.name() == name)
+    }
+}
+
+/// How a leaf of the application is called.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LeafKind {
+    /// Called in each tick; may answer RUNNING.
+    Condition,
+    /// Called in each tick; does not answer RUNNING.
+    SyncAction,
+    /// Started, then asked in each tick while it is RUNNING, and halted if it is left.
+    Action,
+}
+
+/// What a node does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Kind {
+    Sequence,
+    AsyncSequence,
+    SequenceWithMemory,
+    ReactiveSequence,
+    Fallback,
+    AsyncFallback,
+    ReactiveFallback,
+    Parallel,
+    ParallelAll,
+    IfThenElse,
+    WhileDoElse,
+    /// With so many cases.
+    Switch(u8),
+    TryCatch,
+    Inverter,
+    /// `ForceSuccess` and `ForceFailure`.
+    Force(Status),
+    /// `Repeat` ends with FAILURE, `RetryUntilSuccessful` with SUCCESS.
+    Repeat {
+        until: Status,
+    },
+    KeepRunningUntilFailure,
+    Delay,
+    Timeout,
+    RunOnce,
+    Precondition,
+    Loop,
+    /// `SkipUnlessUpdated` and `WaitValueUpdate`: the answer while the entry is not written.
+    Updated(Status),
+    SubTree,
+    /// `AlwaysSuccess` and `AlwaysFailure`.
+    Always(Status),
+    Script,
+    ScriptCondition,
+    SetBlackboard,
+    UnsetBlackboard,
+    Sleep,
+    WasEntryUpdated,
+    Leaf(LeafKind),
+}
+
+impl Kind {
+    pub(crate) fn category(self) -> Category {
+        match self {
+            Kind::Leaf(LeafKind::Condition) | Kind::ScriptCondition => Category::Condition,
+            kind if kind.children() == (0..=0) => Category::Action,
+            kind if kind.children() == (1..=1) => Category::Decorator,
+            _ => Category::Control,
+        }
+    }
+
+    /// How many children a node may have.
+    pub(crate) fn children(self) -> RangeInclusive<usize> {
+        use Kind::*;
+        match self {
+            IfThenElse | WhileDoElse => 2..=3,
+            Switch(cases) => usize::from(cases) + 1..=usize::from(cases) + 1,
+            TryCatch => 2..=usize::MAX,
+            Sequence | AsyncSequence | SequenceWithMemory | ReactiveSequence | Fallback
+            | AsyncFallback | ReactiveFallback | Parallel | ParallelAll => 1..=usize::MAX,
+            Always(_) | Script | ScriptCondition | SetBlackboard | UnsetBlackboard | Sleep
+            | WasEntryUpdated | Leaf(_) => 0..=0,
+            _ => 1..=1,
+        }
+    }
+
+    pub(crate) fn is_decorator(self) -> bool {
+        self.category() == Category::Decorator
+    }
+}
+
+/// A type of node that the engine has itself.
+pub(crate) struct Builtin {
+    pub(crate) name: &'static str,
+    pub(crate) kind: Kind,
+    pub(crate) ports: &'static [Port],
+}
+
+const fn builtin(name: &'static str, kind: Kind, ports: &'static [Port]) -> Builtin {
+    Builtin { name, kind, ports }
+}
+
+/// A port of no particular type.
+const fn any(name: &'static str, direction: PortDirection) -> Port {
+    Port::new(name, direction, PortType::ANY)
+}
+
+const fn loops<T: PortValue>() -> [Port; 3] {
+    [any("queue", PortDirection::InOut), IF_EMPTY, Port::output::<T>("value")]
+}
+const IF_EMPTY: Port = Port::input::<Status>("if_empty").or("SUCCESS");
+const ENTRY: Port = any("entry", PortDirection::Input);
+/// The ports of `Switch2` are the first three, and so on.
+const SWITCH: [Port; 7] = [
+    Port::input::<String>("variable").optional(),
+    Port::input::<String>("case_1").optional(),
+    Port::input::<String>("case_2").optional(),
+    Port::input::<String>("case_3").optional(),
+    Port::input::<String>("case_4").optional(),
+    Port::input::<String>("case_5").optional(),
+    Port::input::<String>("case_6").optional(),
+];
+
+/// All types of nodes of BehaviorTree.CPP 4.10 that need no application, but for
+/// `ManualSelector`, which asks on a terminal.
+pub(crate) static BUILTINS: [Builtin; 42] = [
+    builtin("Sequence", Kind::Sequence, &[]),
+    builtin("AsyncSequence", Kind::AsyncSequence, &[]),
+    builtin("SequenceWithMemory", Kind::SequenceWithMemory, &[]),
+    builtin("ReactiveSequence", Kind::ReactiveSequence, &[]),
+    builtin("Fallback", Kind::Fallback, &[]),
+    builtin("AsyncFallback", Kind::AsyncFallback, &[]),
+    builtin("ReactiveFallback", Kind::ReactiveFallback, &[]),
+    builtin(
+        "Parallel",
+        Kind::Parallel,
+        &[
+            Port::input::<i32>("success_count").or("-1"),
+            Port::input::<i32>("failure_count").or("1"),
+        ],
+    ),
+    builtin("ParallelAll", Kind::ParallelAll, &[Port::input::<i32>("max_failures").or("1")]),
+    builtin("IfThenElse", Kind::IfThenElse, &[]),
+    builtin("WhileDoElse", Kind::WhileDoElse, &[]),
+    builtin("Switch2", Kind::Switch(2), SWITCH.split_at(3).0),
+    builtin("Switch3", Kind::Switch(3), SWITCH.split_at(4).0),
+    builtin("Switch4", Kind::Switch(4), SWITCH.split_at(5).0),
+    builtin("Switch5", Kind::Switch(5), SWITCH.split_at(6).0),
+    builtin("Switch6", Kind::Switch(6), &SWITCH),
+    builtin("TryCatch", Kind::TryCatch, &[Port::input::<bool>("catch_on_halt").or("false")]),
+    builtin("Inverter", Kind::Inverter, &[]),
+    builtin("ForceSuccess", Kind::Force(Status::Success), &[]),
+    builtin("ForceFailure", Kind::Force(Status::Failure), &[]),
+    builtin("Repeat", Kind::Repeat { until: Status::Failure }, &[Port::input::<i32>("num_cycles")]),
+    builtin(
+        "RetryUntilSuccessful",
+        Kind::Repeat { until: Status::Success },
+        &[Port::input::<i32>("num_attempts")],
+    ),
+    builtin("KeepRunningUntilFailure", Kind::KeepRunningUntilFailure, &[]),
+    builtin("Delay", Kind::Delay, &[Port::input::<u32>("delay_msec")]),
+    builtin("Timeout", Kind::Timeout, &[Port::input::<u32>("msec")]),
+    builtin("RunOnce", Kind::RunOnce, &[Port::input::<bool>("then_skip").or("true")]),
+    builtin(
+        "Precondition",
+        Kind::Precondition,
+        &[Port::input::<String>("if"), Port::input::<Status>("else").or("FAILURE")],
+    ),
+    builtin("LoopInt", Kind::Loop, &const { loops::<i32>() }),
+    builtin("LoopBool", Kind::Loop, &const { loops::<bool>() }),
+    builtin("LoopDouble", Kind::Loop, &const { loops::<f64>() }),
+    builtin("LoopString", Kind::Loop, &const { loops::<String>() }),
+    builtin("SkipUnlessUpdated", Kind::Updated(Status::Skipped), &[ENTRY]),
+    builtin("WaitValueUpdate", Kind::Updated(Status::Running), &[ENTRY]),
+    builtin("SubTree", Kind::SubTree, &[]),
+    builtin("AlwaysSuccess", Kind::Always(Status::Success), &[]),
+    builtin("AlwaysFailure", Kind::Always(Status::Failure), &[]),
+    builtin("Script", Kind::Script, &[Port::input::<String>("code")]),
+    builtin("ScriptCondition", Kind::ScriptCondition, &[Port::input::<String>("code")]),
+    builtin(
+        "SetBlackboard",
+        Kind::SetBlackboard,
+        &[any("value", PortDirection::Input), any("output_key", PortDirection::InOut)],
+    ),
+    builtin("UnsetBlackboard", Kind::UnsetBlackboard, &[Port::input::<String>("key")]),
+    builtin("Sleep", Kind::Sleep, &[Port::input::<u32>("msec")]),
+    builtin("WasEntryUpdated", Kind::WasEntryUpdated, &[ENTRY]),
+];

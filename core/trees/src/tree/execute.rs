@@ -1,0 +1,218 @@
+//! Ticks, resets and halts one node, whatever its type.
+
+use super::{Code, TickError, TickProblem, Tree, TreeNodeId};
+use crate::model::{BUILTINS, Builtin, Kind};
+use crate::script::ScriptError;
+use crate::status::Status;
+use crate::value::PortValue;
+
+/// What a node answers in a tick.
+pub(super) type Tick = Result<Status, Box<TickError>>;
+
+/// Whether a script holds, or the error of a node.
+type Checked<T> = Result<T, Box<TickError>>;
+
+impl Tree {
+    /// Ticks a node: its conditions before, itself, its scripts after.
+    pub(super) fn execute(&mut self, id: TreeNodeId) -> Tick {
+        let status = match self.check_before(id)? {
+            Some(status) => status,
+            None => self.tick_kind(id)?,
+        };
+        if status == Status::Idle {
+            return Err(self.error(id, TickProblem::Answer(status)));
+        }
+        if status.is_completed() && self.node(id).hooks.is_some() {
+            self.run_hook(id, if status == Status::Success { 0 } else { 1 })?;
+            self.run_hook(id, 2)?;
+        }
+        // A skipped node keeps its status; only its parent is told.
+        if status != Status::Skipped {
+            self.node_mut(id).status = status;
+        }
+        self.note(id, status);
+        if self.node(id).kind.is_decorator() {
+            let child = self.child(id, 0);
+            if self.node(child).status.is_completed() {
+                self.node_mut(child).status = Status::Idle;
+            }
+        }
+        Ok(status)
+    }
+
+    fn tick_kind(&mut self, id: TreeNodeId) -> Tick {
+        match self.node(id).kind {
+            Kind::Sequence => self.ordered(id, Status::Success, false, false),
+            Kind::AsyncSequence => self.ordered(id, Status::Success, true, false),
+            Kind::SequenceWithMemory => self.ordered(id, Status::Success, true, true),
+            Kind::Fallback => self.ordered(id, Status::Failure, false, false),
+            Kind::AsyncFallback => self.ordered(id, Status::Failure, true, false),
+            Kind::ReactiveSequence => self.reactive(id, Status::Success),
+            Kind::ReactiveFallback => self.reactive(id, Status::Failure),
+            Kind::Parallel => self.parallel(id),
+            Kind::ParallelAll => self.parallel_all(id),
+            Kind::IfThenElse => self.if_then_else(id),
+            Kind::WhileDoElse => self.while_do_else(id),
+            Kind::Switch(cases) => self.switch(id, u32::from(cases)),
+            Kind::TryCatch => self.try_catch(id),
+            Kind::Inverter => self.map_child(id, |status| match status {
+                Status::Success => Status::Failure,
+                _ => Status::Success,
+            }),
+            Kind::Force(status) => self.map_child(id, |_| status),
+            Kind::Repeat { until } => self.repeat(id, until),
+            Kind::KeepRunningUntilFailure => self.keep_running(id),
+            Kind::Delay => self.delay(id),
+            Kind::Timeout => self.timeout(id),
+            Kind::RunOnce => self.run_once(id),
+            Kind::Precondition => self.precondition(id),
+            Kind::Loop => self.tick_loop(id),
+            Kind::Updated(otherwise) => self.updated(id, otherwise),
+            Kind::SubTree => self.subtree(id),
+            Kind::Always(status) => Ok(status),
+            Kind::Script => self.script(id).map(|()| Status::Success),
+            Kind::ScriptCondition => self.script_holds(id).map(Status::from),
+            Kind::SetBlackboard => self.set_blackboard(id),
+            Kind::UnsetBlackboard => self.unset_blackboard(id),
+            Kind::Sleep => self.sleep(id),
+            Kind::WasEntryUpdated => self.was_entry_updated(id),
+            Kind::Leaf(kind) => self.tick_leaf(id, kind),
+        }
+    }
+
+    /// What the conditions of a node decide. All but `_while` are looked at only before it starts.
+    fn check_before(&mut self, id: TreeNodeId) -> Checked<Option<Status>> {
+        let node = self.node(id);
+        let Some(hooks) = node.hooks else { return Ok(None) };
+        let (fresh, running) = match node.status {
+            Status::Idle | Status::Skipped => (true, false),
+            status => (false, status == Status::Running),
+        };
+        let decisions = [
+            (Status::Failure, true),
+            (Status::Success, true),
+            (Status::Skipped, true),
+            (Status::Skipped, false),
+        ];
+        for (index, (status, when)) in decisions.into_iter().enumerate() {
+            let is_while = !when;
+            let Some(code) = &self.hooks[hooks as usize].before[index] else { continue };
+            if !fresh && !(running && is_while) {
+                continue;
+            }
+            let holds = match &code.script {
+                Some(script) => script.holds(&mut self.board, &self.enums),
+                None => Ok(false),
+            };
+            let holds = holds.map_err(|error| failed(self.error_of(id), code, error))?;
+            if holds == when {
+                if running {
+                    self.halt_node(id)?;
+                }
+                return Ok(Some(status));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Runs `_onSuccess`, `_onFailure`, `_post` or `_onHalted`, by its index.
+    fn run_hook(&mut self, id: TreeNodeId, index: usize) -> Checked<()> {
+        let Some(hooks) = self.node(id).hooks else { return Ok(()) };
+        let Some(code) = &self.hooks[hooks as usize].after[index] else { return Ok(()) };
+        let Some(script) = &code.script else { return Ok(()) };
+        let result = script.run(&mut self.board, &self.enums);
+        result.map(drop).map_err(|error| failed(self.error_of(id), code, error))
+    }
+
+    /// Runs the node's own script.
+    pub(super) fn script(&mut self, id: TreeNodeId) -> Checked<()> {
+        let code = &self.codes[self.node(id).part as usize];
+        let Some(script) = &code.script else { return Ok(()) };
+        let result = script.run(&mut self.board, &self.enums);
+        result.map(drop).map_err(|error| failed(self.error_of(id), code, error))
+    }
+
+    /// Whether the node's own script holds.
+    pub(super) fn script_holds(&mut self, id: TreeNodeId) -> Checked<bool> {
+        let code = &self.codes[self.node(id).part as usize];
+        let Some(script) = &code.script else { return Ok(false) };
+        let result = script.holds(&mut self.board, &self.enums);
+        result.map_err(|error| failed(self.error_of(id), code, error))
+    }
+
+    /// Brings a child into the state from which it starts: halts it if it runs.
+    pub(super) fn reset(&mut self, id: TreeNodeId) -> Checked<()> {
+        if self.node(id).status == Status::Running {
+            self.halt_node(id)?;
+        }
+        self.node_mut(id).status = Status::Idle;
+        Ok(())
+    }
+
+    /// Resets the children from this one on.
+    pub(super) fn reset_children(&mut self, id: TreeNodeId, from: u32) -> Checked<()> {
+        for index in from..self.node(id).child_count {
+            self.reset(self.child(id, index))?;
+        }
+        Ok(())
+    }
+
+    /// Halts a node, also one that does not run, and runs its `_onHalted`.
+    pub(super) fn halt_node(&mut self, id: TreeNodeId) -> Checked<()> {
+        self.clear(id)?;
+        self.note(id, Status::Idle);
+        self.run_hook(id, 3)
+    }
+
+    /// Resets the children, and forgets what the type of node forgets when it is halted.
+    pub(super) fn clear(&mut self, id: TreeNodeId) -> Checked<()> {
+        let node = self.node_mut(id);
+        let memory = &mut node.memory;
+        match node.kind {
+            // Their memory outlives a halt.
+            Kind::SequenceWithMemory | Kind::RunOnce | Kind::Precondition => {}
+            Kind::Updated(_) => memory.flag = false,
+            Kind::TryCatch => self.halt_try_catch(id)?,
+            Kind::Leaf(_) => self.halt_leaf(id),
+            Kind::WasEntryUpdated => {}
+            _ => (memory.index, memory.count, memory.failures, memory.flag) = (0, 0, 0, false),
+        }
+        self.undo_done(id);
+        self.reset_children(id, 0)?;
+        self.node_mut(id).status = Status::Idle;
+        Ok(())
+    }
+
+    /// Lets a `Parallel` tick all its children again.
+    pub(super) fn undo_done(&mut self, id: TreeNodeId) {
+        if matches!(self.node(id).kind, Kind::Parallel | Kind::ParallelAll) {
+            for index in 0..self.node(id).child_count {
+                let child = self.child(id, index);
+                self.node_mut(child).done = false;
+            }
+        }
+    }
+
+    /// The value of a port of a built-in node.
+    pub(super) fn port<T: PortValue>(&self, id: TreeNodeId, port: usize) -> Checked<T> {
+        super::leaf::read(self, "", self.binding(id, port)).map_err(|error| {
+            let kind = self.node(id).kind;
+            let builtin: Option<&Builtin> = BUILTINS.iter().find(|known| known.kind == kind);
+            let name = builtin.map_or("", |known| known.ports[port].name);
+            self.error(id, error.of_port(name).into())
+        })
+    }
+
+    pub(super) fn error(&self, id: TreeNodeId, problem: TickProblem) -> Box<TickError> {
+        Box::new(TickError { node: id, path: self.path(id).to_owned(), problem })
+    }
+
+    fn error_of(&self, id: TreeNodeId) -> (TreeNodeId, String) {
+        (id, self.path(id).to_owned())
+    }
+}
+
+fn failed((node, path): (TreeNodeId, String), code: &Code, error: ScriptError) -> Box<TickError> {
+    let problem = TickProblem::Script { text: code.text.clone(), error };
+    Box::new(TickError { node, path, problem })
+}
