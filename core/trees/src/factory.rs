@@ -1,8 +1,8 @@
 //! The types of leaves that an application has, and the loading of trees that use them.
 
 use crate::load::{self, TreeErrors};
-use crate::model::{Kind, LeafKind, Port, PortDirection};
-use crate::tree::{Function, Leaf, LeafContext, LeafModel, LeafResult, Tree};
+use crate::model::{LeafKind, Port};
+use crate::tree::{Function, Leaf, LeafContext, LeafModel, LeafResult, MakeLeaf, Tree};
 use crate::value::Value;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -27,11 +27,13 @@ impl Factory {
     ///
     /// The name or a port's name is taken or none that XML files can have, or a default value does
     /// not convert: a mistake in the program.
-    pub fn condition<F>(&mut self, name: &str, ports: impl Into<Vec<Port>>, function: F)
-    where
-        F: Fn(&mut LeafContext<'_>) -> LeafResult + Send + Sync + 'static,
-    {
-        self.function(name, LeafKind::Condition, ports.into(), function);
+    pub fn condition(
+        &mut self,
+        name: &str,
+        ports: impl Into<Vec<Port>>,
+        function: impl Fn(&mut LeafContext<'_>) -> LeafResult + Send + Sync + 'static,
+    ) {
+        self.register(name, LeafKind::Condition, ports.into(), functions(function));
     }
 
     /// Registers an action that is done at once: a function that does not answer RUNNING.
@@ -39,19 +41,13 @@ impl Factory {
     /// # Panics
     ///
     /// As [`Factory::condition`].
-    pub fn action<F>(&mut self, name: &str, ports: impl Into<Vec<Port>>, function: F)
-    where
-        F: Fn(&mut LeafContext<'_>) -> LeafResult + Send + Sync + 'static,
-    {
-        self.function(name, LeafKind::SyncAction, ports.into(), function);
-    }
-
-    fn function<F>(&mut self, name: &str, kind: LeafKind, ports: Vec<Port>, function: F)
-    where
-        F: Fn(&mut LeafContext<'_>) -> LeafResult + Send + Sync + 'static,
-    {
-        let function = Arc::new(function);
-        self.register(name, kind, ports, move || Box::new(Function(function.clone())));
+    pub fn action(
+        &mut self,
+        name: &str,
+        ports: impl Into<Vec<Port>>,
+        function: impl Fn(&mut LeafContext<'_>) -> LeafResult + Send + Sync + 'static,
+    ) {
+        self.register(name, LeafKind::SyncAction, ports.into(), functions(function));
     }
 
     /// Registers a leaf that keeps something; `make` makes one for each place in a tree.
@@ -60,16 +56,10 @@ impl Factory {
     ///
     /// As [`Factory::condition`].
     pub fn leaf<L: Leaf>(&mut self, name: &str, make: impl Fn() -> L + Send + Sync + 'static) {
-        self.register(name, L::kind(), L::ports(), move || Box::new(make()));
+        self.register(name, L::kind(), L::ports(), Box::new(move || Box::new(make())));
     }
 
-    fn register(
-        &mut self,
-        name: &str,
-        kind: LeafKind,
-        ports: Vec<Port>,
-        make: impl Fn() -> Box<dyn Leaf> + Send + Sync + 'static,
-    ) {
+    fn register(&mut self, name: &str, kind: LeafKind, ports: Vec<Port>, make: MakeLeaf) {
         assert!(load::may_be_name(name), "`{name}` cannot be the name of a leaf");
         assert!(!load::is_taken(self, name), "the name `{name}` is taken");
         for (index, port) in ports.iter().enumerate() {
@@ -82,9 +72,8 @@ impl Factory {
             let fits = |text: &str| port.kind.admit(&Value::text(text)).is_some();
             let right =
                 port.default.is_none_or(|text| load::key_of("", text).is_some() || fits(text));
-            assert!(right, "the default of `{port_name}` of {name} is no {:?}", port.kind);
+            assert!(right, "the default of `{port_name}` of {name} is no {}", port.kind.name());
         }
-        let make = Box::new(make);
         let model = LeafModel { name: name.to_owned(), kind, ports, make };
         self.leaves.insert(name.to_owned(), Arc::new(model));
     }
@@ -123,15 +112,14 @@ impl Factory {
     pub fn model(&self) -> String {
         let mut xml = String::from("<root BTCPP_format=\"4\">\n  <TreeNodesModel>\n");
         for (name, leaf) in &self.leaves {
-            let category = Kind::Leaf(leaf.kind).category().name();
+            let category = match leaf.kind {
+                LeafKind::Condition => "Condition",
+                LeafKind::SyncAction | LeafKind::Action => "Action",
+            };
             // Writing into a String cannot fail.
             let _ = writeln!(xml, "    <{category} ID=\"{}\">", escaped(name));
             for port in &leaf.ports {
-                let element = match port.direction {
-                    PortDirection::Input => "input_port",
-                    PortDirection::Output => "output_port",
-                    PortDirection::InOut => "inout_port",
-                };
+                let element = port.direction.element();
                 let (name, kind) = (escaped(port.name), escaped(port.kind.name()));
                 let _ = write!(xml, "      <{element} name=\"{name}\" type=\"{kind}\"");
                 if let Some(default) = port.default {
@@ -143,6 +131,14 @@ impl Factory {
         }
         xml + "  </TreeNodesModel>\n</root>\n"
     }
+}
+
+/// Makes leaves of a function.
+fn functions(
+    function: impl Fn(&mut LeafContext<'_>) -> LeafResult + Send + Sync + 'static,
+) -> MakeLeaf {
+    let function = Arc::new(function);
+    Box::new(move || Box::new(Function(function.clone())))
 }
 
 fn escaped(text: &str) -> String {

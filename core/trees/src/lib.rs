@@ -54,11 +54,11 @@ pub mod differences {}
 
 pub use factory::Factory;
 pub use load::{Problem, TreeError, TreeErrors};
-pub use model::{Category, LeafKind, Port, PortDirection};
+pub use model::{LeafKind, Port};
 pub use script::ScriptError;
 pub use status::Status;
 pub use tree::{
     Halt, Leaf, LeafContext, LeafError, LeafResult, LeafRun, NodeView, PortError, StatusChange,
     TickError, TickProblem, Tree, TreeNodeId,
 };
-pub use value::{Object, PortType, PortValue, Value};
+pub use value::{PortType, PortValue, Value};

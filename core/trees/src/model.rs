@@ -6,13 +6,24 @@ use std::ops::RangeInclusive;
 
 /// Which way a value goes through a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PortDirection {
+pub(crate) enum PortDirection {
     /// The node reads it.
     Input,
     /// The node writes it.
     Output,
     /// Both.
     InOut,
+}
+
+impl PortDirection {
+    /// The element of a `TreeNodesModel` that describes such a port.
+    pub(crate) const fn element(self) -> &'static str {
+        match self {
+            PortDirection::Input => "input_port",
+            PortDirection::Output => "output_port",
+            PortDirection::InOut => "inout_port",
+        }
+    }
 }
 
 /// A port of a type of node.
@@ -23,12 +34,21 @@ pub struct Port {
     pub(crate) kind: PortType,
     pub(crate) default: Option<&'static str>,
     pub(crate) optional: bool,
+    pub(crate) role: PortRole,
     pub(crate) about: &'static str,
 }
 
 impl Port {
     const fn new(name: &'static str, direction: PortDirection, kind: PortType) -> Port {
-        Port { name, direction, kind, default: None, optional: false, about: "" }
+        Port {
+            name,
+            direction,
+            kind,
+            default: None,
+            optional: false,
+            role: PortRole::Value,
+            about: "",
+        }
     }
 
     /// A port that the node reads. Each tree must give it, unless it has a default or is optional.
@@ -64,40 +84,27 @@ impl Port {
         self
     }
 
+    const fn role(mut self, role: PortRole) -> Port {
+        self.role = role;
+        self
+    }
+
     pub(crate) const fn reads(&self) -> bool {
         !matches!(self.direction, PortDirection::Output)
     }
 }
 
-/// The categories of nodes, as XML files name them.
+/// What the text of a port means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Category {
-    /// Does something.
-    Action,
-    /// Looks at something, and changes nothing.
-    Condition,
-    /// Has children, and decides which one is ticked.
-    Control,
-    /// Has one child.
-    Decorator,
-}
-
-impl Category {
-    /// The name in XML files.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Category::Action => "Action",
-            Category::Condition => "Condition",
-            Category::Control => "Control",
-            Category::Decorator => "Decorator",
-        }
-    }
-
-    /// The category of this name in XML files.
-    pub fn from_name(name: &str) -> Option<Category> {
-        let all = [Category::Action, Category::Condition, Category::Control, Category::Decorator];
-        all.into_iter().find(|category| category.name() == name)
-    }
+pub(crate) enum PortRole {
+    /// A value, or in braces the entry that holds it.
+    Value,
+    /// A script.
+    Script,
+    /// The name of an entry, or in braces the entry that holds its name.
+    Name,
+    /// The name of an entry, in braces or not.
+    Entry,
 }
 
 /// How a leaf of the application is called.
@@ -114,13 +121,12 @@ pub enum LeafKind {
 /// What a node does.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Kind {
-    Sequence,
-    AsyncSequence,
-    SequenceWithMemory,
-    ReactiveSequence,
-    Fallback,
-    AsyncFallback,
-    ReactiveFallback,
+    /// `Sequence`, `Fallback` and their like.
+    Ordered(Order),
+    /// `ReactiveSequence` and `ReactiveFallback`.
+    Reactive {
+        go: Status,
+    },
     Parallel,
     ParallelAll,
     IfThenElse,
@@ -155,16 +161,26 @@ pub(crate) enum Kind {
     Leaf(LeafKind),
 }
 
-impl Kind {
-    pub(crate) fn category(self) -> Category {
-        match self {
-            Kind::Leaf(LeafKind::Condition) | Kind::ScriptCondition => Category::Condition,
-            kind if kind.children() == (0..=0) => Category::Action,
-            kind if kind.children() == (1..=1) => Category::Decorator,
-            _ => Category::Control,
-        }
-    }
+/// How children are ticked in turn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Order {
+    /// The answer after which the next child is ticked; any other one stops.
+    pub(crate) go: Status,
+    /// A child that is done at once ends the tick.
+    pub(crate) yields: bool,
+    /// Neither a stop nor a halt leads back to the first child.
+    pub(crate) keeps: bool,
+}
 
+impl Order {
+    pub(crate) const SEQUENCE: Order = Order { go: Status::Success, yields: false, keeps: false };
+    const FALLBACK: Order = Order { go: Status::Failure, ..Order::SEQUENCE };
+    const ASYNC_SEQUENCE: Order = Order { yields: true, ..Order::SEQUENCE };
+    const ASYNC_FALLBACK: Order = Order { yields: true, ..Order::FALLBACK };
+    const WITH_MEMORY: Order = Order { keeps: true, ..Order::ASYNC_SEQUENCE };
+}
+
+impl Kind {
     /// How many children a node may have.
     pub(crate) fn children(self) -> RangeInclusive<usize> {
         use Kind::*;
@@ -172,16 +188,11 @@ impl Kind {
             IfThenElse | WhileDoElse => 2..=3,
             Switch(cases) => usize::from(cases) + 1..=usize::from(cases) + 1,
             TryCatch => 2..=usize::MAX,
-            Sequence | AsyncSequence | SequenceWithMemory | ReactiveSequence | Fallback
-            | AsyncFallback | ReactiveFallback | Parallel | ParallelAll => 1..=usize::MAX,
+            Ordered(_) | Reactive { .. } | Parallel | ParallelAll => 1..=usize::MAX,
             Always(_) | Script | ScriptCondition | SetBlackboard | UnsetBlackboard | Sleep
             | WasEntryUpdated | Leaf(_) => 0..=0,
             _ => 1..=1,
         }
-    }
-
-    pub(crate) fn is_decorator(self) -> bool {
-        self.category() == Category::Decorator
     }
 }
 
@@ -205,7 +216,8 @@ const fn loops<T: PortValue>() -> [Port; 3] {
     [any("queue", PortDirection::InOut), IF_EMPTY, Port::output::<T>("value")]
 }
 const IF_EMPTY: Port = Port::input::<Status>("if_empty").or("SUCCESS");
-const ENTRY: Port = any("entry", PortDirection::Input);
+const ENTRY: Port = any("entry", PortDirection::Input).role(PortRole::Entry);
+const CODE: Port = Port::input::<String>("code").role(PortRole::Script);
 /// The ports of `Switch2` are the first three, and so on.
 const SWITCH: [Port; 7] = [
     Port::input::<String>("variable").optional(),
@@ -220,13 +232,13 @@ const SWITCH: [Port; 7] = [
 /// All types of nodes of BehaviorTree.CPP 4.10 that need no application, but for
 /// `ManualSelector`, which asks on a terminal.
 pub(crate) static BUILTINS: [Builtin; 42] = [
-    builtin("Sequence", Kind::Sequence, &[]),
-    builtin("AsyncSequence", Kind::AsyncSequence, &[]),
-    builtin("SequenceWithMemory", Kind::SequenceWithMemory, &[]),
-    builtin("ReactiveSequence", Kind::ReactiveSequence, &[]),
-    builtin("Fallback", Kind::Fallback, &[]),
-    builtin("AsyncFallback", Kind::AsyncFallback, &[]),
-    builtin("ReactiveFallback", Kind::ReactiveFallback, &[]),
+    builtin("Sequence", Kind::Ordered(Order::SEQUENCE), &[]),
+    builtin("AsyncSequence", Kind::Ordered(Order::ASYNC_SEQUENCE), &[]),
+    builtin("SequenceWithMemory", Kind::Ordered(Order::WITH_MEMORY), &[]),
+    builtin("ReactiveSequence", Kind::Reactive { go: Status::Success }, &[]),
+    builtin("Fallback", Kind::Ordered(Order::FALLBACK), &[]),
+    builtin("AsyncFallback", Kind::Ordered(Order::ASYNC_FALLBACK), &[]),
+    builtin("ReactiveFallback", Kind::Reactive { go: Status::Failure }, &[]),
     builtin(
         "Parallel",
         Kind::Parallel,
@@ -260,7 +272,10 @@ pub(crate) static BUILTINS: [Builtin; 42] = [
     builtin(
         "Precondition",
         Kind::Precondition,
-        &[Port::input::<String>("if"), Port::input::<Status>("else").or("FAILURE")],
+        &[
+            Port::input::<String>("if").role(PortRole::Script),
+            Port::input::<Status>("else").or("FAILURE"),
+        ],
     ),
     builtin("LoopInt", Kind::Loop, &const { loops::<i32>() }),
     builtin("LoopBool", Kind::Loop, &const { loops::<bool>() }),
@@ -271,14 +286,21 @@ pub(crate) static BUILTINS: [Builtin; 42] = [
     builtin("SubTree", Kind::SubTree, &[]),
     builtin("AlwaysSuccess", Kind::Always(Status::Success), &[]),
     builtin("AlwaysFailure", Kind::Always(Status::Failure), &[]),
-    builtin("Script", Kind::Script, &[Port::input::<String>("code")]),
-    builtin("ScriptCondition", Kind::ScriptCondition, &[Port::input::<String>("code")]),
+    builtin("Script", Kind::Script, &[CODE]),
+    builtin("ScriptCondition", Kind::ScriptCondition, &[CODE]),
     builtin(
         "SetBlackboard",
         Kind::SetBlackboard,
-        &[any("value", PortDirection::Input), any("output_key", PortDirection::InOut)],
+        &[
+            any("value", PortDirection::Input),
+            any("output_key", PortDirection::InOut).role(PortRole::Name),
+        ],
     ),
-    builtin("UnsetBlackboard", Kind::UnsetBlackboard, &[Port::input::<String>("key")]),
+    builtin(
+        "UnsetBlackboard",
+        Kind::UnsetBlackboard,
+        &[Port::input::<String>("key").role(PortRole::Name)],
+    ),
     builtin("Sleep", Kind::Sleep, &[Port::input::<u32>("msec")]),
     builtin("WasEntryUpdated", Kind::WasEntryUpdated, &[ENTRY]),
 ];

@@ -9,7 +9,7 @@ use std::fmt;
 use std::sync::Arc;
 
 /// A value of the blackboard.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub enum Value {
     /// An integer, or a boolean as 0 or 1.
     Int(i64),
@@ -20,23 +20,7 @@ pub enum Value {
     /// Several values, such as the elements of a loop.
     List(Arc<[Value]>),
     /// A type of the application.
-    Object(Object),
-}
-
-/// A value of a type that only the application knows. Two are equal if they are the same one.
-#[derive(Clone)]
-pub struct Object(Arc<dyn Any + Send + Sync>);
-
-impl fmt::Debug for Object {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Object")
-    }
-}
-
-impl PartialEq for Object {
-    fn eq(&self, other: &Object) -> bool {
-        Arc::ptr_eq(&self.0, &other.0)
-    }
+    Object(Arc<dyn Any + Send + Sync>),
 }
 
 impl Value {
@@ -47,13 +31,13 @@ impl Value {
 
     /// A value of the application's own type.
     pub fn object<T: Any + Send + Sync>(value: T) -> Value {
-        Value::Object(Object(Arc::new(value)))
+        Value::Object(Arc::new(value))
     }
 
     /// The value of the application's own type, if it is one of this type.
     pub fn as_object<T: Any>(&self) -> Option<&T> {
         match self {
-            Value::Object(object) => object.0.downcast_ref(),
+            Value::Object(object) => object.downcast_ref(),
             _ => None,
         }
     }
@@ -89,11 +73,6 @@ fn unsigned_plus(text: &str) -> Option<&str> {
     (!text.starts_with('+')).then_some(text)
 }
 
-/// The elements of a list that is written as a text: `1;2;3`.
-pub(crate) fn elements(text: &str) -> impl Iterator<Item = &str> {
-    text.split_terminator(';')
-}
-
 impl fmt::Display for Value {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -111,7 +90,7 @@ impl fmt::Display for Value {
 }
 
 /// The type of a port or of a blackboard's entry.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub struct PortType {
     name: &'static str,
     /// Converts a value into the form in which an entry of this type keeps it; none: any value.
@@ -149,12 +128,6 @@ impl PartialEq for PortType {
     }
 }
 
-impl fmt::Debug for PortType {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name)
-    }
-}
-
 fn admit<T: PortValue>(value: &Value) -> Option<Value> {
     T::from_value(value).map(T::into_value)
 }
@@ -188,6 +161,8 @@ fn admit<T: PortValue>(value: &Value) -> Option<Value> {
 pub trait PortValue: Sized + 'static {
     /// The type as models name it.
     const TYPE: PortType;
+    /// How models name the type of a list of such values.
+    const LIST: &'static str = "std::vector";
 
     /// Reads the value, of which a text is to be parsed; none if it does not convert.
     fn from_value(value: &Value) -> Option<Self>;
@@ -197,9 +172,10 @@ pub trait PortValue: Sized + 'static {
 }
 
 macro_rules! integers {
-    ($($type:ty, $name:literal;)*) => {$(
+    ($($type:ty, $name:literal, $list:literal;)*) => {$(
         impl PortValue for $type {
             const TYPE: PortType = PortType::of::<$type>($name);
+            const LIST: &'static str = $list;
 
             fn from_value(value: &Value) -> Option<$type> {
                 value.as_int()?.try_into().ok()
@@ -213,13 +189,14 @@ macro_rules! integers {
 }
 
 integers! {
-    i32, "int";
-    u32, "unsigned int";
-    i64, "int64_t";
+    i32, "int", "std::vector<int>";
+    u32, "unsigned int", "std::vector<unsigned int>";
+    i64, "int64_t", "std::vector<int64_t>";
 }
 
 impl PortValue for f64 {
     const TYPE: PortType = PortType::of::<f64>("double");
+    const LIST: &'static str = "std::vector<double>";
 
     fn from_value(value: &Value) -> Option<f64> {
         value.as_real()
@@ -232,6 +209,7 @@ impl PortValue for f64 {
 
 impl PortValue for bool {
     const TYPE: PortType = PortType::of::<bool>("bool");
+    const LIST: &'static str = "std::vector<bool>";
 
     fn from_value(value: &Value) -> Option<bool> {
         match value {
@@ -258,6 +236,7 @@ impl PortValue for String {
         name: "std::string",
         admit: Some(|value| matches!(value, Value::Text(_)).then(|| value.clone())),
     };
+    const LIST: &'static str = "std::vector<std::string>";
 
     fn from_value(value: &Value) -> Option<String> {
         (!matches!(value, Value::Object(_))).then(|| value.to_string())
@@ -283,31 +262,21 @@ impl PortValue for Status {
     }
 }
 
-macro_rules! lists {
-    ($($type:ty, $name:literal;)*) => {$(
-        impl PortValue for Vec<$type> {
-            const TYPE: PortType = PortType::of::<Vec<$type>>($name);
+/// A list is `1;2;3` as a text.
+impl<T: PortValue> PortValue for Vec<T> {
+    const TYPE: PortType = PortType::of::<Vec<T>>(T::LIST);
 
-            fn from_value(value: &Value) -> Option<Vec<$type>> {
-                match value {
-                    Value::List(list) => list.iter().map(<$type>::from_value).collect(),
-                    Value::Text(text) => {
-                        elements(text).map(|part| <$type>::from_value(&Value::text(part))).collect()
-                    }
-                    _ => None,
-                }
+    fn from_value(value: &Value) -> Option<Vec<T>> {
+        match value {
+            Value::List(list) => list.iter().map(T::from_value).collect(),
+            Value::Text(text) => {
+                text.split_terminator(';').map(|part| T::from_value(&Value::text(part))).collect()
             }
-
-            fn into_value(self) -> Value {
-                Value::List(self.into_iter().map(PortValue::into_value).collect())
-            }
+            _ => None,
         }
-    )*};
-}
+    }
 
-lists! {
-    bool, "std::vector<bool>";
-    i32, "std::vector<int>";
-    f64, "std::vector<double>";
-    String, "std::vector<std::string>";
+    fn into_value(self) -> Value {
+        Value::List(self.into_iter().map(T::into_value).collect())
+    }
 }

@@ -1,38 +1,37 @@
-//! Builds a tree from its checked definition.
+//! Builds a tree from its definition, and checks the definition on the way.
 
+use super::definitions::Definitions;
 use super::problem::Problem;
-use super::source::{Attribute, Element, MAX_DEPTH, Named, Sources};
-use super::{AFTER, BEFORE, Definitions, NodeType, is_port, key_of};
-use crate::blackboard::BoardId;
+use super::source::{Attribute, Element, MAX_DEPTH, Named, Place, Sources, nearest};
+use super::{CONDITIONS, EXPLICIT, NodeType, is_port, key_of};
+use crate::blackboard::{BoardId, KeyId};
 use crate::factory::Factory;
-use crate::model::Kind;
+use crate::model::{BUILTINS, Kind, Port, PortDirection, PortRole};
 use crate::script;
 use crate::status::Status;
 use crate::tree::{
-    Binding, Code, Hooks, Label, LeafState, LoopQueue, NodeMemory, Tree, TreeNode, TreeNodeId,
+    Binding, BoundPort, Code, Label, LeafState, LoopQueue, NodeMemory, Tree, TreeNode, TreeNodeId,
 };
 use crate::value::{PortValue, Value};
 use std::collections::{BTreeSet, VecDeque};
-use std::time::Duration;
 
 /// Trees can contain each other so that each level doubles the nodes. The library, which numbers
 /// nodes in 16 bits, has no larger trees.
 const MAX_NODES: usize = 65_535;
 
-/// Builds the main tree.
+/// Builds the tree of this outermost node, with its subtrees or, to check it, without.
 pub(super) fn build(
     factory: &Factory,
     sources: &mut Sources,
     definitions: &Definitions,
-    main: &str,
+    root: &Element,
+    with_subtrees: bool,
 ) -> Tree {
-    let mut tree = Tree::default();
-    tree.enums = factory.enums.clone();
-    let mut builder = Builder { factory, sources, definitions, tree, paths: BTreeSet::new() };
+    let tree = Tree::of_enums(factory.enums.clone());
+    let paths = BTreeSet::new();
+    let mut builder = Builder { factory, sources, definitions, with_subtrees, tree, paths };
     let board = builder.tree.board.add(None, Named::new(), false);
-    if let Some(Some(root)) = builder.definitions.trees.get(main) {
-        builder.node(root, board, "", 0);
-    }
+    builder.node(root, Scope { board, prefix: "", depth: 0 });
     builder.tree.reserve();
     builder.tree
 }
@@ -41,45 +40,58 @@ struct Builder<'a> {
     factory: &'a Factory,
     sources: &'a mut Sources,
     definitions: &'a Definitions,
+    with_subtrees: bool,
     tree: Tree,
     paths: BTreeSet<String>,
 }
 
+/// Where in the tree a node stands.
+#[derive(Clone, Copy)]
+struct Scope<'a> {
+    board: BoardId,
+    /// With what its path begins.
+    prefix: &'a str,
+    depth: u32,
+}
+
 impl<'a> Builder<'a> {
-    /// Adds a node and those below it. The path of a node begins with `prefix`.
-    fn node(
-        &mut self,
-        element: &'a Element,
-        board: BoardId,
-        prefix: &str,
-        depth: u32,
-    ) -> Option<TreeNodeId> {
-        let node = NodeType::of_element(self.factory, element)?;
-        if self.tree.nodes.len() >= MAX_NODES {
-            self.limit(element, "65,535 nodes");
+    /// Adds a node and those below it.
+    fn node(&mut self, element: &'a Element, at: Scope<'_>) -> Option<TreeNodeId> {
+        let limits = [
+            ("65,535 nodes", self.tree.nodes.len() >= MAX_NODES),
+            ("256 nodes that are nested", at.depth as usize >= MAX_DEPTH),
+            ("65,536 keys", self.tree.board.is_full()),
+        ];
+        if let Some((limit, _)) = limits.into_iter().find(|(_, reached)| *reached) {
+            // Once is enough: the nodes that follow are beyond it too.
+            if self.sources.errors.is_empty() {
+                self.sources.error(element.place, Problem::Limit(limit));
+            }
             return None;
         }
-        if depth as usize >= MAX_DEPTH {
-            self.limit(element, "256 nodes that are nested");
+        let Scope { board, prefix, depth } = at;
+        let below = Scope { depth: depth + 1, ..at };
+        let Some(node) = self.node_type(element) else {
+            for child in &element.children {
+                self.node(child, below);
+            }
             return None;
-        }
-        if self.tree.board.is_full() {
-            self.limit(element, "65,536 keys");
-            return None;
-        }
-        let id = TreeNodeId(self.tree.nodes.len() as u32);
-        let kind = node.kind();
-        let type_name = match kind {
-            Kind::SubTree => element.value("ID").unwrap_or_default(),
-            _ => node.name(),
         };
+        self.check_children(element, &node);
+        let id = TreeNodeId(self.tree.nodes.len() as u32);
+        let kind = node.kind;
+        let is_subtree = kind == Kind::SubTree;
+        let type_name = if is_subtree { element.value("ID")? } else { node.name };
         let path = self.path(element, prefix, type_name, id);
         let part = self.part(element, &node, board, id);
         let first_binding = self.tree.bindings.len() as u32;
-        self.bindings(element, &node, board);
+        if !is_subtree {
+            self.bindings(element, &node, board);
+        }
         let hooks = self.hooks(element, board);
         self.tree.nodes.push(TreeNode {
             kind,
+            is_decorator: kind.children() == (1..=1),
             status: Status::Idle,
             answer: Status::Idle,
             done: false,
@@ -94,15 +106,16 @@ impl<'a> Builder<'a> {
         let label = Label { path: path.clone(), type_name: type_name.to_owned(), depth };
         self.tree.labels.push(label);
         let mut children = Vec::new();
-        if kind == Kind::SubTree {
-            let inner = self.inner_board(element, board);
-            let root = self.definitions.trees.get(type_name).and_then(Option::as_ref);
-            let prefix = format!("{path}/");
-            children.extend(root.and_then(|root| self.node(root, inner, &prefix, depth + 1)));
-        } else {
-            for child in &element.children {
-                children.extend(self.node(child, board, prefix, depth + 1));
+        if let Some(id) = element.attribute("ID").filter(|_| is_subtree) {
+            let inner = self.inner_board(element, id, board);
+            let root = self.definitions.tree(self.sources, &id.value, id.value_place);
+            if let (Some(root), true) = (root, self.with_subtrees) {
+                let prefix = &format!("{path}/");
+                children.extend(self.node(root, Scope { board: inner, prefix, ..below }));
             }
+        }
+        for child in &element.children {
+            children.extend(self.node(child, below));
         }
         let added = &mut self.tree.nodes[id.0 as usize];
         added.first_child = self.tree.children.len() as u32;
@@ -111,10 +124,56 @@ impl<'a> Builder<'a> {
         Some(id)
     }
 
-    fn limit(&mut self, element: &Element, limit: &'static str) {
-        // Once is enough: the nodes that follow are beyond it too.
-        if self.sources.errors.is_empty() {
-            self.sources.error(element.place, Problem::Limit(limit));
+    /// The type of a node, unless there is none.
+    fn node_type(&mut self, element: &Element) -> Option<NodeType<'a>> {
+        let explicit = EXPLICIT.contains(&element.name.as_str());
+        if explicit || element.name == "SubTree" {
+            self.sources.needed(element, "ID")?;
+        }
+        let node = NodeType::of_element(self.factory, element);
+        if let (Some(node), Some(id)) = (&node, element.attribute("ID"))
+            && !explicit
+            && node.kind != Kind::SubTree
+        {
+            self.sources.unknown_port(node, id.place, "ID");
+        }
+        if node.is_none() {
+            let (name, place) = match element.attribute("ID") {
+                Some(id) if explicit => (id.value.as_str(), id.value_place),
+                _ => (element.name.as_str(), element.place),
+            };
+            let problem = Problem::UnknownNode(name.to_owned());
+            let leaves = self.factory.leaves.keys().map(String::as_str);
+            let known = BUILTINS.iter().map(|known| known.name).chain(leaves);
+            if self.definitions.trees.contains_key(name) {
+                // A tree is not used by its name alone.
+                let right = format!("<SubTree ID=\"{name}\"/>");
+                self.sources.misspelt(place, problem, &right, [right.as_str()]);
+            } else {
+                self.sources.misspelt(place, problem, name, known);
+            }
+        }
+        node
+    }
+
+    fn check_children(&mut self, element: &Element, node: &NodeType<'_>) {
+        // In a file a subtree is a leaf.
+        let expected = if node.kind == Kind::SubTree { 0..=0 } else { node.kind.children() };
+        let found = element.children.len();
+        if !expected.contains(&found) {
+            let expected = match (*expected.start(), *expected.end()) {
+                (least, usize::MAX) => format!("at least {least}"),
+                (least, most) if least == most => least.to_string(),
+                (least, most) => format!("{least} to {most}"),
+            };
+            let problem = Problem::Children { node: node.name.into(), found, expected };
+            self.sources.error(element.place, problem);
+        }
+        let is_async = |child: &&Element| child.name == "AsyncSequence";
+        if node.kind == (Kind::Reactive { go: Status::Success })
+            && element.children.iter().filter(is_async).count() > 1
+        {
+            self.sources.error(element.place, Problem::AsyncChildren);
         }
     }
 
@@ -122,10 +181,10 @@ impl<'a> Builder<'a> {
     fn path(&mut self, element: &Element, prefix: &str, type_name: &str, id: TreeNodeId) -> String {
         // The library counts from 1.
         let number = id.0 + 1;
-        let name = element.value("name").unwrap_or(type_name);
-        let mut path = format!("{prefix}{name}");
+        let name = element.value("name");
         let is_tree = element.name == "SubTree";
-        if name == type_name && !(is_tree && element.attribute("name").is_some()) {
+        let mut path = format!("{prefix}{}", name.unwrap_or(type_name));
+        if name.is_none() || !is_tree && name == Some(type_name) {
             path = format!("{path}::{number}");
         }
         if !self.paths.insert(path.clone()) {
@@ -146,45 +205,58 @@ impl<'a> Builder<'a> {
         board: BoardId,
         id: TreeNodeId,
     ) -> u32 {
-        let index = match (node, node.kind()) {
-            (NodeType::Leaf(model), _) => {
-                self.tree.leaves.push(LeafState {
-                    node: id,
-                    model: (*model).clone(),
-                    body: None,
-                    answer: None,
-                    starts: 0,
-                    since: Duration::ZERO,
-                    deferred: false,
-                });
+        let index = match (node.leaf, node.kind) {
+            (Some(model), _) => {
+                self.tree.leaves.push(LeafState::new(id, model.clone()));
                 self.tree.leaves.len()
             }
             (_, Kind::Loop) => {
-                let element = node.ports()[2].kind;
+                let element = node.ports[2].kind;
                 self.tree.loops.push(LoopQueue { element, queue: VecDeque::new(), loaded: false });
                 self.tree.loops.len()
             }
             (_, Kind::Script | Kind::ScriptCondition | Kind::Precondition) => {
-                let code = element.attribute(node.ports()[0].name);
-                let code = code.map(|code| self.code(code, board));
-                self.tree.codes.extend(code);
-                self.tree.codes.len()
+                let code = element.attribute(node.ports[0].name);
+                let may_be_empty = node.kind == Kind::Script;
+                return code.map_or(0, |code| self.code(code, board, may_be_empty));
             }
             _ => return 0,
         };
         index as u32 - 1
     }
 
-    fn code(&mut self, attribute: &Attribute, board: BoardId) -> Code {
-        let Tree { board: keys, enums, .. } = &mut self.tree;
-        let script = script::parse(&attribute.value, enums, &mut |key| keys.key(board, key)).ok();
-        Code { text: attribute.value.clone(), script }
+    /// Adds the script of this attribute.
+    fn code(&mut self, attribute: &Attribute, board: BoardId, may_be_empty: bool) -> u32 {
+        let text = &attribute.value;
+        let Tree { board: keys, enums, codes, .. } = &mut self.tree;
+        let script = script::parse(text, enums, &mut |key| keys.key(board, key));
+        let script = script.unwrap_or_else(|error| {
+            let in_entry = key_of("", text).is_some();
+            if in_entry || !(text.is_empty() && may_be_empty) {
+                let place = self.sources.within(attribute, error.at);
+                let what =
+                    if in_entry { "a script is not taken from an entry" } else { &error.what };
+                self.sources.error(place, Problem::Script(what.to_owned()));
+            }
+            script::Script::default()
+        });
+        codes.push(Code { text: text.clone(), script });
+        codes.len() as u32 - 1
     }
 
+    /// The conditions of a node.
     fn hooks(&mut self, element: &Element, board: BoardId) -> Option<u32> {
-        let mut code = |name| element.attribute(name).map(|code| self.code(code, board));
-        let hooks = Hooks { before: BEFORE.map(&mut code), after: AFTER.map(&mut code) };
-        if hooks.before.iter().chain(&hooks.after).all(Option::is_none) {
+        let mut hooks = [None; CONDITIONS.len()];
+        for attribute in &element.attributes {
+            let name = attribute.name.as_str();
+            if let Some(index) = CONDITIONS.iter().position(|known| *known == name) {
+                hooks[index] = Some(self.code(attribute, board, false));
+            } else if name.starts_with('_') && nearest(name, CONDITIONS).is_some() {
+                let problem = Problem::UnknownCondition(name.to_owned());
+                self.sources.misspelt(attribute.place, problem, name, CONDITIONS);
+            }
+        }
+        if hooks == [None; CONDITIONS.len()] {
             return None;
         }
         self.tree.hooks.push(hooks);
@@ -193,63 +265,105 @@ impl<'a> Builder<'a> {
 
     /// Connects the ports of a node, and declares the entries that they use.
     fn bindings(&mut self, element: &Element, node: &NodeType<'_>, board: BoardId) {
-        for port in node.ports() {
-            let attribute = element.attribute(port.name);
-            let text = attribute.map(|attribute| attribute.value.as_str()).or(port.default);
-            let key = text.and_then(|text| key_of(port.name, text));
-            let binding = match (text, key) {
-                _ if node.is_script(port) => Binding::Missing,
-                (None, _) => Binding::Missing,
-                (Some(_), Some(key)) => {
-                    let id = self.tree.board.key(board, key);
-                    if let (Err(known), Some(attribute)) =
-                        (self.tree.board.declare(id, port.kind), attribute)
-                    {
-                        let (key, known) = (key.to_owned(), known.name());
-                        let kind = port.kind.name();
-                        let problem = Problem::EntryType { key, known, kind };
-                        self.sources.error(attribute.value_place, problem);
+        for attribute in element.attributes.iter().filter(|attribute| is_port(attribute)) {
+            if node.ports.iter().all(|port| port.name != attribute.name) {
+                self.sources.unknown_port(node, attribute.place, &attribute.name);
+            }
+        }
+        for port in node.ports {
+            let binding = match (element.attribute(port.name), port.default) {
+                (Some(given), _) => self.binding(port, board, &given.value, given.value_place),
+                (None, Some(text)) => self.binding(port, board, text, element.place),
+                (None, None) => {
+                    if port.reads() && !port.optional {
+                        let (node, port) = (node.name.into(), port.name.into());
+                        self.sources.error(element.place, Problem::MissingPort { node, port });
                     }
-                    Binding::Key(id)
-                }
-                (Some(text), None) if node.is_name(port) => {
-                    let key = self.tree.board.key(board, text);
-                    match node.kind() {
-                        Kind::SetBlackboard | Kind::UnsetBlackboard => Binding::Entry(key),
-                        _ => Binding::Key(key),
-                    }
-                }
-                (Some(text), None) => {
-                    let value = port.kind.admit(&Value::text(text));
-                    value.map_or(Binding::Missing, Binding::Literal)
+                    Binding::Missing
                 }
             };
-            self.tree.bindings.push(binding);
+            let children = element.children.len();
+            if let (Kind::Parallel | Kind::ParallelAll, Binding::Literal(Value::Int(threshold))) =
+                (node.kind, &binding)
+                && i64::try_from(children).is_ok_and(|children| *threshold > children)
+            {
+                let threshold = *threshold;
+                self.sources.error(element.place, Problem::Threshold { threshold, children });
+            }
+            self.tree.bindings.push(BoundPort { name: port.name, binding });
         }
     }
 
+    fn binding(&mut self, port: &Port, board: BoardId, text: &str, place: Place) -> Binding {
+        match (key_of(port.name, text), port.role) {
+            (_, PortRole::Script) => return Binding::Missing,
+            (None, PortRole::Name) => return Binding::Entry(self.key(board, text, place)),
+            (None, PortRole::Entry) => return Binding::Key(self.key(board, text, place)),
+            (Some(key), _) => {
+                let id = self.key(board, key, place);
+                if let Err(known) = self.tree.board.declare(id, port.kind) {
+                    let (key, known, kind) = (key.to_owned(), known.name(), port.kind.name());
+                    self.sources.error(place, Problem::EntryType { key, known, kind });
+                }
+                return Binding::Key(id);
+            }
+            (None, PortRole::Value) => {}
+        }
+        if port.direction == PortDirection::Output {
+            self.sources.error(place, Problem::NotAKey(port.name.into()));
+        }
+        let idle = port.kind == Status::TYPE && text == Status::Idle.name();
+        let Some(value) = port.kind.admit(&Value::text(text)).filter(|_| !idle) else {
+            self.sources.no_value(place, text, port.kind.name());
+            return Binding::Missing;
+        };
+        Binding::Literal(value)
+    }
+
+    /// The entry that a key means.
+    fn key(&mut self, board: BoardId, key: &str, place: Place) -> KeyId {
+        let name = key.strip_prefix('@').unwrap_or(key);
+        if name.is_empty() || name.contains(['@', '{', '}']) {
+            self.sources.no_value(place, key, "name of an entry");
+        }
+        self.tree.board.key(board, key)
+    }
+
     /// The board of a subtree: which keys are the parent's, and what is written into it at once.
-    fn inner_board(&mut self, element: &Element, outer: BoardId) -> BoardId {
+    fn inner_board(&mut self, element: &'a Element, id: &Attribute, outer: BoardId) -> BoardId {
         let given = element.attributes.iter().filter(|attribute| is_port(attribute));
-        let mut ports: Named<&str> =
-            given.map(|attribute| (attribute.name.clone(), attribute.value.as_str())).collect();
-        let autoremap = element.value("_autoremap");
-        let autoremap = autoremap.and_then(|text| bool::from_value(&Value::text(text)));
-        let autoremap = autoremap.unwrap_or(false);
-        let model = element.value("ID").and_then(|id| self.definitions.models.get(id));
-        for (port, default) in model.into_iter().flatten() {
-            if let (Some(default), false) = (default, autoremap) {
-                ports.entry(port.clone()).or_insert(default);
+        let mut ports: Named<(&str, Place)> =
+            given.map(|port| (port.name.clone(), (&*port.value, port.value_place))).collect();
+        let mut autoremap = false;
+        if let Some(given) = element.attribute("_autoremap") {
+            match bool::from_value(&Value::text(&*given.value)) {
+                Some(value) => autoremap = value,
+                None => self.sources.no_value(given.value_place, &given.value, bool::TYPE.name()),
+            }
+        }
+        for (port, default) in self.definitions.models.get(&id.value).into_iter().flatten() {
+            if autoremap || ports.contains_key(port) {
+                continue;
+            }
+            match default {
+                Some(default) => {
+                    ports.insert(port.clone(), (default, element.place));
+                }
+                None => {
+                    let (node, port) = (id.value.clone(), port.clone());
+                    self.sources.error(element.place, Problem::MissingPort { node, port });
+                }
             }
         }
         let mut literals = Vec::new();
         let mut remaps = Named::new();
-        for (port, text) in ports {
-            match key_of(&port, text).map(str::to_owned) {
-                Some(key) if text != "=" => {
-                    remaps.insert(port, key);
+        for (port, (text, place)) in ports {
+            match key_of(&port, text).filter(|_| text != "=") {
+                Some(key) => {
+                    self.key(outer, key, place);
+                    remaps.insert(port.clone(), key.to_owned());
                 }
-                _ => literals.push((port, literal(text))),
+                None => literals.push((port.clone(), literal(text))),
             }
         }
         let board = self.tree.board.add(Some(outer), remaps, autoremap);

@@ -1,28 +1,20 @@
 //! Loads a tree: reads its files, checks every tree in them, and builds the main one.
 
 mod build;
-mod check;
+mod definitions;
 mod problem;
 mod source;
 
 pub use problem::{Problem, TreeError, TreeErrors};
 
-pub(crate) use check::may_be_name;
+pub(crate) use definitions::may_be_name;
 
 use crate::factory::Factory;
 use crate::model::{BUILTINS, Builtin, Kind, Port};
 use crate::tree::{LeafModel, Tree};
-use source::{Attribute, Element, Named, Place, Sources};
+use definitions::Definitions;
+use source::{Attribute, Element, Place, Sources};
 use std::sync::Arc;
-
-/// What the files of a tree hold.
-#[derive(Default)]
-struct Definitions {
-    /// Their outermost nodes.
-    trees: Named<Option<Element>>,
-    /// The ports of subtrees, with their defaults, from `TreeNodesModel`.
-    models: Named<Named<Option<String>>>,
-}
 
 /// Loads the main tree of a file.
 pub(crate) fn load(
@@ -34,18 +26,17 @@ pub(crate) fn load(
 ) -> Result<Tree, TreeErrors> {
     let mut sources = Sources::default();
     sources.read(file, text, include);
-    let definitions = check::check(factory, &mut sources);
-    let main = main_tree(&mut sources, &definitions, main);
-    let tree = match main {
-        Some(main) if sources.errors.is_empty() => {
-            Some(build::build(factory, &mut sources, &definitions, main))
-        }
-        _ => None,
-    };
-    match tree {
-        Some(tree) if sources.errors.is_empty() => Ok(tree),
-        _ => Err(TreeErrors::new(sources.errors)),
+    let definitions = Definitions::of(factory, &mut sources);
+    // Every tree is checked, whether it is used or not.
+    for root in definitions.trees.values().flatten() {
+        build::build(factory, &mut sources, &definitions, root, false);
     }
+    let root = main_tree(&mut sources, &definitions, main);
+    let (true, Some(root)) = (sources.errors.is_empty(), root) else {
+        return Err(TreeErrors::new(sources.errors));
+    };
+    let tree = build::build(factory, &mut sources, &definitions, root, true);
+    if sources.errors.is_empty() { Ok(tree) } else { Err(TreeErrors::new(sources.errors)) }
 }
 
 /// The tree that the caller names, else that of the first file, else the only one.
@@ -53,87 +44,49 @@ fn main_tree<'a>(
     sources: &mut Sources,
     definitions: &'a Definitions,
     main: Option<&str>,
-) -> Option<&'a str> {
-    let (wanted, place) = match (main, &sources.main) {
-        (Some(main), _) => (main.to_owned(), Place { file: 0, at: 0 }),
-        (None, Some(main)) => (main.value.clone(), main.value_place),
+) -> Option<&'a Element> {
+    let start = Place { file: 0, at: 0 };
+    let given = sources.main.take();
+    match (main, &given) {
+        (Some(main), _) => definitions.tree(sources, main, start),
+        (None, Some(main)) => definitions.tree(sources, &main.value, main.value_place),
+        (None, None) if definitions.trees.len() == 1 => definitions.trees.values().next()?.as_ref(),
         (None, None) => {
-            let mut names = definitions.trees.keys();
-            if let (Some(name), None) = (names.next(), names.next()) {
-                return Some(name);
-            }
-            sources.error(Place { file: 0, at: 0 }, Problem::NoMainTree);
-            return None;
+            let (element, attribute) = ("root".into(), "main_tree_to_execute");
+            sources.error(start, Problem::Attribute { element, attribute });
+            None
         }
-    };
-    if let Some((name, _)) = definitions.trees.get_key_value(&wanted) {
-        return Some(name);
     }
-    let known = definitions.trees.keys().map(String::as_str);
-    sources.misspelt(place, Problem::UnknownTree(wanted.clone()), &wanted, known);
-    None
 }
 
+/// Elements whose `ID` is the type of a node. Which of them it is makes no difference.
+const EXPLICIT: [&str; 4] = ["Action", "Condition", "Control", "Decorator"];
+
 /// What an element is.
-#[derive(Clone)]
-enum NodeType<'a> {
-    Builtin(&'static Builtin),
-    Leaf(&'a Arc<LeafModel>),
+struct NodeType<'a> {
+    name: &'a str,
+    kind: Kind,
+    ports: &'a [Port],
+    /// What the application has registered.
+    leaf: Option<&'a Arc<LeafModel>>,
 }
 
 impl<'a> NodeType<'a> {
     fn of_name(factory: &'a Factory, name: &str) -> Option<NodeType<'a>> {
-        let leaf = factory.leaves.get(name).map(NodeType::Leaf);
-        leaf.or_else(|| BUILTINS.iter().find(|known| known.name == name).map(NodeType::Builtin))
+        if let Some(leaf) = factory.leaves.get(name) {
+            let LeafModel { name, kind, ports, .. } = &**leaf;
+            return Some(NodeType { name, kind: Kind::Leaf(*kind), ports, leaf: Some(leaf) });
+        }
+        let known = BUILTINS.iter().find(|known| known.name == name)?;
+        let Builtin { name, kind, ports } = *known;
+        Some(NodeType { name, kind, ports, leaf: None })
     }
 
     /// The type that an element names: `<Wait/>`, or `<Action ID="Wait"/>`. A subtree's `ID` is
     /// the tree's.
     fn of_element(factory: &'a Factory, element: &Element) -> Option<NodeType<'a>> {
-        let name = match element.name.as_str() {
-            "Action" | "Condition" | "Control" | "Decorator" => element.value("ID")?,
-            name => name,
-        };
-        NodeType::of_name(factory, name)
-    }
-
-    fn name(&self) -> &str {
-        match self {
-            NodeType::Builtin(builtin) => builtin.name,
-            NodeType::Leaf(leaf) => &leaf.name,
-        }
-    }
-
-    fn kind(&self) -> Kind {
-        match self {
-            NodeType::Builtin(builtin) => builtin.kind,
-            NodeType::Leaf(leaf) => Kind::Leaf(leaf.kind),
-        }
-    }
-
-    fn ports(&self) -> &[Port] {
-        match self {
-            NodeType::Builtin(builtin) => builtin.ports,
-            NodeType::Leaf(leaf) => &leaf.ports,
-        }
-    }
-
-    /// Whether the port is a script.
-    fn is_script(&self, port: &Port) -> bool {
-        match self.kind() {
-            Kind::Script | Kind::ScriptCondition => true,
-            Kind::Precondition => port.name == "if",
-            _ => false,
-        }
-    }
-
-    /// Whether the port is the name of an entry: without braces too.
-    fn is_name(&self, port: &Port) -> bool {
-        match self.kind() {
-            Kind::SetBlackboard => port.name == "output_key",
-            Kind::UnsetBlackboard | Kind::WasEntryUpdated | Kind::Updated(_) => true,
-            _ => false,
-        }
+        let explicit = EXPLICIT.contains(&element.name.as_str());
+        NodeType::of_name(factory, if explicit { element.value("ID")? } else { &element.name })
     }
 }
 
@@ -147,9 +100,17 @@ pub(crate) fn key_of<'a>(port: &'a str, text: &'a str) -> Option<&'a str> {
     Some(if key == "=" { port } else { key.trim_matches(' ') })
 }
 
-/// The conditions of nodes: those before, and those after.
-const BEFORE: [&str; 4] = ["_failureIf", "_successIf", "_skipIf", "_while"];
-const AFTER: [&str; 4] = ["_onSuccess", "_onFailure", "_post", "_onHalted"];
+/// The conditions of nodes: those that are looked at before a tick, and what is run after it.
+const CONDITIONS: [&str; 8] = [
+    "_failureIf",
+    "_successIf",
+    "_skipIf",
+    "_while",
+    "_onSuccess",
+    "_onFailure",
+    "_post",
+    "_onHalted",
+];
 
 /// Whether an attribute connects a port: all but `name`, `ID`, and what begins with no letter.
 fn is_port(attribute: &Attribute) -> bool {

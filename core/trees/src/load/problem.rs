@@ -1,6 +1,5 @@
 //! What can be wrong with a file, and how it is shown.
 
-use crate::model::PortDirection;
 use std::fmt;
 
 /// All that is wrong with a tree's files.
@@ -85,9 +84,6 @@ pub enum Problem {
         /// The attribute.
         attribute: &'static str,
     },
-    /// `ID` of an element that is a type of node itself.
-    #[error("<{0}> takes no `ID`: the element is the type")]
-    CompactId(String),
     /// A name that is empty, reserved, or has characters that names may not have.
     #[error("`{0}` cannot be the name of a tree")]
     Name(String),
@@ -111,9 +107,6 @@ pub enum Problem {
     /// No tree has this name.
     #[error("no tree is called `{0}`")]
     UnknownTree(String),
-    /// Which tree is to run is not said.
-    #[error("`main_tree_to_execute` has to say which tree is the main one")]
-    NoMainTree,
     /// The type of node has no such port.
     #[error("`{node}` has no port `{port}`")]
     UnknownPort {
@@ -144,15 +137,9 @@ pub enum Problem {
     /// A port that the node writes is connected to no entry.
     #[error("`{0}` is written, so it takes the name of an entry: `{{key}}`")]
     NotAKey(String),
-    /// A text in braces that is no name of an entry.
-    #[error("`{0}` is no name of an entry")]
-    Key(String),
     /// A script that cannot be read.
     #[error("{0}")]
     Script(String),
-    /// A script that is taken from the blackboard.
-    #[error("a script is written out, and not taken from an entry")]
-    ScriptInEntry,
     /// Too few children, or too many.
     #[error("`{node}` has {found} children instead of {expected}")]
     Children {
@@ -187,26 +174,7 @@ pub enum Problem {
     /// Two subtrees of one tree have the same `name`.
     #[error("two subtrees have the path `{0}`")]
     Path(String),
-    /// The file's own model of a node differs from that of the program.
-    #[error("`{node}` is {known} in the program")]
-    Model {
-        /// The node's type, or its port.
-        node: String,
-        /// What the program knows it as.
-        known: String,
-    },
     /// Nested too deep, too many nodes, or too large a file.
     #[error("more than {0}")]
     Limit(&'static str),
-}
-
-impl Problem {
-    /// How messages name a direction.
-    pub(super) fn direction(direction: PortDirection) -> String {
-        match direction {
-            PortDirection::Input => "an input_port".into(),
-            PortDirection::Output => "an output_port".into(),
-            PortDirection::InOut => "an inout_port".into(),
-        }
-    }
 }

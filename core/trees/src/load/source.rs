@@ -1,5 +1,6 @@
 //! The files of a tree: read, included, and kept as plain elements with their places.
 
+use super::NodeType;
 use super::problem::{Problem, TreeError};
 use std::collections::BTreeMap;
 
@@ -108,16 +109,8 @@ impl Sources {
     }
 
     fn include(&mut self, element: &Element, including: &mut Vec<String>, include: Include<'_>) {
-        let Some(path) = element.attribute("path") else {
-            let problem = Problem::Attribute { element: "include".into(), attribute: "path" };
-            return self.error(element.place, problem);
-        };
+        let Some(path) = self.needed(element, "path") else { return };
         let place = path.value_place;
-        if let Some(package) = element.attribute("ros_pkg") {
-            let reason = "the packages of ROS are not known here".into();
-            let problem = Problem::Include { path: path.value.clone(), reason };
-            return self.error(package.place, problem);
-        }
         // An included path is relative to the file that includes it.
         let file = &self.files[element.place.file].0;
         let folder = file.rsplit_once('/').map(|(folder, _)| format!("{folder}/"));
@@ -172,6 +165,31 @@ impl Sources {
         Some(element)
     }
 
+    /// An attribute that the element must have.
+    pub(super) fn needed<'a>(
+        &mut self,
+        element: &'a Element,
+        attribute: &'static str,
+    ) -> Option<&'a Attribute> {
+        let found = element.attribute(attribute);
+        if found.is_none() {
+            let problem = Problem::Attribute { element: element.name.clone(), attribute };
+            self.error(element.place, problem);
+        }
+        found
+    }
+
+    /// Notes that a text does not convert.
+    pub(super) fn no_value(&mut self, place: Place, text: &str, kind: &'static str) {
+        self.error(place, Problem::Value { value: text.to_owned(), kind });
+    }
+
+    /// Notes that a type of node does not have a port.
+    pub(super) fn unknown_port(&mut self, node: &NodeType<'_>, place: Place, port: &str) {
+        let problem = Problem::UnknownPort { node: node.name.into(), port: port.into() };
+        self.misspelt(place, problem, port, node.ports.iter().map(|port| port.name));
+    }
+
     /// Notes what is wrong.
     pub(super) fn error(&mut self, place: Place, problem: Problem) {
         self.misspelt(place, problem, "", []);
@@ -204,19 +222,17 @@ impl Sources {
     /// Where this byte of an attribute's value is written: an entity is several bytes long.
     pub(super) fn within(&self, attribute: &Attribute, at: usize) -> Place {
         let Place { file, at: start } = attribute.value_place;
-        let raw = &self.files[file].1[start..];
-        let (mut read, mut decoded) = (0, 0);
-        while decoded < at {
-            let rest = &raw[read..];
-            let entity = rest.strip_prefix('&').and_then(|name| name.find(';'));
-            let (length, width) = match (entity, rest.chars().next()) {
-                (Some(end), _) => (end + 2, 1),
-                (None, Some(c)) => (c.len_utf8(), c.len_utf8()),
-                (None, None) => break,
-            };
-            (read, decoded) = (read + length, decoded + width);
+        let (mut decoded, mut entity) = (0, false);
+        for (read, c) in self.files[file].1[start..].char_indices() {
+            match c {
+                '&' if decoded < at => entity = true,
+                ';' if entity => (decoded, entity) = (decoded + 1, false),
+                _ if entity => {}
+                _ if decoded < at => decoded += c.len_utf8(),
+                _ => return Place { file, at: start + read },
+            }
         }
-        Place { file, at: start + read }
+        attribute.value_place
     }
 }
 
@@ -247,11 +263,13 @@ pub(super) fn nearest<'a>(
     wrong: &str,
     known: impl IntoIterator<Item = &'a str>,
 ) -> Option<&'a str> {
-    let wrong_case = wrong.to_lowercase();
-    let edits = |word: &str| strsim::levenshtein(&wrong_case, &word.to_lowercase());
-    let nearest = known.into_iter().min_by_key(|word| edits(word))?;
     // More than a third of the letters differ: that is another word, not a slip.
-    (!wrong.is_empty() && edits(nearest) <= 1 + wrong.len() / 3).then_some(nearest)
+    let most = 1 + wrong.len() / 3;
+    let lower = wrong.to_lowercase();
+    let near = |word: &&str| word.len().abs_diff(wrong.len()) <= most;
+    let edits = |word: &str| strsim::levenshtein(&lower, &word.to_lowercase());
+    let (edits, word) = known.into_iter().filter(near).map(|word| (edits(word), word)).min()?;
+    (!wrong.is_empty() && edits <= most).then_some(word)
 }
 
 /// Names to things, in the order of the names.

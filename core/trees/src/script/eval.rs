@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Why a script cannot be run to its end.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScriptError {
     /// An entry is read that has no value.
@@ -53,20 +53,10 @@ impl Script {
         }
         Ok(last)
     }
-
-    /// The value of the last statement as true or false.
-    pub(crate) fn holds(
-        &self,
-        board: &mut Blackboard,
-        enums: &BTreeMap<String, i64>,
-    ) -> Result<bool, ScriptError> {
-        let value = self.run(board, enums)?;
-        truth(&value).ok_or(ScriptError::NotBool(value))
-    }
 }
 
-/// A text is neither true nor false.
-fn truth(value: &Value) -> Option<bool> {
+/// Whether a value holds. A text is neither true nor false.
+pub(crate) fn truth(value: &Value) -> Option<bool> {
     if matches!(value, Value::Text(_)) { None } else { bool::from_value(value) }
 }
 
@@ -128,26 +118,19 @@ impl Run<'_> {
     }
 
     fn compare(&self, a: &Value, operator: &str, b: &Value) -> Result<bool, ScriptError> {
-        let (less, same) = match (a, b) {
-            (Value::Text(a), Value::Text(b)) => (a < b, a == b),
+        let (less, same, greater) = match (a, b) {
+            (Value::Text(a), Value::Text(b)) => (a < b, a == b, a > b),
             _ => {
                 let (a, b) = (self.number(a)?, self.number(b)?);
-                return Ok(match operator {
-                    "==" => equal(a, b),
-                    "!=" => !equal(a, b),
-                    "<" => a < b,
-                    ">" => a > b,
-                    "<=" => a <= b,
-                    _ => a >= b,
-                });
+                (a < b, equal(a, b), a > b)
             }
         };
         Ok(match operator {
             "==" => same,
             "!=" => !same,
             "<" => less,
-            ">" => !less && !same,
-            "<=" => less || same,
+            ">" => greater,
+            "<=" => !greater,
             _ => !less,
         })
     }
@@ -158,11 +141,8 @@ impl Run<'_> {
             match &**text {
                 "true" => return Ok(1.0),
                 "false" => return Ok(0.0),
-                name => {
-                    if let Some(number) = self.enums.get(name) {
-                        return Ok(*number as f64);
-                    }
-                }
+                name if self.enums.contains_key(name) => return Ok(self.enums[name] as f64),
+                _ => {}
             }
         }
         let error = || ScriptError::Operand { operator: "==", operand: value.clone() };
@@ -176,10 +156,7 @@ impl Run<'_> {
         let mut value = self.eval(value)?;
         if operator != ":=" && operator != "=" {
             let old = self.read(key)?;
-            value = binary(&old, &operator[..1], &value).map_err(|error| match error {
-                ScriptError::Operand { operand, .. } => ScriptError::Operand { operator, operand },
-                other => other,
-            })?;
+            value = binary(&old, &operator[..1], &value)?;
         } else if matches!(value, Value::Text(_))
             && self.board.kind(key).is_none()
             && matches!(self.board.value(key), Some(Value::Int(_) | Value::Real(_)))
@@ -222,24 +199,18 @@ fn binary(left: &Value, operator: &'static str, right: &Value) -> Evaluated {
     }
     let error = |operand: &Value| ScriptError::Operand { operator, operand: operand.clone() };
     let (a, b) = (number(operator, left)?, number(operator, right)?);
-    let ints = || {
-        let a = left.as_int().ok_or_else(|| error(left))?;
-        Ok((a, right.as_int().ok_or_else(|| error(right))?))
-    };
-    let bools = || {
-        let a = truth(left).ok_or_else(|| error(left))?;
-        Ok((a, truth(right).ok_or_else(|| error(right))?))
-    };
+    let int = |value: &Value| value.as_int().ok_or_else(|| error(value));
+    let bool = |value: &Value| truth(value).ok_or_else(|| error(value));
     Ok(Value::Real(match operator {
         "+" => a + b,
         "-" => a - b,
         "*" => a * b,
         "/" => a / b,
-        "&" => ints().map(|(a, b)| (a & b) as f64)?,
-        "|" => ints().map(|(a, b)| (a | b) as f64)?,
-        "^" => ints().map(|(a, b)| (a ^ b) as f64)?,
-        "&&" => bools().map(|(a, b)| flag(a && b))?,
-        "||" => bools().map(|(a, b)| flag(a || b))?,
+        "&" => (int(left)? & int(right)?) as f64,
+        "|" => (int(left)? | int(right)?) as f64,
+        "^" => (int(left)? ^ int(right)?) as f64,
+        "&&" => flag(bool(left)? & bool(right)?),
+        "||" => flag(bool(left)? | bool(right)?),
         _ => return Err(error(left)),
     }))
 }

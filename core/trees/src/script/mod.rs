@@ -9,14 +9,15 @@ mod parse;
 mod token;
 
 pub use eval::ScriptError;
-pub(crate) use eval::equal;
+pub(crate) use eval::{equal, truth};
 pub(crate) use parse::parse;
 
 use crate::blackboard::KeyId;
 use crate::value::Value;
 
 /// A script whose keys are resolved.
-#[derive(Debug)]
+/// An empty one does nothing.
+#[derive(Debug, Default)]
 pub(crate) struct Script {
     statements: Vec<Expr>,
 }

@@ -65,46 +65,25 @@ fn is_word(c: char) -> bool {
 
 /// A number at the beginning of the text, and how long it is.
 fn number(text: &str) -> Result<(Token<'_>, usize), Cow<'static, str>> {
-    let digits = |from: usize| {
-        from + text[from..].find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len() - from)
+    let hex = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
+    let bytes = text.as_bytes();
+    let belongs = |at: usize| match bytes[at] {
+        // `1..'a'` joins a number and a text.
+        b'.' => bytes.get(at + 1) != Some(&b'.') && bytes[at - 1] != b'.',
+        b'+' | b'-' => hex.is_none() && matches!(bytes[at - 1], b'e' | b'E'),
+        other => other == b'@' || is_word(other.into()),
     };
-    let follows =
-        |at: usize, signs: &[u8]| text.as_bytes().get(at).is_some_and(|c| signs.contains(c));
-    if let Some(hex) = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {
-        let length = hex.find(|c: char| !is_word(c) && c != '.').unwrap_or(hex.len());
-        let value = i64::from_str_radix(&hex[..length], 16);
-        let value = value.map_err(|_| format!("{} is no number", &text[..length + 2]))?;
-        return Ok((Token::Int(value), length + 2));
-    }
-    let mut end = digits(0);
-    let mut real = false;
-    // `1..'a'` joins the number and a text.
-    if follows(end, b".") && !follows(end + 1, b".") {
-        real = true;
-        let fraction = digits(end + 1);
-        if fraction == end + 1 {
-            return Err("a real number has digits on both sides of its point".into());
-        }
-        end = fraction;
-    }
-    if follows(end, b"eE") {
-        real = true;
-        let sign = end + 1 + usize::from(follows(end + 1, b"+-"));
-        let exponent = digits(sign);
-        if exponent == sign {
-            return Err("an exponent without digits".into());
-        }
-        end = exponent;
-    }
-    if text[end..].starts_with(|c| is_word(c) || c == '@') {
-        return Err("a number is followed by a letter".into());
-    }
-    let number = &text[..end];
-    let token = if real {
-        Token::Real(number.parse().map_err(|_| format!("{number} is no number"))?)
+    let end = (1..bytes.len()).find(|at| !belongs(*at)).unwrap_or(bytes.len());
+    let word = &text[..end];
+    let token = if hex.is_some() {
+        i64::from_str_radix(&word[2..], 16).ok().map(Token::Int)
+    } else if word.bytes().all(|byte| byte.is_ascii_digit()) {
+        word.parse().ok().map(Token::Int)
     } else {
-        let range = |_| format!("{number} does not fit into an integer of 64 bits");
-        Token::Int(number.parse().map_err(range)?)
+        // Digits stand on both sides of the point.
+        let fraction = word.split_once('.').map_or("0", |(_, fraction)| fraction);
+        let digits = fraction.starts_with(|c: char| c.is_ascii_digit());
+        word.parse().ok().filter(|_| digits).map(Token::Real)
     };
-    Ok((token, end))
+    token.map(|token| (token, end)).ok_or_else(|| format!("`{word}` is no number").into())
 }

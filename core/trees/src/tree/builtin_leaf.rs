@@ -1,30 +1,15 @@
 //! The leaves that the engine has itself.
 
 use super::execute::Tick;
-use super::{Binding, PortError, TickProblem, Tree, TreeNodeId};
+use super::{Binding, PortError, TickError, TickProblem, Tree, TreeNodeId};
+use crate::blackboard::KeyId;
 use crate::status::Status;
-use crate::value::Value;
 use std::time::Duration;
 
 impl Tree {
     /// Copies a value, or the literal text, into an entry whose name a port gives.
     pub(super) fn set_blackboard(&mut self, id: TreeNodeId) -> Tick {
-        let to = match self.binding(id, 1).clone() {
-            Binding::Key(name) => {
-                // The entry holds the name of the entry that is written.
-                let Some(name) = self.board.value(name).map(Value::to_string) else {
-                    let key = self.board.name(name).to_string();
-                    let error = PortError::Unset { port: "output_key".into(), key };
-                    return Err(self.error(id, error.into()));
-                };
-                if self.board.is_full() {
-                    return Err(self.error(id, TickProblem::Full));
-                }
-                self.board.key(self.node(id).board, &name)
-            }
-            Binding::Entry(key) => key,
-            _ => return Ok(Status::Failure),
-        };
+        let to = self.named_key(id, 1)?;
         let Some(value) = self.raw(id, 0).cloned() else { return Ok(Status::Failure) };
         if let Some(from) = self.key(id, 0) {
             self.board.take_kind(to, from);
@@ -36,18 +21,20 @@ impl Tree {
         Ok(Status::Success)
     }
 
+    /// The entry that a port names, or whose name is in the entry that the port is connected to.
+    fn named_key(&mut self, id: TreeNodeId, port: usize) -> Result<KeyId, Box<TickError>> {
+        if let Binding::Entry(key) = self.binding(id, port) {
+            return Ok(*key);
+        }
+        let name: String = self.port(id, port)?;
+        if self.board.is_full() {
+            return Err(self.error(id, TickProblem::Full));
+        }
+        Ok(self.board.key(self.node(id).board, &name))
+    }
+
     pub(super) fn unset_blackboard(&mut self, id: TreeNodeId) -> Tick {
-        let board = self.node(id).board;
-        let key = match *self.binding(id, 0) {
-            Binding::Entry(key) => key,
-            _ => {
-                let name: String = self.port(id, 0)?;
-                if self.board.is_full() {
-                    return Err(self.error(id, TickProblem::Full));
-                }
-                self.board.key(board, &name)
-            }
-        };
+        let (board, key) = (self.node(id).board, self.named_key(id, 0)?);
         self.board.erase(board, key);
         Ok(Status::Success)
     }

@@ -1,25 +1,22 @@
 //! The nodes with several children.
 
 use super::execute::Tick;
-use super::{TickProblem, Tree, TreeNodeId};
+use super::{TickError, TickProblem, Tree, TreeNodeId};
+use crate::model::Order;
 use crate::script::equal;
 use crate::status::Status;
-use crate::value::{PortValue, Value};
+use crate::value::Value;
 use std::collections::BTreeMap;
 
 impl Tree {
-    /// `Sequence` (`go` is SUCCESS) and `Fallback` (FAILURE): the children in turn, while they
-    /// answer `go`. Where it yields, it answers RUNNING after a child that was done at once;
-    /// where it keeps its place, neither a stop nor a halt moves it back to the first child.
-    pub(super) fn ordered(
-        &mut self,
-        id: TreeNodeId,
-        go: Status,
-        yields: bool,
-        keeps: bool,
-    ) -> Tick {
-        self.begin_run(id);
-        let count = self.node(id).child_count;
+    /// The first so many children in turn. `memory.index` is the present one, and `memory.count`
+    /// counts the skipped ones of a run.
+    pub(super) fn ordered(&mut self, id: TreeNodeId, order: Order, count: u32) -> Tick {
+        let node = self.node_mut(id);
+        if node.status == Status::Idle {
+            node.memory.count = 0;
+        }
+        node.status = Status::Running;
         while self.memory(id).index < count {
             let index = self.memory(id).index;
             let child = self.child(id, index);
@@ -31,16 +28,15 @@ impl Tree {
                     memory.index += 1;
                     memory.count += 1;
                 }
-                status if status == go => {
+                status if status == order.go => {
                     self.memory(id).index += 1;
-                    if yields && was_idle && index + 1 < count {
-                        self.yielded = true;
-                        return Ok(Status::Running);
+                    if order.yields && was_idle && index + 1 < count {
+                        return self.yield_now();
                     }
                 }
                 status => {
-                    self.reset_children(id, if keeps { index } else { 0 })?;
-                    if !keeps {
+                    self.reset_children(id, if order.keeps { index } else { 0 })?;
+                    if !order.keeps {
                         self.memory(id).index = 0;
                     }
                     return Ok(status);
@@ -51,16 +47,7 @@ impl Tree {
         self.reset_children(id, 0)?;
         let memory = self.memory(id);
         (memory.index, memory.count) = (0, 0);
-        Ok(if skipped { Status::Skipped } else { go })
-    }
-
-    /// `memory.count` counts the skipped children of one run.
-    fn begin_run(&mut self, id: TreeNodeId) {
-        let node = self.node_mut(id);
-        if node.status == Status::Idle {
-            node.memory.count = 0;
-        }
-        node.status = Status::Running;
+        Ok(if skipped { Status::Skipped } else { order.go })
     }
 
     /// `ReactiveSequence` and `ReactiveFallback`: from the first child on in each tick.
@@ -92,7 +79,7 @@ impl Tree {
 
     /// The threshold that a port of `Parallel` or `ParallelAll` sets, and whether it counts from
     /// the number of children down.
-    fn threshold(&self, id: TreeNodeId, port: usize) -> Result<(u32, bool), Box<super::TickError>> {
+    fn threshold(&self, id: TreeNodeId, port: usize) -> Result<(u32, bool), Box<TickError>> {
         let children = self.node(id).child_count;
         let threshold: i32 = self.port(id, port)?;
         let from_above = threshold < 0;
@@ -167,7 +154,7 @@ impl Tree {
         Ok(status)
     }
 
-    fn end_parallel(&mut self, id: TreeNodeId) -> Result<(), Box<super::TickError>> {
+    fn end_parallel(&mut self, id: TreeNodeId) -> Result<(), Box<TickError>> {
         let memory = self.memory(id);
         (memory.count, memory.failures) = (0, 0);
         self.undo_done(id);
@@ -183,7 +170,7 @@ impl Tree {
                 Status::Success => 1,
                 Status::Failure if self.node(id).child_count == 3 => 2,
                 Status::Failure => return Ok(Status::Failure),
-                _ => return Err(self.error(id, TickProblem::SkippedCondition)),
+                status => return Err(self.error(self.child(id, 0), TickProblem::Answer(status))),
             };
             self.memory(id).index = branch;
         }
@@ -212,7 +199,7 @@ impl Tree {
                 self.execute(self.child(id, 2))?
             }
             Status::Failure => Status::Failure,
-            _ => return Err(self.error(id, TickProblem::SkippedCondition)),
+            status => return Err(self.error(self.child(id, 0), TickProblem::Answer(status))),
         };
         if status != Status::Running {
             self.reset_children(id, 0)?;
@@ -242,46 +229,25 @@ impl Tree {
         Ok(status)
     }
 
-    /// `memory.index` and `memory.count` are those of a sequence; the flag is set while the last
-    /// child runs.
+    /// A sequence of all children but the last; the flag is set while that one runs.
     pub(super) fn try_catch(&mut self, id: TreeNodeId) -> Tick {
-        if self.node(id).status == Status::Idle {
-            self.memory(id).flag = false;
-        }
-        self.begin_run(id);
         let last = self.node(id).child_count - 1;
-        while !self.memory(id).flag && self.memory(id).index < last {
-            let child = self.child(id, self.node(id).memory.index);
-            match self.execute(child)? {
-                Status::Running => return Ok(Status::Running),
-                Status::Failure => {
-                    self.reset_children(id, 0)?;
-                    self.memory(id).flag = true;
-                }
-                status => {
-                    let memory = self.memory(id);
-                    memory.index += 1;
-                    memory.count += u32::from(status == Status::Skipped);
-                }
+        if !self.memory(id).flag {
+            match self.ordered(id, Order::SEQUENCE, last)? {
+                Status::Failure => self.memory(id).flag = true,
+                status => return Ok(status),
             }
         }
-        let memory = self.memory(id);
-        let (caught, skipped) = (memory.flag, memory.count == last);
-        if caught && self.execute(self.child(id, last))? == Status::Running {
+        if self.execute(self.child(id, last))? == Status::Running {
             return Ok(Status::Running);
         }
         self.reset_children(id, 0)?;
-        let memory = self.memory(id);
-        (memory.index, memory.count, memory.flag) = (0, 0, false);
-        Ok(match (caught, skipped) {
-            (true, _) => Status::Failure,
-            (false, true) => Status::Skipped,
-            (false, false) => Status::Success,
-        })
+        self.memory(id).flag = false;
+        Ok(Status::Failure)
     }
 
     /// Ticks the last child once where a halt is to be caught.
-    pub(super) fn halt_try_catch(&mut self, id: TreeNodeId) -> Result<(), Box<super::TickError>> {
+    pub(super) fn halt_try_catch(&mut self, id: TreeNodeId) -> Result<(), Box<TickError>> {
         let catches = self.node(id).status == Status::Running && !self.memory(id).flag;
         let memory = self.memory(id);
         (memory.index, memory.count, memory.flag) = (0, 0, false);
@@ -296,17 +262,16 @@ impl Tree {
     }
 }
 
-/// Whether a case is meant: the texts are the same, or the integers, or the real numbers.
+/// Whether a case is meant: the texts are the same, or the numbers.
 fn same(variable: &Value, case: &Value, enums: &BTreeMap<String, i64>) -> bool {
-    if variable == case {
+    if let (Value::Text(variable), Value::Text(case)) = (variable, case)
+        && variable == case
+    {
         return true;
     }
     let number = |value: &Value| match value {
-        Value::Text(text) => match enums.get(&**text) {
-            Some(number) => Some(*number as f64),
-            None => f64::from_value(value),
-        },
-        other => f64::from_value(other),
+        Value::Text(text) if enums.contains_key(&**text) => Some(enums[&**text] as f64),
+        other => other.as_real(),
     };
     matches!((number(variable), number(case)), (Some(a), Some(b)) if equal(a, b))
 }

@@ -3,7 +3,7 @@
 use super::execute::Tick;
 use super::{LoopQueue, PortError, Tree, TreeNodeId};
 use crate::status::Status;
-use crate::value::{Value, elements};
+use crate::value::Value;
 use std::time::Duration;
 
 impl Tree {
@@ -55,8 +55,7 @@ impl Tree {
                 cycles = self.port(id, 0)?;
             }
             if was_idle && due(count, cycles) {
-                self.yielded = true;
-                return Ok(Status::Running);
+                return self.yield_now();
             }
         }
         self.memory(id).count = 0;
@@ -134,7 +133,7 @@ impl Tree {
     /// The flag is set from when the condition holds to the child's answer.
     pub(super) fn precondition(&mut self, id: TreeNodeId) -> Tick {
         if !self.memory(id).flag {
-            if !self.script_holds(id)? {
+            if !self.holds(id, self.node(id).part)? {
                 return self.port(id, 1);
             }
             self.memory(id).flag = true;
@@ -179,13 +178,12 @@ impl Tree {
     fn load_queue(&mut self, id: TreeNodeId, part: usize) -> Result<(), Box<super::TickError>> {
         let Some(value) = self.raw(id, 0).cloned() else { return Ok(()) };
         let LoopQueue { element, queue, loaded } = &mut self.loops[part];
+        let mut push = |value: &Value| element.admit(value).map(|value| queue.push_back(value));
         let complete = match &value {
-            Value::Text(text) => elements(text).all(|text| {
-                element.admit(&Value::text(text)).map(|e| queue.push_back(e)).is_some()
-            }),
-            Value::List(list) => {
-                list.iter().all(|value| element.admit(value).map(|e| queue.push_back(e)).is_some())
+            Value::Text(text) => {
+                text.split_terminator(';').all(|part| push(&Value::text(part)).is_some())
             }
+            Value::List(list) => list.iter().all(|value| push(value).is_some()),
             _ => false,
         };
         *loaded = true;

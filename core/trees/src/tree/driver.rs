@@ -1,7 +1,7 @@
 //! The leaves of the application, and what the driver decides about them from outside.
 
 use super::execute::Tick;
-use super::leaf::{Halt, Leaf, LeafContext, LeafResult, LeafRun};
+use super::leaf::{Halt, Leaf, LeafContext, LeafRun, LeafState};
 use super::{TickProblem, Tree, TreeNodeId};
 use crate::model::{Kind, LeafKind};
 use crate::status::Status;
@@ -25,7 +25,10 @@ impl Tree {
             if running {
                 // A panic has taken the body: what it did is not known.
                 return match &state.body {
-                    Some(_) => self.call(id, Leaf::running),
+                    Some(_) => {
+                        let answer = self.with_body(id, |body, cx| body.running(cx));
+                        answer.map_err(|error| self.error(id, TickProblem::Leaf(error)))
+                    }
                     None => Ok(Status::Failure),
                 };
             }
@@ -37,7 +40,8 @@ impl Tree {
         state.deferred = false;
         state.since = self.now;
         state.starts = state.starts.wrapping_add(1);
-        let answer = self.call(id, Leaf::start)?;
+        let answer = self.with_body(id, |body, cx| body.start(cx));
+        let answer = answer.map_err(|error| self.error(id, TickProblem::Leaf(error)))?;
         if kind == LeafKind::SyncAction {
             match answer {
                 Status::Running => return Err(self.error(id, TickProblem::Answer(answer))),
@@ -50,15 +54,6 @@ impl Tree {
     }
 
     /// Calls a leaf. Meanwhile it is out of the arena, so that a panic takes it away.
-    fn call(
-        &mut self,
-        id: TreeNodeId,
-        method: fn(&mut (dyn Leaf + 'static), &mut LeafContext<'_>) -> LeafResult,
-    ) -> Tick {
-        self.with_body(id, |body, cx| method(body, cx))
-            .map_err(|error| self.error(id, TickProblem::Leaf(error)))
-    }
-
     fn with_body<R>(
         &mut self,
         id: TreeNodeId,
@@ -77,16 +72,15 @@ impl Tree {
 
     /// Halts a leaf that runs.
     pub(super) fn halt_leaf(&mut self, id: TreeNodeId) {
-        let node = self.node(id);
-        let (kind, status, part) = (node.kind, node.status, node.part);
-        let state = &mut self.leaves[part as usize];
-        state.answer = None;
-        let started = !std::mem::take(&mut state.deferred);
-        let is_action = kind == Kind::Leaf(LeafKind::Action);
-        if !(is_action && started && status == Status::Running && state.body.is_some()) {
+        let leaf = self.node(id).part;
+        let state = &self.leaves[leaf as usize];
+        let run = LeafRun { node: id, leaf, start: state.starts };
+        let halts = self.runs(state) && state.body.is_some();
+        let state = &mut self.leaves[leaf as usize];
+        (state.answer, state.deferred) = (None, false);
+        if !halts {
             return;
         }
-        let run = LeafRun { node: id, leaf: part, start: state.starts };
         if self.with_body(id, |body, cx| body.halt(cx)) == Halt::Pending {
             self.halting.push(run);
         }
@@ -105,17 +99,9 @@ impl Tree {
 
     /// The actions that run, with the time of their start; a driver that limits them looks here.
     pub fn running(&self) -> impl Iterator<Item = (LeafRun, Duration)> + '_ {
-        let action = Kind::Leaf(LeafKind::Action);
-        self.leaves
-            .iter()
-            .zip(0..)
-            .filter(move |(state, _)| {
-                let node = self.node(state.node);
-                node.kind == action && node.status == Status::Running && !state.deferred
-            })
-            .map(|(state, leaf)| {
-                (LeafRun { node: state.node, leaf, start: state.starts }, state.since)
-            })
+        self.leaves.iter().zip(0..).filter(|(state, _)| self.runs(state)).map(|(state, leaf)| {
+            (LeafRun { node: state.node, leaf, start: state.starts }, state.since)
+        })
     }
 
     /// The leaf that panicked in the last tick or halt, after the driver has caught the panic.
@@ -167,7 +153,14 @@ impl Tree {
     }
 
     fn is_current(&self, run: LeafRun) -> bool {
-        self.running().any(|(running, _)| running == run)
+        let state = &self.leaves[run.leaf as usize];
+        self.runs(state) && state.starts == run.start
+    }
+
+    fn runs(&self, state: &LeafState) -> bool {
+        let node = self.node(state.node);
+        let is_action = node.kind == Kind::Leaf(LeafKind::Action);
+        is_action && node.status == Status::Running && !state.deferred
     }
 
     /// What a leaf that runs sees, for a driver that reads its ports or writes its results.

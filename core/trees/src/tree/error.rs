@@ -37,19 +37,6 @@ pub enum PortError {
     },
 }
 
-impl PortError {
-    /// The same of another port.
-    pub(super) fn of_port(mut self, name: &str) -> PortError {
-        match &mut self {
-            PortError::Undeclared(port)
-            | PortError::Missing(port)
-            | PortError::Unset { port, .. }
-            | PortError::Type { port, .. } => *port = name.into(),
-        }
-        self
-    }
-}
-
 /// A tick that could not be carried out. No node is halted by it: the driver decides whether the
 /// tree goes on with the next tick, or is halted.
 #[derive(Debug, thiserror::Error)]
@@ -85,9 +72,6 @@ pub enum TickProblem {
     /// The node answered a status that it may not answer.
     #[error("it answered {0}, which it may not")]
     Answer(Status),
-    /// The condition of `IfThenElse` or `WhileDoElse` was skipped.
-    #[error("its condition was skipped")]
-    SkippedCondition,
     /// `Parallel` and `ParallelAll` have fewer children than a threshold.
     #[error("a threshold of {threshold} with {children} children")]
     Threshold {

@@ -1,16 +1,19 @@
 //! Ticks, resets and halts one node, whatever its type.
 
 use super::{Code, TickError, TickProblem, Tree, TreeNodeId};
-use crate::model::{BUILTINS, Builtin, Kind};
-use crate::script::ScriptError;
+use crate::model::{Kind, Order};
+use crate::script::{ScriptError, truth};
 use crate::status::Status;
-use crate::value::PortValue;
+use crate::value::{PortValue, Value};
 
 /// What a node answers in a tick.
 pub(super) type Tick = Result<Status, Box<TickError>>;
 
 /// Whether a script holds, or the error of a node.
 type Checked<T> = Result<T, Box<TickError>>;
+
+/// What `_failureIf`, `_successIf` and `_skipIf` answer where they hold, and `_while` where not.
+const BEFORE: [Status; 4] = [Status::Failure, Status::Success, Status::Skipped, Status::Skipped];
 
 impl Tree {
     /// Ticks a node: its conditions before, itself, its scripts after.
@@ -23,15 +26,15 @@ impl Tree {
             return Err(self.error(id, TickProblem::Answer(status)));
         }
         if status.is_completed() && self.node(id).hooks.is_some() {
-            self.run_hook(id, if status == Status::Success { 0 } else { 1 })?;
-            self.run_hook(id, 2)?;
+            self.run_hook(id, if status == Status::Success { 4 } else { 5 })?;
+            self.run_hook(id, 6)?;
         }
         // A skipped node keeps its status; only its parent is told.
         if status != Status::Skipped {
             self.node_mut(id).status = status;
         }
         self.note(id, status);
-        if self.node(id).kind.is_decorator() {
+        if self.node(id).is_decorator {
             let child = self.child(id, 0);
             if self.node(child).status.is_completed() {
                 self.node_mut(child).status = Status::Idle;
@@ -42,13 +45,8 @@ impl Tree {
 
     fn tick_kind(&mut self, id: TreeNodeId) -> Tick {
         match self.node(id).kind {
-            Kind::Sequence => self.ordered(id, Status::Success, false, false),
-            Kind::AsyncSequence => self.ordered(id, Status::Success, true, false),
-            Kind::SequenceWithMemory => self.ordered(id, Status::Success, true, true),
-            Kind::Fallback => self.ordered(id, Status::Failure, false, false),
-            Kind::AsyncFallback => self.ordered(id, Status::Failure, true, false),
-            Kind::ReactiveSequence => self.reactive(id, Status::Success),
-            Kind::ReactiveFallback => self.reactive(id, Status::Failure),
+            Kind::Ordered(order) => self.ordered(id, order, self.node(id).child_count),
+            Kind::Reactive { go } => self.reactive(id, go),
             Kind::Parallel => self.parallel(id),
             Kind::ParallelAll => self.parallel_all(id),
             Kind::IfThenElse => self.if_then_else(id),
@@ -70,8 +68,8 @@ impl Tree {
             Kind::Updated(otherwise) => self.updated(id, otherwise),
             Kind::SubTree => self.subtree(id),
             Kind::Always(status) => Ok(status),
-            Kind::Script => self.script(id).map(|()| Status::Success),
-            Kind::ScriptCondition => self.script_holds(id).map(Status::from),
+            Kind::Script => self.run(id, self.node(id).part).map(|_| Status::Success),
+            Kind::ScriptCondition => self.holds(id, self.node(id).part).map(Status::from),
             Kind::SetBlackboard => self.set_blackboard(id),
             Kind::UnsetBlackboard => self.unset_blackboard(id),
             Kind::Sleep => self.sleep(id),
@@ -88,24 +86,10 @@ impl Tree {
             Status::Idle | Status::Skipped => (true, false),
             status => (false, status == Status::Running),
         };
-        let decisions = [
-            (Status::Failure, true),
-            (Status::Success, true),
-            (Status::Skipped, true),
-            (Status::Skipped, false),
-        ];
-        for (index, (status, when)) in decisions.into_iter().enumerate() {
-            let is_while = !when;
-            let Some(code) = &self.hooks[hooks as usize].before[index] else { continue };
-            if !fresh && !(running && is_while) {
-                continue;
-            }
-            let holds = match &code.script {
-                Some(script) => script.holds(&mut self.board, &self.enums),
-                None => Ok(false),
-            };
-            let holds = holds.map_err(|error| failed(self.error_of(id), code, error))?;
-            if holds == when {
+        for (index, status) in BEFORE.into_iter().enumerate() {
+            let is_while = index == 3;
+            let Some(code) = self.hooks[hooks as usize][index] else { continue };
+            if (fresh || running && is_while) && self.holds(id, code)? != is_while {
                 if running {
                     self.halt_node(id)?;
                 }
@@ -118,26 +102,26 @@ impl Tree {
     /// Runs `_onSuccess`, `_onFailure`, `_post` or `_onHalted`, by its index.
     fn run_hook(&mut self, id: TreeNodeId, index: usize) -> Checked<()> {
         let Some(hooks) = self.node(id).hooks else { return Ok(()) };
-        let Some(code) = &self.hooks[hooks as usize].after[index] else { return Ok(()) };
-        let Some(script) = &code.script else { return Ok(()) };
-        let result = script.run(&mut self.board, &self.enums);
-        result.map(drop).map_err(|error| failed(self.error_of(id), code, error))
+        let Some(code) = self.hooks[hooks as usize][index] else { return Ok(()) };
+        self.run(id, code).map(drop)
     }
 
-    /// Runs the node's own script.
-    pub(super) fn script(&mut self, id: TreeNodeId) -> Checked<()> {
-        let code = &self.codes[self.node(id).part as usize];
-        let Some(script) = &code.script else { return Ok(()) };
-        let result = script.run(&mut self.board, &self.enums);
-        result.map(drop).map_err(|error| failed(self.error_of(id), code, error))
+    /// Runs a script of a node.
+    pub(super) fn run(&mut self, id: TreeNodeId, code: u32) -> Checked<Value> {
+        let Code { text, script } = &self.codes[code as usize];
+        script
+            .run(&mut self.board, &self.enums)
+            .map_err(|error| self.error(id, TickProblem::Script { text: text.clone(), error }))
     }
 
-    /// Whether the node's own script holds.
-    pub(super) fn script_holds(&mut self, id: TreeNodeId) -> Checked<bool> {
-        let code = &self.codes[self.node(id).part as usize];
-        let Some(script) = &code.script else { return Ok(false) };
-        let result = script.holds(&mut self.board, &self.enums);
-        result.map_err(|error| failed(self.error_of(id), code, error))
+    /// Whether a script of a node holds.
+    pub(super) fn holds(&mut self, id: TreeNodeId, code: u32) -> Checked<bool> {
+        let value = self.run(id, code)?;
+        truth(&value).ok_or_else(|| {
+            let text = self.codes[code as usize].text.clone();
+            let error = ScriptError::NotBool(value);
+            self.error(id, TickProblem::Script { text, error })
+        })
     }
 
     /// Brings a child into the state from which it starts: halts it if it runs.
@@ -161,7 +145,7 @@ impl Tree {
     pub(super) fn halt_node(&mut self, id: TreeNodeId) -> Checked<()> {
         self.clear(id)?;
         self.note(id, Status::Idle);
-        self.run_hook(id, 3)
+        self.run_hook(id, 7)
     }
 
     /// Resets the children, and forgets what the type of node forgets when it is halted.
@@ -170,7 +154,7 @@ impl Tree {
         let memory = &mut node.memory;
         match node.kind {
             // Their memory outlives a halt.
-            Kind::SequenceWithMemory | Kind::RunOnce | Kind::Precondition => {}
+            Kind::Ordered(Order { keeps: true, .. }) | Kind::RunOnce | Kind::Precondition => {}
             Kind::Updated(_) => memory.flag = false,
             Kind::TryCatch => self.halt_try_catch(id)?,
             Kind::Leaf(_) => self.halt_leaf(id),
@@ -195,24 +179,11 @@ impl Tree {
 
     /// The value of a port of a built-in node.
     pub(super) fn port<T: PortValue>(&self, id: TreeNodeId, port: usize) -> Checked<T> {
-        super::leaf::read(self, "", self.binding(id, port)).map_err(|error| {
-            let kind = self.node(id).kind;
-            let builtin: Option<&Builtin> = BUILTINS.iter().find(|known| known.kind == kind);
-            let name = builtin.map_or("", |known| known.ports[port].name);
-            self.error(id, error.of_port(name).into())
-        })
+        let value = super::leaf::read(self, self.bound(id, port));
+        value.map_err(|error| self.error(id, error.into()))
     }
 
     pub(super) fn error(&self, id: TreeNodeId, problem: TickProblem) -> Box<TickError> {
         Box::new(TickError { node: id, path: self.path(id).to_owned(), problem })
     }
-
-    fn error_of(&self, id: TreeNodeId) -> (TreeNodeId, String) {
-        (id, self.path(id).to_owned())
-    }
-}
-
-fn failed((node, path): (TreeNodeId, String), code: &Code, error: ScriptError) -> Box<TickError> {
-    let problem = TickProblem::Script { text: code.text.clone(), error };
-    Box::new(TickError { node, path, problem })
 }

@@ -4,7 +4,7 @@ use super::{LeafError, PortError, Tree, TreeNodeId};
 use crate::blackboard::KeyId;
 use crate::model::{LeafKind, Port};
 use crate::status::Status;
-use crate::value::{PortType, PortValue, Value};
+use crate::value::{PortValue, Value};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -128,8 +128,11 @@ pub(crate) struct LeafModel {
     pub(crate) name: String,
     pub(crate) kind: LeafKind,
     pub(crate) ports: Vec<Port>,
-    pub(crate) make: Box<dyn Fn() -> Box<dyn Leaf> + Send + Sync>,
+    pub(crate) make: MakeLeaf,
 }
+
+/// Makes one leaf.
+pub(crate) type MakeLeaf = Box<dyn Fn() -> Box<dyn Leaf> + Send + Sync>;
 
 /// One leaf in a tree.
 pub(crate) struct LeafState {
@@ -147,6 +150,13 @@ pub(crate) struct LeafState {
     pub(crate) deferred: bool,
 }
 
+impl LeafState {
+    pub(crate) fn new(node: TreeNodeId, model: Arc<LeafModel>) -> LeafState {
+        let (starts, since) = (0, Duration::ZERO);
+        LeafState { node, model, body: None, answer: None, starts, since, deferred: false }
+    }
+}
+
 /// One start of one leaf. An answer for an earlier start is not taken for a later one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LeafRun {
@@ -154,6 +164,13 @@ pub struct LeafRun {
     pub node: TreeNodeId,
     pub(crate) leaf: u32,
     pub(crate) start: u32,
+}
+
+/// A port of a node.
+#[derive(Debug)]
+pub(crate) struct BoundPort {
+    pub(crate) name: &'static str,
+    pub(crate) binding: Binding,
 }
 
 /// What a port of a node is connected to.
@@ -209,11 +226,11 @@ impl LeafContext<'_> {
     ///
     /// It is not written yet, or does not convert.
     pub fn optional_input<T: PortValue>(&self, port: &str) -> Result<Option<T>, PortError> {
-        let binding = self.binding(port)?;
-        if let Binding::Missing = binding {
+        let bound = self.bound(port)?;
+        if let Binding::Missing = bound.binding {
             return Ok(None);
         }
-        read(self.tree, port, binding).map(Some)
+        read(self.tree, bound).map(Some)
     }
 
     /// Writes a port; nothing is written where the tree does not connect it.
@@ -222,7 +239,7 @@ impl LeafContext<'_> {
     ///
     /// The entry keeps another type.
     pub fn output<T: PortValue>(&mut self, port: &str, value: T) -> Result<(), PortError> {
-        let Binding::Key(key) = *self.binding(port)? else { return Ok(()) };
+        let Binding::Key(key) = self.bound(port)?.binding else { return Ok(()) };
         self.tree.board.set(key, value).map_err(|kind| PortError::Type {
             port: port.into(),
             value: T::TYPE.name().into(),
@@ -230,30 +247,27 @@ impl LeafContext<'_> {
         })
     }
 
-    fn binding(&self, port: &str) -> Result<&Binding, PortError> {
-        let model = &self.tree.leaves[self.run.leaf as usize].model;
-        let index = model.ports.iter().position(|known| known.name == port);
-        let index = index.ok_or_else(|| PortError::Undeclared(port.into()))?;
-        Ok(self.tree.binding(self.run.node, index))
+    fn bound(&self, port: &str) -> Result<&BoundPort, PortError> {
+        let count = self.tree.leaves[self.run.leaf as usize].model.ports.len();
+        let ports = (0..count).map(|index| self.tree.bound(self.run.node, index));
+        let found = ports.into_iter().find(|bound| bound.name == port);
+        found.ok_or_else(|| PortError::Undeclared(port.into()))
     }
 }
 
 /// The value that a port reads.
-pub(super) fn read<T: PortValue>(
-    tree: &Tree,
-    port: &str,
-    binding: &Binding,
-) -> Result<T, PortError> {
-    let value = match binding {
-        Binding::Missing | Binding::Entry(_) => return Err(PortError::Missing(port.into())),
+pub(super) fn read<T: PortValue>(tree: &Tree, bound: &BoundPort) -> Result<T, PortError> {
+    let port = || bound.name.to_owned();
+    let value = match &bound.binding {
+        Binding::Missing | Binding::Entry(_) => return Err(PortError::Missing(port())),
         Binding::Literal(value) => value,
-        Binding::Key(key) => tree.board.value(*key).ok_or_else(|| PortError::Unset {
-            port: port.into(),
-            key: tree.board.name(*key).to_string(),
+        Binding::Key(key) => tree.board.value(*key).ok_or_else(|| {
+            let key = tree.board.name(*key).to_string();
+            PortError::Unset { port: port(), key }
         })?,
     };
     T::from_value(value).ok_or_else(|| {
-        let kind: PortType = T::TYPE;
-        PortError::Type { port: port.into(), value: value.to_string(), kind: kind.name() }
+        let (value, kind) = (value.to_string(), T::TYPE.name());
+        PortError::Type { port: port(), value, kind }
     })
 }

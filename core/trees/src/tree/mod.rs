@@ -13,7 +13,7 @@ mod execute;
 mod leaf;
 
 pub use error::{LeafError, PortError, TickError, TickProblem};
-pub(crate) use leaf::{Binding, Function, LeafModel, LeafState};
+pub(crate) use leaf::{Binding, BoundPort, Function, LeafModel, LeafState, MakeLeaf};
 pub use leaf::{Halt, Leaf, LeafContext, LeafResult, LeafRun};
 
 use crate::blackboard::{Blackboard, BoardId, KeyId};
@@ -39,8 +39,10 @@ pub struct Tree {
     /// The children of all nodes.
     pub(crate) children: Vec<TreeNodeId>,
     /// The ports of all nodes.
-    pub(crate) bindings: Vec<Binding>,
-    pub(crate) hooks: Vec<Hooks>,
+    pub(crate) bindings: Vec<BoundPort>,
+    /// The conditions of nodes as indices in `codes`: `_failureIf`, `_successIf`, `_skipIf`,
+    /// `_while`, `_onSuccess`, `_onFailure`, `_post`, `_onHalted`.
+    pub(crate) hooks: Vec<[Option<u32>; 8]>,
     pub(crate) codes: Vec<Code>,
     pub(crate) loops: Vec<LoopQueue>,
     pub(crate) leaves: Vec<LeafState>,
@@ -51,6 +53,8 @@ pub struct Tree {
     wake: Option<Duration>,
     /// A node has ended the tick early, so that it could be interrupted.
     yielded: bool,
+    /// The same, until `tick_while_yielding` takes notice: as in the library, also in a later run.
+    woken: bool,
     /// The leaves that have been halted and have not come to rest.
     halting: Vec<LeafRun>,
     /// The leaf that is being called; still set after a panic.
@@ -63,6 +67,7 @@ pub struct Tree {
 #[derive(Debug)]
 pub(crate) struct TreeNode {
     pub(crate) kind: Kind,
+    pub(crate) is_decorator: bool,
     pub(crate) status: Status,
     /// What it answered last.
     pub(crate) answer: Status,
@@ -100,21 +105,11 @@ pub(crate) struct Label {
     pub(crate) depth: u32,
 }
 
-/// The conditions of a node, in the order in which they are looked at.
-#[derive(Debug, Default)]
-pub(crate) struct Hooks {
-    /// `_failureIf`, `_successIf`, `_skipIf`, `_while`.
-    pub(crate) before: [Option<Code>; 4],
-    /// `_onSuccess`, `_onFailure`, `_post`, `_onHalted`.
-    pub(crate) after: [Option<Code>; 4],
-}
-
 /// A script with its text.
 #[derive(Debug)]
 pub(crate) struct Code {
     pub(crate) text: String,
-    /// None where the text is empty, which `Script` may be.
-    pub(crate) script: Option<Script>,
+    pub(crate) script: Script,
 }
 
 /// The elements that a `Loop` has still to go through.
@@ -155,6 +150,10 @@ pub struct NodeView<'a> {
 }
 
 impl Tree {
+    pub(crate) fn of_enums(enums: BTreeMap<String, i64>) -> Tree {
+        Tree { enums, ..Tree::default() }
+    }
+
     /// Ticks the tree once: `tickExactlyOnce` of BehaviorTree.CPP.
     ///
     /// # Errors
@@ -176,7 +175,7 @@ impl Tree {
         self.begin(now);
         let mut status = self.tick_root()?;
         for _ in 1..1_000 {
-            if status != Status::Running || !std::mem::take(&mut self.yielded) {
+            if status != Status::Running || !std::mem::take(&mut self.woken) {
                 break;
             }
             status = self.tick_root()?;
@@ -187,13 +186,14 @@ impl Tree {
     fn begin(&mut self, now: Duration) {
         // A clock that is set back would stretch every delay.
         self.now = self.now.max(now);
-        (self.wake, self.yielded, self.calling) = (None, false, None);
+        self.calling = None;
         self.changes.clear();
         self.changes_lost = 0;
         self.poll_halting();
     }
 
     fn tick_root(&mut self) -> Result<Status, TickError> {
+        (self.wake, self.yielded) = (None, false);
         let root = TreeNodeId(0);
         let status = self.execute(root).map_err(|error| *error)?;
         if status.is_completed() {
@@ -332,8 +332,12 @@ impl Tree {
         self.children[(self.node(id).first_child + index) as usize]
     }
 
-    fn binding(&self, id: TreeNodeId, port: usize) -> &Binding {
+    fn bound(&self, id: TreeNodeId, port: usize) -> &BoundPort {
         &self.bindings[self.node(id).first_binding as usize + port]
+    }
+
+    fn binding(&self, id: TreeNodeId, port: usize) -> &Binding {
+        &self.bound(id, port).binding
     }
 
     /// The key that a port is connected to.
@@ -351,6 +355,12 @@ impl Tree {
             Binding::Key(key) => self.board.value(*key),
             Binding::Missing | Binding::Entry(_) => None,
         }
+    }
+
+    /// Ends the tick, and asks for the next one at once.
+    fn yield_now(&mut self) -> execute::Tick {
+        (self.yielded, self.woken) = (true, true);
+        Ok(Status::Running)
     }
 
     fn wake_at(&mut self, at: Duration) {
