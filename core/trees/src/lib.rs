@@ -2,16 +2,15 @@
 //!
 //! A [`Factory`] knows the leaves of an application and loads XML files. A [`Tree`] is ticked by
 //! its driver, which gives the time. Nothing here reads a clock, a file or a socket, or starts a
-//! thread; a tick of a loaded tree allocates nothing unless a leaf or a text of a script does.
+//! thread; a tick allocates nothing unless a leaf does, or a script makes a text.
 //!
 //! ```
 //! use blastema_trees::{Factory, Port, Status};
 //! use std::time::Duration;
 //!
 //! let mut factory = Factory::new();
-//! factory.condition("IsCharged", [Port::input::<f64>("at_least").or("0.2")], |cx| {
-//!     let charge = cx.input::<f64>("charge").unwrap_or(0.5);
-//!     Ok(Status::from(charge >= cx.input("at_least")?))
+//! factory.condition("IsCharged", [Port::input::<f64>("charge")], |cx| {
+//!     Ok(Status::from(cx.input::<f64>("charge")? > 0.2))
 //! });
 //! factory.action("Explore", [], |_| Ok(Status::Success));
 //!
@@ -20,24 +19,33 @@
 //!     r#"<root BTCPP_format="4">
 //!          <BehaviorTree ID="Main">
 //!            <Sequence>
-//!              <IsCharged at_least="0.4"/>
+//!              <IsCharged charge="{battery}"/>
 //!              <Explore/>
 //!            </Sequence>
 //!          </BehaviorTree>
 //!        </root>"#,
 //! )?;
+//! tree.set("battery", 0.4)?;
 //! assert_eq!(tree.tick(Duration::ZERO)?, Status::Success);
-//!
-//! let errors = factory.load("main.xml", "<root>\n <BehaviorTree><Squence/></BehaviorTree></root>");
+//! tree.set("battery", 0.1)?;
+//! assert_eq!(tree.tick(Duration::from_secs(1))?, Status::Failure);
 //! assert_eq!(
-//!     errors.err().map(|errors| errors.to_string()).as_deref(),
-//!     Some(
-//!         "main.xml:2:16: no type of node is called `Squence`; did you mean `Sequence`?\n\
-//!          \x20  2 |  <BehaviorTree><Squence/></BehaviorTree></root>\n\
-//!          \x20    |                ^"
-//!     )
+//!     tree.changes_as_text(),
+//!     "IsCharged::2: SUCCESS -> FAILURE\nSequence::1: SUCCESS -> FAILURE\n"
 //! );
 //! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! All errors of a file are found when it is loaded:
+//!
+//! ```
+//! # let factory = blastema_trees::Factory::new();
+//! let text = "<root>\n <BehaviorTree><Squence/></BehaviorTree>\n</root>";
+//! let errors = factory.load("main.xml", text).err().expect("it is misspelt").to_string();
+//! assert_eq!(
+//!     errors.lines().next(),
+//!     Some("main.xml:2:16: no type of node is called `Squence`; did you mean `Sequence`?")
+//! );
 //! ```
 
 mod blackboard;

@@ -18,6 +18,8 @@ use std::collections::{BTreeSet, VecDeque};
 /// Trees can contain each other so that each level doubles the nodes. The library, which numbers
 /// nodes in 16 bits, has no larger trees.
 const MAX_NODES: usize = 65_535;
+/// All paths and attributes of the largest tree, 256 bytes for each node.
+const MAX_BYTES: usize = 16 << 20;
 
 /// Builds the tree of this outermost node, with its subtrees or, to check it, without.
 pub(super) fn build(
@@ -28,8 +30,8 @@ pub(super) fn build(
     with_subtrees: bool,
 ) -> Tree {
     let tree = Tree::of_enums(factory.enums.clone());
-    let paths = BTreeSet::new();
-    let mut builder = Builder { factory, sources, definitions, with_subtrees, tree, paths };
+    let (paths, bytes) = (BTreeSet::new(), 0);
+    let mut builder = Builder { factory, sources, definitions, with_subtrees, tree, paths, bytes };
     let board = builder.tree.board.add(None, Named::new(), false);
     builder.node(root, Scope { board, prefix: "", depth: 0 });
     builder.tree.reserve();
@@ -43,6 +45,8 @@ struct Builder<'a> {
     with_subtrees: bool,
     tree: Tree,
     paths: BTreeSet<String>,
+    /// The length of all paths and attributes.
+    bytes: usize,
 }
 
 /// Where in the tree a node stands.
@@ -61,6 +65,7 @@ impl<'a> Builder<'a> {
             ("65,535 nodes", self.tree.nodes.len() >= MAX_NODES),
             ("256 nodes that are nested", at.depth as usize >= MAX_DEPTH),
             ("65,536 keys", self.tree.board.is_full()),
+            ("16 MiB in paths and attributes", self.bytes > MAX_BYTES),
         ];
         if let Some((limit, _)) = limits.into_iter().find(|(_, reached)| *reached) {
             // Once is enough: the nodes that follow are beyond it too.
@@ -83,6 +88,8 @@ impl<'a> Builder<'a> {
         let is_subtree = kind == Kind::SubTree;
         let type_name = if is_subtree { element.value("ID")? } else { node.name };
         let path = self.path(element, prefix, type_name, id);
+        let texts = element.attributes.iter().map(|given| given.name.len() + given.value.len());
+        self.bytes += path.len() + texts.sum::<usize>();
         let part = self.part(element, &node, board, id);
         let first_binding = self.tree.bindings.len() as u32;
         if !is_subtree {

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// The status of a letter.
-pub fn status(letter: char) -> Status {
+pub(crate) fn status(letter: char) -> Status {
     match letter {
         'S' => Status::Success,
         'F' => Status::Failure,
@@ -17,7 +17,7 @@ pub fn status(letter: char) -> Status {
 }
 
 /// The letter of a status.
-pub fn letter(status: Status) -> char {
+pub(crate) fn letter(status: Status) -> char {
     match status {
         Status::Success => 'S',
         Status::Failure => 'F',
@@ -29,22 +29,22 @@ pub fn letter(status: Status) -> char {
 
 /// The answers of a leaf, one for each call; the last one stays, or all begin again.
 #[derive(Clone)]
-pub struct Answers {
-    pub kind: LeafKind,
-    pub letters: String,
-    pub again: bool,
+pub(crate) struct Answers {
+    pub(crate) kind: LeafKind,
+    pub(crate) letters: String,
+    pub(crate) again: bool,
 }
 
 /// What the leaves of a tree have been called for: `path:start:S`, `path:halt`.
 #[derive(Clone, Default)]
-pub struct Calls(Arc<Mutex<Vec<String>>>);
+pub(crate) struct Calls(Arc<Mutex<Vec<String>>>);
 
 impl Calls {
-    pub fn note(&self, call: String) {
+    pub(crate) fn note(&self, call: String) {
         self.0.lock().unwrap().push(call);
     }
 
-    pub fn take(&self) -> Vec<String> {
+    pub(crate) fn take(&self) -> Vec<String> {
         std::mem::take(&mut self.0.lock().unwrap())
     }
 }
@@ -91,7 +91,7 @@ impl Leaf for Scripted {
 }
 
 /// Registers scripted leaves.
-pub fn register(factory: &mut Factory, leaves: &BTreeMap<String, Answers>, calls: &Calls) {
+pub(crate) fn register(factory: &mut Factory, leaves: &BTreeMap<String, Answers>, calls: &Calls) {
     for (name, answers) in leaves {
         let make = {
             let (answers, calls) = (answers.clone(), calls.clone());
@@ -118,19 +118,19 @@ pub fn register(factory: &mut Factory, leaves: &BTreeMap<String, Answers>, calls
 
 /// A tree under test, of scripted leaves: names that begin with `C` are conditions, with `Y`
 /// actions that are done at once, and all others actions.
-pub struct Bench {
-    pub tree: Tree,
-    pub calls: Calls,
-    pub now: Duration,
+pub(crate) struct Bench {
+    pub(crate) tree: Tree,
+    pub(crate) calls: Calls,
+    pub(crate) now: Duration,
 }
 
 /// The file around one tree, whose outermost node is `body`.
-pub fn file(body: &str) -> String {
+pub(crate) fn file(body: &str) -> String {
     format!(r#"<root BTCPP_format="4"><BehaviorTree ID="Main">{body}</BehaviorTree></root>"#)
 }
 
 /// A factory of scripted leaves, given as `"C=SF A=RRS"`.
-pub fn factory(leaves: &str) -> (Factory, Calls) {
+pub(crate) fn factory(leaves: &str) -> (Factory, Calls) {
     let answers = leaves.split_whitespace().map(|leaf| {
         let (name, letters) = leaf.split_once('=').unwrap();
         let kind = match name.chars().next().unwrap() {
@@ -149,30 +149,30 @@ pub fn factory(leaves: &str) -> (Factory, Calls) {
 impl Bench {
     /// The tree of these leaves and of this outermost node.
     #[track_caller]
-    pub fn new(leaves: &str, body: &str) -> Bench {
+    pub(crate) fn new(leaves: &str, body: &str) -> Bench {
         let (factory, calls) = factory(leaves);
         let tree = factory.load("test.xml", &file(body)).unwrap();
         Bench { tree, calls, now: Duration::ZERO }
     }
 
     /// Ticks once at the present time, and gives the letter of the answer, or `!` for an error.
-    pub fn tick(&mut self) -> char {
+    pub(crate) fn tick(&mut self) -> char {
         self.tree.tick(self.now).map_or('!', letter)
     }
 
     /// The answers of so many ticks.
-    pub fn ticks(&mut self, count: usize) -> String {
+    pub(crate) fn ticks(&mut self, count: usize) -> String {
         (0..count).map(|_| self.tick()).collect()
     }
 
     /// Ticks so many milliseconds later.
-    pub fn after(&mut self, msec: u64) -> char {
+    pub(crate) fn after(&mut self, msec: u64) -> char {
         self.now += Duration::from_millis(msec);
         self.tick()
     }
 
     /// The calls since the last time, without the numbers of nodes.
-    pub fn calls(&self) -> String {
+    pub(crate) fn calls(&self) -> String {
         let calls = self.calls.take();
         let short = |call: &String| {
             let parts = call.split(':').filter(|part| !part.chars().all(|c| c.is_ascii_digit()));
