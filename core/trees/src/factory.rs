@@ -1,8 +1,8 @@
 //! The types of leaves that an application has, and the loading of trees that use them.
 
 use crate::load::{self, TreeErrors};
-use crate::model::{LeafKind, Port};
-use crate::tree::{Function, Leaf, LeafContext, LeafModel, LeafResult, MakeLeaf, Tree};
+use crate::model::{BUILTINS, LeafKind, Port, PortDirection};
+use crate::tree::{Leaf, LeafContext, LeafModel, LeafResult, MakeLeaf, Tree};
 use crate::value::Value;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -61,12 +61,13 @@ impl Factory {
 
     fn register(&mut self, name: &str, kind: LeafKind, ports: Vec<Port>, make: MakeLeaf) {
         assert!(load::may_be_name(name), "`{name}` cannot be the name of a leaf");
-        assert!(!load::is_taken(self, name), "the name `{name}` is taken");
+        let taken = BUILTINS.iter().any(|(known, ..)| *known == name);
+        assert!(!taken && !self.leaves.contains_key(name), "the name `{name}` is taken");
         for (index, port) in ports.iter().enumerate() {
             let port_name = port.name;
             let free = ports[..index].iter().all(|other| other.name != port_name);
             assert!(
-                free && load::may_be_port(port_name),
+                free && load::may_be_name(port_name) && load::is_port(port_name),
                 "{name} cannot have a port `{port_name}`"
             );
             let fits = |text: &str| port.kind.admit(&Value::text(text)).is_some();
@@ -119,7 +120,11 @@ impl Factory {
             // Writing into a String cannot fail.
             let _ = writeln!(xml, "    <{category} ID=\"{}\">", escaped(name));
             for port in &leaf.ports {
-                let element = port.direction.element();
+                let element = match port.direction {
+                    PortDirection::Input => "input_port",
+                    PortDirection::Output => "output_port",
+                    PortDirection::InOut => "inout_port",
+                };
                 let (name, kind) = (escaped(port.name), escaped(port.kind.name()));
                 let _ = write!(xml, "      <{element} name=\"{name}\" type=\"{kind}\"");
                 if let Some(default) = port.default {
@@ -138,7 +143,10 @@ fn functions(
     function: impl Fn(&mut LeafContext<'_>) -> LeafResult + Send + Sync + 'static,
 ) -> MakeLeaf {
     let function = Arc::new(function);
-    Box::new(move || Box::new(Function(function.clone())))
+    Box::new(move || {
+        let function = function.clone();
+        Box::new(move |cx: &mut LeafContext<'_>| function(cx))
+    })
 }
 
 fn escaped(text: &str) -> String {

@@ -15,17 +15,6 @@ pub(crate) enum PortDirection {
     InOut,
 }
 
-impl PortDirection {
-    /// The element of a `TreeNodesModel` that describes such a port.
-    pub(crate) const fn element(self) -> &'static str {
-        match self {
-            PortDirection::Input => "input_port",
-            PortDirection::Output => "output_port",
-            PortDirection::InOut => "inout_port",
-        }
-    }
-}
-
 /// A port of a type of node.
 #[derive(Clone, Debug)]
 pub struct Port {
@@ -88,10 +77,6 @@ impl Port {
         self.role = role;
         self
     }
-
-    pub(crate) const fn reads(&self) -> bool {
-        !matches!(self.direction, PortDirection::Output)
-    }
 }
 
 /// What the text of a port means.
@@ -119,7 +104,7 @@ pub enum LeafKind {
 }
 
 /// What a node does.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum Kind {
     /// `Sequence`, `Fallback` and their like.
     Ordered(Order),
@@ -149,6 +134,7 @@ pub(crate) enum Kind {
     Loop,
     /// `SkipUnlessUpdated` and `WaitValueUpdate`: the answer while the entry is not written.
     Updated(Status),
+    #[default]
     SubTree,
     /// `AlwaysSuccess` and `AlwaysFailure`.
     Always(Status),
@@ -196,17 +182,6 @@ impl Kind {
     }
 }
 
-/// A type of node that the engine has itself.
-pub(crate) struct Builtin {
-    pub(crate) name: &'static str,
-    pub(crate) kind: Kind,
-    pub(crate) ports: &'static [Port],
-}
-
-const fn builtin(name: &'static str, kind: Kind, ports: &'static [Port]) -> Builtin {
-    Builtin { name, kind, ports }
-}
-
 /// A port of no particular type.
 const fn any(name: &'static str, direction: PortDirection) -> Port {
     Port::new(name, direction, PortType::ANY)
@@ -229,17 +204,20 @@ const SWITCH: [Port; 7] = [
     Port::input::<String>("case_6").optional(),
 ];
 
+/// The name of a type of node, what it does, and its ports.
+pub(crate) type Builtin = (&'static str, Kind, &'static [Port]);
+
 /// All types of nodes of BehaviorTree.CPP 4.10 that need no application, but for
 /// `ManualSelector`, which asks on a terminal.
 pub(crate) static BUILTINS: [Builtin; 42] = [
-    builtin("Sequence", Kind::Ordered(Order::SEQUENCE), &[]),
-    builtin("AsyncSequence", Kind::Ordered(Order::ASYNC_SEQUENCE), &[]),
-    builtin("SequenceWithMemory", Kind::Ordered(Order::WITH_MEMORY), &[]),
-    builtin("ReactiveSequence", Kind::Reactive { go: Status::Success }, &[]),
-    builtin("Fallback", Kind::Ordered(Order::FALLBACK), &[]),
-    builtin("AsyncFallback", Kind::Ordered(Order::ASYNC_FALLBACK), &[]),
-    builtin("ReactiveFallback", Kind::Reactive { go: Status::Failure }, &[]),
-    builtin(
+    ("Sequence", Kind::Ordered(Order::SEQUENCE), &[]),
+    ("AsyncSequence", Kind::Ordered(Order::ASYNC_SEQUENCE), &[]),
+    ("SequenceWithMemory", Kind::Ordered(Order::WITH_MEMORY), &[]),
+    ("ReactiveSequence", Kind::Reactive { go: Status::Success }, &[]),
+    ("Fallback", Kind::Ordered(Order::FALLBACK), &[]),
+    ("AsyncFallback", Kind::Ordered(Order::ASYNC_FALLBACK), &[]),
+    ("ReactiveFallback", Kind::Reactive { go: Status::Failure }, &[]),
+    (
         "Parallel",
         Kind::Parallel,
         &[
@@ -247,29 +225,29 @@ pub(crate) static BUILTINS: [Builtin; 42] = [
             Port::input::<i32>("failure_count").or("1"),
         ],
     ),
-    builtin("ParallelAll", Kind::ParallelAll, &[Port::input::<i32>("max_failures").or("1")]),
-    builtin("IfThenElse", Kind::IfThenElse, &[]),
-    builtin("WhileDoElse", Kind::WhileDoElse, &[]),
-    builtin("Switch2", Kind::Switch(2), SWITCH.split_at(3).0),
-    builtin("Switch3", Kind::Switch(3), SWITCH.split_at(4).0),
-    builtin("Switch4", Kind::Switch(4), SWITCH.split_at(5).0),
-    builtin("Switch5", Kind::Switch(5), SWITCH.split_at(6).0),
-    builtin("Switch6", Kind::Switch(6), &SWITCH),
-    builtin("TryCatch", Kind::TryCatch, &[Port::input::<bool>("catch_on_halt").or("false")]),
-    builtin("Inverter", Kind::Inverter, &[]),
-    builtin("ForceSuccess", Kind::Force(Status::Success), &[]),
-    builtin("ForceFailure", Kind::Force(Status::Failure), &[]),
-    builtin("Repeat", Kind::Repeat { until: Status::Failure }, &[Port::input::<i32>("num_cycles")]),
-    builtin(
+    ("ParallelAll", Kind::ParallelAll, &[Port::input::<i32>("max_failures").or("1")]),
+    ("IfThenElse", Kind::IfThenElse, &[]),
+    ("WhileDoElse", Kind::WhileDoElse, &[]),
+    ("Switch2", Kind::Switch(2), SWITCH.split_at(3).0),
+    ("Switch3", Kind::Switch(3), SWITCH.split_at(4).0),
+    ("Switch4", Kind::Switch(4), SWITCH.split_at(5).0),
+    ("Switch5", Kind::Switch(5), SWITCH.split_at(6).0),
+    ("Switch6", Kind::Switch(6), &SWITCH),
+    ("TryCatch", Kind::TryCatch, &[Port::input::<bool>("catch_on_halt").or("false")]),
+    ("Inverter", Kind::Inverter, &[]),
+    ("ForceSuccess", Kind::Force(Status::Success), &[]),
+    ("ForceFailure", Kind::Force(Status::Failure), &[]),
+    ("Repeat", Kind::Repeat { until: Status::Failure }, &[Port::input::<i32>("num_cycles")]),
+    (
         "RetryUntilSuccessful",
         Kind::Repeat { until: Status::Success },
         &[Port::input::<i32>("num_attempts")],
     ),
-    builtin("KeepRunningUntilFailure", Kind::KeepRunningUntilFailure, &[]),
-    builtin("Delay", Kind::Delay, &[Port::input::<u32>("delay_msec")]),
-    builtin("Timeout", Kind::Timeout, &[Port::input::<u32>("msec")]),
-    builtin("RunOnce", Kind::RunOnce, &[Port::input::<bool>("then_skip").or("true")]),
-    builtin(
+    ("KeepRunningUntilFailure", Kind::KeepRunningUntilFailure, &[]),
+    ("Delay", Kind::Delay, &[Port::input::<u32>("delay_msec")]),
+    ("Timeout", Kind::Timeout, &[Port::input::<u32>("msec")]),
+    ("RunOnce", Kind::RunOnce, &[Port::input::<bool>("then_skip").or("true")]),
+    (
         "Precondition",
         Kind::Precondition,
         &[
@@ -277,18 +255,18 @@ pub(crate) static BUILTINS: [Builtin; 42] = [
             Port::input::<Status>("else").or("FAILURE"),
         ],
     ),
-    builtin("LoopInt", Kind::Loop, &const { loops::<i32>() }),
-    builtin("LoopBool", Kind::Loop, &const { loops::<bool>() }),
-    builtin("LoopDouble", Kind::Loop, &const { loops::<f64>() }),
-    builtin("LoopString", Kind::Loop, &const { loops::<String>() }),
-    builtin("SkipUnlessUpdated", Kind::Updated(Status::Skipped), &[ENTRY]),
-    builtin("WaitValueUpdate", Kind::Updated(Status::Running), &[ENTRY]),
-    builtin("SubTree", Kind::SubTree, &[]),
-    builtin("AlwaysSuccess", Kind::Always(Status::Success), &[]),
-    builtin("AlwaysFailure", Kind::Always(Status::Failure), &[]),
-    builtin("Script", Kind::Script, &[CODE]),
-    builtin("ScriptCondition", Kind::ScriptCondition, &[CODE]),
-    builtin(
+    ("LoopInt", Kind::Loop, &const { loops::<i32>() }),
+    ("LoopBool", Kind::Loop, &const { loops::<bool>() }),
+    ("LoopDouble", Kind::Loop, &const { loops::<f64>() }),
+    ("LoopString", Kind::Loop, &const { loops::<String>() }),
+    ("SkipUnlessUpdated", Kind::Updated(Status::Skipped), &[ENTRY]),
+    ("WaitValueUpdate", Kind::Updated(Status::Running), &[ENTRY]),
+    ("SubTree", Kind::SubTree, &[]),
+    ("AlwaysSuccess", Kind::Always(Status::Success), &[]),
+    ("AlwaysFailure", Kind::Always(Status::Failure), &[]),
+    ("Script", Kind::Script, &[CODE]),
+    ("ScriptCondition", Kind::ScriptCondition, &[CODE]),
+    (
         "SetBlackboard",
         Kind::SetBlackboard,
         &[
@@ -296,11 +274,11 @@ pub(crate) static BUILTINS: [Builtin; 42] = [
             any("output_key", PortDirection::InOut).role(PortRole::Name),
         ],
     ),
-    builtin(
+    (
         "UnsetBlackboard",
         Kind::UnsetBlackboard,
         &[Port::input::<String>("key").role(PortRole::Name)],
     ),
-    builtin("Sleep", Kind::Sleep, &[Port::input::<u32>("msec")]),
-    builtin("WasEntryUpdated", Kind::WasEntryUpdated, &[ENTRY]),
+    ("Sleep", Kind::Sleep, &[Port::input::<u32>("msec")]),
+    ("WasEntryUpdated", Kind::WasEntryUpdated, &[ENTRY]),
 ];

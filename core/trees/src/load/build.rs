@@ -10,7 +10,7 @@ use crate::model::{BUILTINS, Kind, Port, PortDirection, PortRole};
 use crate::script;
 use crate::status::Status;
 use crate::tree::{
-    Binding, BoundPort, Code, Label, LeafState, LoopQueue, NodeMemory, Tree, TreeNode, TreeNodeId,
+    Binding, BoundPort, Code, Label, LeafState, LoopQueue, Tree, TreeNode, TreeNodeId,
 };
 use crate::value::{PortValue, Value};
 use std::collections::{BTreeSet, VecDeque};
@@ -29,9 +29,9 @@ pub(super) fn build(
     root: &Element,
     with_subtrees: bool,
 ) -> Tree {
-    let tree = Tree::of_enums(factory.enums.clone());
-    let (paths, bytes) = (BTreeSet::new(), 0);
+    let (tree, paths, bytes) = (Tree::default(), BTreeSet::new(), 0);
     let mut builder = Builder { factory, sources, definitions, with_subtrees, tree, paths, bytes };
+    builder.tree.enums = factory.enums.clone();
     let board = builder.tree.board.add(None, Named::new(), false);
     builder.node(root, Scope { board, prefix: "", depth: 0 });
     builder.tree.reserve();
@@ -99,16 +99,11 @@ impl<'a> Builder<'a> {
         self.tree.nodes.push(TreeNode {
             kind,
             is_decorator: kind.children() == (1..=1),
-            status: Status::Idle,
-            answer: Status::Idle,
-            done: false,
-            first_child: 0,
-            child_count: 0,
             first_binding,
             board,
             hooks,
             part,
-            memory: NodeMemory::default(),
+            ..TreeNode::default()
         });
         let label = Label { path: path.clone(), type_name: type_name.to_owned(), depth };
         self.tree.labels.push(label);
@@ -134,33 +129,33 @@ impl<'a> Builder<'a> {
     /// The type of a node, unless there is none.
     fn node_type(&mut self, element: &Element) -> Option<NodeType<'a>> {
         let explicit = EXPLICIT.contains(&element.name.as_str());
+        let mut named = (element.name.as_str(), element.place);
         if explicit || element.name == "SubTree" {
-            self.sources.needed(element, "ID")?;
-        }
-        let node = NodeType::of_element(self.factory, element);
-        if let (Some(node), Some(id)) = (&node, element.attribute("ID"))
-            && !explicit
-            && node.kind != Kind::SubTree
-        {
-            self.sources.unknown_port(node, id.place, "ID");
-        }
-        if node.is_none() {
-            let (name, place) = match element.attribute("ID") {
-                Some(id) if explicit => (id.value.as_str(), id.value_place),
-                _ => (element.name.as_str(), element.place),
-            };
-            let problem = Problem::UnknownNode(name.to_owned());
-            let leaves = self.factory.leaves.keys().map(String::as_str);
-            let known = BUILTINS.iter().map(|known| known.name).chain(leaves);
-            if self.definitions.trees.contains_key(name) {
-                // A tree is not used by its name alone.
-                let right = format!("<SubTree ID=\"{name}\"/>");
-                self.sources.misspelt(place, problem, &right, [right.as_str()]);
-            } else {
-                self.sources.misspelt(place, problem, name, known);
+            let id = self.sources.needed(element, "ID")?;
+            if explicit {
+                named = (&id.value, id.value_place);
             }
         }
+        let node = NodeType::of_name(self.factory, named.0);
+        match (&node, element.attribute("ID")) {
+            (Some(node), Some(id)) if !explicit && node.kind != Kind::SubTree => {
+                self.sources.unknown_port(node, id.place, "ID");
+            }
+            (Some(_), _) => {}
+            (None, _) => self.unknown_node(named.0, named.1),
+        }
         node
+    }
+
+    fn unknown_node(&mut self, name: &str, place: Place) {
+        // A tree is not used by its name alone.
+        let subtree = format!("<SubTree ID=\"{name}\"/>");
+        let is_tree = self.definitions.trees.contains_key(name);
+        let wrong = if is_tree { &subtree } else { name };
+        let leaves = self.factory.leaves.keys().map(String::as_str);
+        let known = BUILTINS.iter().map(|known| known.0).chain(leaves);
+        let known = known.chain(is_tree.then_some(subtree.as_str()));
+        self.sources.misspelt(place, Problem::UnknownNode(name.to_owned()), wrong, known);
     }
 
     fn check_children(&mut self, element: &Element, node: &NodeType<'_>) {
@@ -196,7 +191,7 @@ impl<'a> Builder<'a> {
         }
         if !self.paths.insert(path.clone()) {
             if is_tree {
-                self.sources.error(element.place, Problem::Path(path.clone()));
+                self.sources.error(element.place, Problem::Taken(path.clone()));
             }
             path = format!("{path}::{number}");
             self.paths.insert(path.clone());
@@ -272,7 +267,7 @@ impl<'a> Builder<'a> {
 
     /// Connects the ports of a node, and declares the entries that they use.
     fn bindings(&mut self, element: &Element, node: &NodeType<'_>, board: BoardId) {
-        for attribute in element.attributes.iter().filter(|attribute| is_port(attribute)) {
+        for attribute in element.attributes.iter().filter(|given| is_port(&given.name)) {
             if node.ports.iter().all(|port| port.name != attribute.name) {
                 self.sources.unknown_port(node, attribute.place, &attribute.name);
             }
@@ -282,7 +277,7 @@ impl<'a> Builder<'a> {
                 (Some(given), _) => self.binding(port, board, &given.value, given.value_place),
                 (None, Some(text)) => self.binding(port, board, text, element.place),
                 (None, None) => {
-                    if port.reads() && !port.optional {
+                    if port.direction != PortDirection::Output && !port.optional {
                         let (node, port) = (node.name.into(), port.name.into());
                         self.sources.error(element.place, Problem::MissingPort { node, port });
                     }
@@ -317,7 +312,7 @@ impl<'a> Builder<'a> {
             (None, PortRole::Value) => {}
         }
         if port.direction == PortDirection::Output {
-            self.sources.error(place, Problem::NotAKey(port.name.into()));
+            self.sources.no_value(place, text, "key in braces, to which the node could write");
         }
         let idle = port.kind == Status::TYPE && text == Status::Idle.name();
         let Some(value) = port.kind.admit(&Value::text(text)).filter(|_| !idle) else {
@@ -338,7 +333,7 @@ impl<'a> Builder<'a> {
 
     /// The board of a subtree: which keys are the parent's, and what is written into it at once.
     fn inner_board(&mut self, element: &'a Element, id: &Attribute, outer: BoardId) -> BoardId {
-        let given = element.attributes.iter().filter(|attribute| is_port(attribute));
+        let given = element.attributes.iter().filter(|given| is_port(&given.name));
         let mut ports: Named<(&str, Place)> =
             given.map(|port| (port.name.clone(), (&*port.value, port.value_place))).collect();
         let mut autoremap = false;

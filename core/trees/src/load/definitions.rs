@@ -27,120 +27,115 @@ impl Definitions {
 
     /// Sorts what the files hold.
     pub(super) fn of(factory: &Factory, sources: &mut Sources) -> Definitions {
+        let mut definitions = Definitions::default();
         let elements = std::mem::take(&mut sources.elements);
-        let mut checker = Checker { factory, sources, definitions: Definitions::default() };
         let count = elements.len();
         for element in elements {
             match element.name.as_str() {
-                "BehaviorTree" => checker.define(element, count),
-                "TreeNodesModel" => checker.models(&element),
+                "BehaviorTree" => definitions.define(factory, sources, element, count),
+                "TreeNodesModel" => definitions.model(factory, sources, &element),
                 name => {
                     let known = ["BehaviorTree", "TreeNodesModel", "include"];
                     let problem = Problem::Element(name.to_owned());
-                    checker.sources.misspelt(element.place, problem, name, known);
+                    sources.misspelt(element.place, problem, name, known);
                 }
             }
         }
-        checker.circles();
-        checker.definitions
+        definitions.circles(sources);
+        definitions
     }
-}
 
-struct Checker<'a> {
-    factory: &'a Factory,
-    sources: &'a mut Sources,
-    definitions: Definitions,
-}
-
-impl Checker<'_> {
     /// Takes a tree; it needs a name where the file has anything else.
-    fn define(&mut self, mut element: Element, count: usize) {
+    fn define(
+        &mut self,
+        factory: &Factory,
+        sources: &mut Sources,
+        mut element: Element,
+        count: usize,
+    ) {
         let place = element.place;
         let named = count > 1 || element.attribute("ID").is_some();
-        let id = if named { self.sources.needed(&element, "ID") } else { None };
+        let id = if named { sources.needed(&element, "ID") } else { None };
         let name = id.map_or("BehaviorTree_0", |id| &id.value).to_owned();
         if let Some(id) = id {
             if !may_be_name(&name) {
-                self.sources.error(id.value_place, Problem::Name(name.clone()));
-            } else if NodeType::of_name(self.factory, &name).is_some()
-                || self.definitions.trees.contains_key(&name)
+                sources.error(id.value_place, Problem::Name(name.clone()));
+            } else if NodeType::of_name(factory, &name).is_some() || self.trees.contains_key(&name)
             {
-                self.sources.error(id.value_place, Problem::Taken(name.clone()));
+                sources.error(id.value_place, Problem::Taken(name.clone()));
             }
         }
         let found = element.children.len();
         if found != 1 {
             let (node, expected) = ("BehaviorTree".into(), "1".into());
-            self.sources.error(place, Problem::Children { node, found, expected });
+            sources.error(place, Problem::Children { node, found, expected });
         }
         let root = if found == 1 { element.children.pop() } else { None };
-        self.definitions.trees.insert(name, root);
+        self.trees.insert(name, root);
     }
 
     /// Takes the ports of subtrees, and compares those of other nodes with the program's. A node
     /// that the program does not have is an editor's matter until a tree uses it.
-    fn models(&mut self, models: &Element) {
+    fn model(&mut self, factory: &Factory, sources: &mut Sources, models: &Element) {
         for model in &models.children {
-            let Some(id) = self.sources.needed(model, "ID") else { continue };
-            let known = NodeType::of_name(self.factory, &id.value);
+            let Some(id) = sources.needed(model, "ID") else { continue };
+            let known = NodeType::of_name(factory, &id.value);
             let mut ports = Named::new();
             for port in model.children.iter().filter(|child| child.name.ends_with("_port")) {
-                let Some(name) = self.sources.needed(port, "name") else { continue };
+                let Some(name) = sources.needed(port, "name") else { continue };
                 ports.insert(name.value.clone(), port.value("default").map(str::to_owned));
                 if let Some(known) = &known
                     && known.ports.iter().all(|known| known.name != name.value)
                 {
-                    self.sources.unknown_port(known, name.value_place, &name.value);
+                    sources.unknown_port(known, name.value_place, &name.value);
                 }
             }
             if model.name == "SubTree" {
-                self.definitions.models.insert(id.value.clone(), ports);
+                self.models.insert(id.value.clone(), ports);
             }
         }
     }
 
     /// Reports each tree that contains itself, once for each circle.
-    fn circles(&mut self) {
-        let trees = std::mem::take(&mut self.definitions.trees);
+    fn circles(&self, sources: &mut Sources) {
         let mut subtrees = Named::new();
-        for (name, root) in &trees {
+        for (name, root) in &self.trees {
             let mut found = Vec::new();
             root.iter().for_each(|root| collect_subtrees(root, &mut found));
             subtrees.insert(name.clone(), found);
         }
         let mut done = BTreeSet::new();
-        for name in trees.keys() {
-            self.follow(&subtrees, name, &mut Vec::new(), &mut done);
+        for name in self.trees.keys() {
+            follow(sources, &subtrees, name, &mut Vec::new(), &mut done);
         }
-        self.definitions.trees = trees;
     }
+}
 
-    fn follow<'a>(
-        &mut self,
-        subtrees: &'a Named<Vec<&'a Attribute>>,
-        name: &'a str,
-        path: &mut Vec<&'a str>,
-        done: &mut BTreeSet<&'a str>,
-    ) {
-        // Deeper trees are refused when they are built.
-        if done.contains(name) || path.len() >= MAX_DEPTH {
-            return;
-        }
-        path.push(name);
-        for id in subtrees.get(name).into_iter().flatten() {
-            match path.iter().position(|known| *known == id.value) {
-                Some(first) => {
-                    let mut circle: Vec<String> = Vec::new();
-                    circle.extend(path[first..].iter().map(|&name| name.to_owned()));
-                    circle.push(id.value.clone());
-                    self.sources.error(id.value_place, Problem::Circle(circle));
-                }
-                None => self.follow(subtrees, &id.value, path, done),
-            }
-        }
-        path.pop();
-        done.insert(name);
+fn follow<'a>(
+    sources: &mut Sources,
+    subtrees: &'a Named<Vec<&'a Attribute>>,
+    name: &'a str,
+    path: &mut Vec<&'a str>,
+    done: &mut BTreeSet<&'a str>,
+) {
+    // Deeper trees are refused when they are built.
+    if done.contains(name) || path.len() >= MAX_DEPTH {
+        return;
     }
+    path.push(name);
+    for id in subtrees.get(name).into_iter().flatten() {
+        match path.iter().position(|known| *known == id.value) {
+            Some(first) => {
+                let mut circle: Vec<String> = Vec::new();
+                circle.extend(path[first..].iter().map(|&name| name.to_owned()));
+                circle.push(id.value.clone());
+                sources.error(id.value_place, Problem::Circle(circle));
+            }
+            None => follow(sources, subtrees, &id.value, path, done),
+        }
+    }
+    path.pop();
+    done.insert(name);
 }
 
 /// The names of the subtrees at or below an element.

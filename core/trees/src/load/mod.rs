@@ -10,10 +10,10 @@ pub use problem::{Problem, TreeError, TreeErrors};
 pub(crate) use definitions::may_be_name;
 
 use crate::factory::Factory;
-use crate::model::{BUILTINS, Builtin, Kind, Port};
+use crate::model::{BUILTINS, Kind, Port};
 use crate::tree::{LeafModel, Tree};
 use definitions::Definitions;
-use source::{Attribute, Element, Place, Sources};
+use source::{Element, Place, Sources};
 use std::sync::Arc;
 
 /// Loads the main tree of a file.
@@ -32,11 +32,10 @@ pub(crate) fn load(
         build::build(factory, &mut sources, &definitions, root, false);
     }
     let root = main_tree(&mut sources, &definitions, main);
-    let (true, Some(root)) = (sources.errors.is_empty(), root) else {
-        return Err(TreeErrors::new(sources.errors));
-    };
-    let tree = build::build(factory, &mut sources, &definitions, root, true);
-    if sources.errors.is_empty() { Ok(tree) } else { Err(TreeErrors::new(sources.errors)) }
+    let root = root.filter(|_| sources.errors.is_empty());
+    let tree = root.map(|root| build::build(factory, &mut sources, &definitions, root, true));
+    let errors = sources.errors;
+    tree.filter(|_| errors.is_empty()).ok_or(TreeErrors { errors })
 }
 
 /// The tree that the caller names, else that of the first file, else the only one.
@@ -77,16 +76,8 @@ impl<'a> NodeType<'a> {
             let LeafModel { name, kind, ports, .. } = &**leaf;
             return Some(NodeType { name, kind: Kind::Leaf(*kind), ports, leaf: Some(leaf) });
         }
-        let known = BUILTINS.iter().find(|known| known.name == name)?;
-        let Builtin { name, kind, ports } = *known;
+        let (name, kind, ports) = *BUILTINS.iter().find(|(known, ..)| *known == name)?;
         Some(NodeType { name, kind, ports, leaf: None })
-    }
-
-    /// The type that an element names: `<Wait/>`, or `<Action ID="Wait"/>`. A subtree's `ID` is
-    /// the tree's.
-    fn of_element(factory: &'a Factory, element: &Element) -> Option<NodeType<'a>> {
-        let explicit = EXPLICIT.contains(&element.name.as_str());
-        NodeType::of_name(factory, if explicit { element.value("ID")? } else { &element.name })
     }
 }
 
@@ -112,21 +103,7 @@ const CONDITIONS: [&str; 8] = [
     "_onHalted",
 ];
 
-/// Whether an attribute connects a port: all but `name`, `ID`, and what begins with no letter.
-fn is_port(attribute: &Attribute) -> bool {
-    let starts = attribute.name.starts_with(|c: char| c.is_ascii_alphabetic());
-    starts && attribute.name != "name" && attribute.name != "ID"
-}
-
-/// Whether a type of node has this name.
-pub(crate) fn is_taken(factory: &Factory, name: &str) -> bool {
-    NodeType::of_name(factory, name).is_some()
-}
-
-/// Whether a port may have this name.
-pub(crate) fn may_be_port(name: &str) -> bool {
-    may_be_name(name)
-        && name.starts_with(|c: char| c.is_ascii_alphabetic())
-        && name != "name"
-        && name != "ID"
+/// Whether an attribute of this name connects a port: not `name`, `ID` and what begins with `_`.
+pub(crate) fn is_port(name: &str) -> bool {
+    name.starts_with(|c: char| c.is_ascii_alphabetic()) && name != "name" && name != "ID"
 }

@@ -5,14 +5,10 @@ use std::fmt;
 /// All that is wrong with a tree's files.
 #[derive(Debug, thiserror::Error)]
 pub struct TreeErrors {
-    errors: Vec<TreeError>,
+    pub(super) errors: Vec<TreeError>,
 }
 
 impl TreeErrors {
-    pub(super) fn new(errors: Vec<TreeError>) -> TreeErrors {
-        TreeErrors { errors }
-    }
-
     /// Each of them, in the order of the files.
     pub fn iter(&self) -> std::slice::Iter<'_, TreeError> {
         self.errors.iter()
@@ -40,7 +36,7 @@ pub struct TreeError {
     pub line: usize,
     /// The column in characters, from 1.
     pub column: usize,
-    /// The line's text.
+    /// The line's text, of a long line what is near the column.
     pub excerpt: String,
     /// What is wrong.
     pub problem: Problem,
@@ -52,15 +48,17 @@ fn hint(suggestion: &Option<String>) -> String {
     suggestion.as_ref().map(|right| format!("; did you mean `{right}`?")).unwrap_or_default()
 }
 
-/// The line with a mark below the column.
-fn marked(line: &usize, column: &usize, text: &str) -> String {
+/// How many characters of a line stand before its excerpt.
+pub(super) fn skipped(column: usize) -> usize {
+    column.saturating_sub(41)
+}
+
+/// The excerpt with a mark below the column.
+fn marked(line: &usize, column: &usize, excerpt: &str) -> String {
     let number = line.to_string();
     let blanks = " ".repeat(number.len());
-    // A line may be the whole file: 40 characters before the place and 60 after it are shown.
-    let skipped = column.saturating_sub(41);
-    let shown: String = text.chars().skip(skipped).take(100).collect();
-    let mark = " ".repeat(column - 1 - skipped);
-    format!("  {number} | {shown}\n  {blanks} | {mark}^")
+    let mark = " ".repeat(column - 1 - skipped(*column));
+    format!("  {number} | {excerpt}\n  {blanks} | {mark}^")
 }
 
 /// What is wrong with a place in a file.
@@ -70,9 +68,6 @@ pub enum Problem {
     /// The file is no XML.
     #[error("no XML: {0}")]
     Xml(String),
-    /// The outermost element has another name.
-    #[error("the outermost element is <{0}> instead of <root>")]
-    Root(String),
     /// An element that has no meaning at this place.
     #[error("<{0}> has no meaning here")]
     Element(String),
@@ -87,7 +82,8 @@ pub enum Problem {
     /// A name that is empty, reserved, or has characters that names may not have.
     #[error("`{0}` cannot be the name of a tree")]
     Name(String),
-    /// A tree that is called like a type of node, or like another tree.
+    /// A tree that is called like a type of node or another tree, or a subtree with the path of
+    /// another one.
     #[error("the name `{0}` is taken")]
     Taken(String),
     /// An included file that cannot be read.
@@ -134,9 +130,6 @@ pub enum Problem {
         /// The type of the port.
         kind: &'static str,
     },
-    /// A port that the node writes is connected to no entry.
-    #[error("`{0}` is written, so it takes the name of an entry: `{{key}}`")]
-    NotAKey(String),
     /// A script that cannot be read.
     #[error("{0}")]
     Script(String),
@@ -171,9 +164,6 @@ pub enum Problem {
         /// The type of this port.
         kind: &'static str,
     },
-    /// Two subtrees of one tree have the same `name`.
-    #[error("two subtrees have the path `{0}`")]
-    Path(String),
     /// Nested too deep, too many nodes, or too large a file.
     #[error("more than {0}")]
     Limit(&'static str),

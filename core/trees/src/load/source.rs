@@ -1,7 +1,7 @@
 //! The files of a tree: read, included, and kept as plain elements with their places.
 
 use super::NodeType;
-use super::problem::{Problem, TreeError};
+use super::problem::{Problem, TreeError, skipped};
 use std::collections::BTreeMap;
 
 /// Elements nested deeper than this are refused, as by the library; nodes are ticked recursively.
@@ -10,6 +10,9 @@ pub(super) const MAX_DEPTH: usize = 256;
 const MAX_FILE: usize = 4 << 20;
 /// Behind so many errors stand no further ones that a person would read.
 const MAX_ERRORS: usize = 100;
+
+/// A line may be the whole file: 40 characters before the place and 60 behind it are shown.
+const MAX_EXCERPT: usize = 100;
 
 /// A place in a file.
 #[derive(Clone, Copy, Debug)]
@@ -92,7 +95,8 @@ impl Sources {
         };
         let Some(root) = self.element(file, document.root_element(), 0) else { return };
         if root.name != "root" {
-            return self.error(root.place, Problem::Root(root.name));
+            let problem = Problem::Element(root.name.clone());
+            return self.misspelt(root.place, problem, &root.name, ["root"]);
         }
         including.push(name);
         let (includes, elements): (Vec<_>, Vec<_>) =
@@ -102,8 +106,7 @@ impl Sources {
         }
         including.pop();
         if file == 0 {
-            let main = root.attributes.into_iter().find(|a| a.name == "main_tree_to_execute");
-            self.main = main;
+            self.main = root.attributes.into_iter().find(|a| a.name == "main_tree_to_execute");
         }
         self.elements.extend(elements);
     }
@@ -209,11 +212,13 @@ impl Sources {
         let (file, text) = &self.files[place.file];
         let before = &text[..place.at];
         let start = before.rfind('\n').map_or(0, |end| end + 1);
+        let column = before[start..].chars().count() + 1;
+        let line = text[start..].lines().next().unwrap_or_default();
         self.errors.push(TreeError {
             file: file.clone(),
             line: before.matches('\n').count() + 1,
-            column: before[start..].chars().count() + 1,
-            excerpt: text[start..].lines().next().unwrap_or_default().to_owned(),
+            column,
+            excerpt: line.chars().skip(skipped(column)).take(MAX_EXCERPT).collect(),
             problem,
             suggestion: nearest(wrong, known).map(str::to_owned),
         });

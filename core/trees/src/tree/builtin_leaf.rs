@@ -59,8 +59,4 @@ impl Tree {
         self.wake_at(until);
         Ok(Status::Running)
     }
-
-    pub(super) fn was_entry_updated(&mut self, id: TreeNodeId) -> Tick {
-        Ok(Status::from(self.is_updated(id)))
-    }
 }

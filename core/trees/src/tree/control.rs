@@ -209,13 +209,12 @@ impl Tree {
 
     /// `memory.index` is the number of the child that runs, from 1; 0 if none does.
     pub(super) fn switch(&mut self, id: TreeNodeId, cases: u32) -> Tick {
-        let chosen = match self.raw(id, 0) {
-            Some(variable) => (0..cases).find(|case| {
-                let case = self.raw(id, *case as usize + 1);
-                case.is_some_and(|case| same(variable, case, &self.enums))
-            }),
-            None => None,
+        let is_meant = |variable: &Value, case: u32| {
+            let case = self.raw(id, case as usize + 1);
+            case.is_some_and(|case| same(variable, case, &self.enums))
         };
+        let chosen =
+            self.raw(id, 0).and_then(|value| (0..cases).find(|case| is_meant(value, *case)));
         let chosen = chosen.unwrap_or(cases);
         let running = self.memory(id).index;
         if running != 0 && running != chosen + 1 {

@@ -7,13 +7,9 @@ use crate::value::Value;
 use std::time::Duration;
 
 impl Tree {
-    fn tick_child(&mut self, id: TreeNodeId) -> Tick {
-        self.execute(self.child(id, 0))
-    }
-
     /// Ticks the child, and resets it when it is done.
     fn tick_and_reset(&mut self, id: TreeNodeId) -> Tick {
-        let status = self.tick_child(id)?;
+        let status = self.execute(self.child(id, 0))?;
         if status.is_completed() {
             self.reset(self.child(id, 0))?;
         }
@@ -36,7 +32,7 @@ impl Tree {
         let child = self.child(id, 0);
         while due(self.memory(id).count, cycles) {
             let was_idle = self.node(child).status == Status::Idle;
-            let status = self.tick_child(id)?;
+            let status = self.execute(self.child(id, 0))?;
             if status == Status::Running {
                 return Ok(status);
             }
@@ -200,7 +196,7 @@ impl Tree {
         if !self.memory(id).flag && !self.is_updated(id) {
             return Ok(otherwise);
         }
-        let status = self.tick_child(id)?;
+        let status = self.execute(self.child(id, 0))?;
         self.memory(id).flag = status == Status::Running;
         Ok(status)
     }

@@ -16,31 +16,25 @@ impl Tree {
             state.deferred = false;
             return Ok(answer);
         }
-        let running = status == Status::Running && !state.deferred;
-        if kind == LeafKind::Action {
-            // A finished action is not called until its parent has reset it.
-            if status.is_completed() {
-                return Ok(status);
-            }
-            if running {
-                // A panic has taken the body: what it did is not known.
-                return match &state.body {
-                    Some(_) => {
-                        let answer = self.with_body(id, |body, cx| body.running(cx));
-                        answer.map_err(|error| self.error(id, TickProblem::Leaf(error)))
-                    }
-                    None => Ok(Status::Failure),
-                };
-            }
+        // A finished action is not called until its parent has reset it.
+        if kind == LeafKind::Action && status.is_completed() {
+            return Ok(status);
         }
-        if kind != LeafKind::Condition && !self.halting.is_empty() {
-            state.deferred = true;
-            return Ok(Status::Running);
+        let runs = kind == LeafKind::Action && status == Status::Running && !state.deferred;
+        // A panic has taken the body: what it did is not known.
+        if runs && state.body.is_none() {
+            return Ok(Status::Failure);
         }
-        state.deferred = false;
-        state.since = self.now;
-        state.starts = state.starts.wrapping_add(1);
-        let answer = self.with_body(id, |body, cx| body.start(cx));
+        if !runs {
+            state.deferred = kind != LeafKind::Condition && !self.halting.is_empty();
+            if state.deferred {
+                return Ok(Status::Running);
+            }
+            state.since = self.now;
+            state.starts = state.starts.wrapping_add(1);
+        }
+        let call = if runs { <dyn Leaf>::running } else { <dyn Leaf>::start };
+        let answer = self.with_body(id, call);
         let answer = answer.map_err(|error| self.error(id, TickProblem::Leaf(error)))?;
         if kind == LeafKind::SyncAction {
             match answer {
@@ -59,24 +53,32 @@ impl Tree {
         id: TreeNodeId,
         call: impl FnOnce(&mut dyn Leaf, &mut LeafContext<'_>) -> R,
     ) -> R {
-        let leaf = self.node(id).part;
-        let state = &mut self.leaves[leaf as usize];
+        let state = self.leaf_mut(id);
         let mut body = state.body.take().unwrap_or_else(|| (state.model.make)());
-        let run = LeafRun { node: id, leaf, start: state.starts };
+        let run = LeafRun { node: id, start: state.starts };
         self.calling = Some(id);
         let result = call(&mut *body, &mut LeafContext { tree: self, run });
         self.calling = None;
-        self.leaves[leaf as usize].body = Some(body);
+        self.leaf_mut(id).body = Some(body);
         result
+    }
+
+    pub(super) fn leaf(&self, id: TreeNodeId) -> &LeafState {
+        &self.leaves[self.node(id).part as usize]
+    }
+
+    fn leaf_mut(&mut self, id: TreeNodeId) -> &mut LeafState {
+        let part = self.node(id).part as usize;
+        &mut self.leaves[part]
     }
 
     /// Halts a leaf that runs.
     pub(super) fn halt_leaf(&mut self, id: TreeNodeId) {
-        let leaf = self.node(id).part;
-        let state = &self.leaves[leaf as usize];
-        let run = LeafRun { node: id, leaf, start: state.starts };
-        let halts = self.runs(state) && state.body.is_some();
-        let state = &mut self.leaves[leaf as usize];
+        let state = self.leaf(id);
+        let run = LeafRun { node: id, start: state.starts };
+        // A leaf that has been completed has nothing to halt.
+        let halts = self.runs(state) && state.body.is_some() && state.answer.is_none();
+        let state = self.leaf_mut(id);
         (state.answer, state.deferred) = (None, false);
         if !halts {
             return;
@@ -90,7 +92,7 @@ impl Tree {
     pub(super) fn poll_halting(&mut self) {
         for index in (0..self.halting.len()).rev() {
             let run = self.halting[index];
-            let lost = self.leaves[run.leaf as usize].body.is_none();
+            let lost = self.leaf(run.node).body.is_none();
             if lost || self.with_body(run.node, |body, cx| body.halting(cx)) == Halt::Done {
                 self.halting.remove(index);
             }
@@ -99,9 +101,8 @@ impl Tree {
 
     /// The actions that run, with the time of their start; a driver that limits them looks here.
     pub fn running(&self) -> impl Iterator<Item = (LeafRun, Duration)> + '_ {
-        self.leaves.iter().zip(0..).filter(|(state, _)| self.runs(state)).map(|(state, leaf)| {
-            (LeafRun { node: state.node, leaf, start: state.starts }, state.since)
-        })
+        let running = self.leaves.iter().filter(|state| self.runs(state));
+        running.map(|state| (LeafRun { node: state.node, start: state.starts }, state.since))
     }
 
     /// The leaf that panicked in the last tick or halt, after the driver has caught the panic.
@@ -120,27 +121,26 @@ impl Tree {
             return true;
         }
         let current = self.is_current(run) && status.is_completed();
-        if current {
-            self.leaves[run.leaf as usize].answer = Some(status);
-            self.wake_at(self.now);
-        }
-        current
+        current && self.answer(run, Some(status))
+    }
+
+    /// What the next tick of a leaf answers, or none for a new start.
+    fn answer(&mut self, run: LeafRun, answer: Option<Status>) -> bool {
+        let state = self.leaf_mut(run.node);
+        (state.answer, state.deferred) = (answer, answer.is_none());
+        self.wake_at(self.now);
+        true
     }
 
     /// Halts a leaf that takes too long, and lets it fail. False if the run is over.
     pub fn fail(&mut self, run: LeafRun, now: Duration) -> bool {
-        self.stop(run, now) && self.complete(run, Status::Failure)
+        self.stop(run, now) && self.answer(run, Some(Status::Failure))
     }
 
     /// Halts a leaf that takes too long, and starts it again in the next tick. Its parents take it
     /// for RUNNING meanwhile. False if the run is over.
     pub fn retry(&mut self, run: LeafRun, now: Duration) -> bool {
-        let stopped = self.stop(run, now);
-        if stopped {
-            self.leaves[run.leaf as usize].deferred = true;
-            self.wake_at(self.now);
-        }
-        stopped
+        self.stop(run, now) && self.answer(run, None)
     }
 
     fn stop(&mut self, run: LeafRun, now: Duration) -> bool {
@@ -153,7 +153,7 @@ impl Tree {
     }
 
     fn is_current(&self, run: LeafRun) -> bool {
-        let state = &self.leaves[run.leaf as usize];
+        let state = self.leaf(run.node);
         self.runs(state) && state.starts == run.start
     }
 

@@ -73,7 +73,7 @@ impl Tree {
             Kind::SetBlackboard => self.set_blackboard(id),
             Kind::UnsetBlackboard => self.unset_blackboard(id),
             Kind::Sleep => self.sleep(id),
-            Kind::WasEntryUpdated => self.was_entry_updated(id),
+            Kind::WasEntryUpdated => Ok(Status::from(self.is_updated(id))),
             Kind::Leaf(kind) => self.tick_leaf(id, kind),
         }
     }
@@ -82,10 +82,8 @@ impl Tree {
     fn check_before(&mut self, id: TreeNodeId) -> Checked<Option<Status>> {
         let node = self.node(id);
         let Some(hooks) = node.hooks else { return Ok(None) };
-        let (fresh, running) = match node.status {
-            Status::Idle | Status::Skipped => (true, false),
-            status => (false, status == Status::Running),
-        };
+        let fresh = matches!(node.status, Status::Idle | Status::Skipped);
+        let running = node.status == Status::Running;
         for (index, status) in BEFORE.into_iter().enumerate() {
             let is_while = index == 3;
             let Some(code) = self.hooks[hooks as usize][index] else { continue };
@@ -154,11 +152,13 @@ impl Tree {
         let memory = &mut node.memory;
         match node.kind {
             // Their memory outlives a halt.
-            Kind::Ordered(Order { keeps: true, .. }) | Kind::RunOnce | Kind::Precondition => {}
+            Kind::Ordered(Order { keeps: true, .. })
+            | Kind::RunOnce
+            | Kind::Precondition
+            | Kind::WasEntryUpdated => {}
             Kind::Updated(_) => memory.flag = false,
             Kind::TryCatch => self.halt_try_catch(id)?,
             Kind::Leaf(_) => self.halt_leaf(id),
-            Kind::WasEntryUpdated => {}
             _ => (memory.index, memory.count, memory.failures, memory.flag) = (0, 0, 0, false),
         }
         self.undo_done(id);
@@ -169,11 +169,9 @@ impl Tree {
 
     /// Lets a `Parallel` tick all its children again.
     pub(super) fn undo_done(&mut self, id: TreeNodeId) {
-        if matches!(self.node(id).kind, Kind::Parallel | Kind::ParallelAll) {
-            for index in 0..self.node(id).child_count {
-                let child = self.child(id, index);
-                self.node_mut(child).done = false;
-            }
+        for index in 0..self.node(id).child_count {
+            let child = self.child(id, index);
+            self.node_mut(child).done = false;
         }
     }
 

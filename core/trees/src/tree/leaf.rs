@@ -111,15 +111,10 @@ pub trait Leaf: Send + 'static {
     }
 }
 
-/// A leaf that is a function.
-pub(crate) struct Function<F>(pub(crate) Arc<F>);
-
-impl<F> Leaf for Function<F>
-where
-    F: Fn(&mut LeafContext<'_>) -> LeafResult + Send + Sync + 'static,
-{
+/// A function is a leaf that is called when it starts.
+impl<F: Fn(&mut LeafContext<'_>) -> LeafResult + Send + 'static> Leaf for F {
     fn start(&mut self, cx: &mut LeafContext<'_>) -> LeafResult {
-        (self.0)(cx)
+        self(cx)
     }
 }
 
@@ -162,8 +157,7 @@ impl LeafState {
 pub struct LeafRun {
     /// The leaf.
     pub node: TreeNodeId,
-    pub(crate) leaf: u32,
-    pub(crate) start: u32,
+    pub(super) start: u32,
 }
 
 /// A port of a node.
@@ -248,7 +242,7 @@ impl LeafContext<'_> {
     }
 
     fn bound(&self, port: &str) -> Result<&BoundPort, PortError> {
-        let count = self.tree.leaves[self.run.leaf as usize].model.ports.len();
+        let count = self.tree.leaf(self.run.node).model.ports.len();
         let ports = (0..count).map(|index| self.tree.bound(self.run.node, index));
         let found = ports.into_iter().find(|bound| bound.name == port);
         found.ok_or_else(|| PortError::Undeclared(port.into()))

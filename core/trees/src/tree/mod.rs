@@ -13,7 +13,7 @@ mod execute;
 mod leaf;
 
 pub use error::{LeafError, PortError, TickError, TickProblem};
-pub(crate) use leaf::{Binding, BoundPort, Function, LeafModel, LeafState, MakeLeaf};
+pub(crate) use leaf::{Binding, BoundPort, LeafModel, LeafState, MakeLeaf};
 pub use leaf::{Halt, Leaf, LeafContext, LeafResult, LeafRun};
 
 use crate::blackboard::{Blackboard, BoardId, KeyId};
@@ -31,7 +31,8 @@ pub struct TreeNodeId(pub(crate) u32);
 
 /// A tree that runs. It does nothing by itself: its driver ticks it.
 ///
-/// All times are since one moment that the driver chooses.
+/// All times are since one moment that the driver chooses. The default tree has no nodes, and is
+/// always skipped.
 #[derive(Default)]
 pub struct Tree {
     pub(crate) nodes: Vec<TreeNode>,
@@ -64,7 +65,7 @@ pub struct Tree {
 }
 
 /// A node.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct TreeNode {
     pub(crate) kind: Kind,
     pub(crate) is_decorator: bool,
@@ -150,10 +151,6 @@ pub struct NodeView<'a> {
 }
 
 impl Tree {
-    pub(crate) fn of_enums(enums: BTreeMap<String, i64>) -> Tree {
-        Tree { enums, ..Tree::default() }
-    }
-
     /// Ticks the tree once: `tickExactlyOnce` of BehaviorTree.CPP.
     ///
     /// # Errors
@@ -186,15 +183,17 @@ impl Tree {
     fn begin(&mut self, now: Duration) {
         // A clock that is set back would stretch every delay.
         self.now = self.now.max(now);
-        self.calling = None;
+        (self.calling, self.wake, self.changes_lost) = (None, None, 0);
         self.changes.clear();
-        self.changes_lost = 0;
         self.poll_halting();
     }
 
     fn tick_root(&mut self) -> Result<Status, TickError> {
-        (self.wake, self.yielded) = (None, false);
         let root = TreeNodeId(0);
+        if self.nodes.is_empty() {
+            return Ok(Status::Skipped);
+        }
+        self.yielded = false;
         let status = self.execute(root).map_err(|error| *error)?;
         if status.is_completed() {
             self.node_mut(root).status = Status::Idle;
@@ -209,6 +208,7 @@ impl Tree {
     /// A script `_onHalted` failed; all nodes are halted nevertheless.
     pub fn halt(&mut self, now: Duration) -> Result<(), TickError> {
         self.begin(now);
+        self.yielded = false;
         let mut result = Ok(());
         for id in (0..self.nodes.len() as u32).map(TreeNodeId) {
             let running = self.node(id).status == Status::Running;

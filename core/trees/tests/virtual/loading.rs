@@ -85,7 +85,7 @@ fn ports_are_checked() {
         (r#"<Turn angle="{@a@b}"/>"#, "14: `@a@b` is no name of an entry"),
         (
             r#"<Turn angle="1" steps="2"/>"#,
-            "24: `steps` is written, so it takes the name of an entry: `{key}`",
+            "24: `2` is no key in braces, to which the node could write",
         ),
         (r#"<Turn/>"#, "1: `Turn` needs the port `angle`"),
         (r#"<Repeat><Wait/></Repeat>"#, "1: `Repeat` needs the port `num_cycles`"),
@@ -226,7 +226,7 @@ fn trees_have_names_of_their_own_and_one_is_the_main_tree() {
 fn what_is_no_tree_file_is_refused() {
     let cases = [
         ("<root><BehaviorTree></root>", "1:21: no XML: "),
-        ("<tree/>", "1:1: the outermost element is <tree> instead of <root>"),
+        ("<tree/>", "1:1: <tree> has no meaning here\n"),
         ("<root/>", "1:1: <root> needs the attribute `main_tree_to_execute`"),
         (
             "<root>\n<BehaviourTree/></root>",
@@ -286,7 +286,7 @@ fn subtrees_are_given_the_ports_of_their_models_and_have_different_paths() {
     let same = "<SubTree ID=\"T\" goal=\"1\" name=\"arm\"/>";
     let twice = text("goal=\"1\" name=\"arm\"", same);
     let twice = factory.load("test.xml", &twice).err().unwrap().to_string();
-    assert!(twice.contains("two subtrees have the path `arm`"), "{twice}");
+    assert!(twice.contains("the name `arm` is taken"), "{twice}");
 }
 
 #[test]
