@@ -1,8 +1,8 @@
 //! The blackboards of a tree: one for each subtree, in one arena.
 //!
-//! Which entry a key of a board means never changes after loading: a remapped key means an entry
-//! of the parent, any other key one of its own board. So each key that the tree's text names is
-//! resolved once, and a tick reads entries by number.
+//! A key of a board means one entry for ever: a remapped key means an entry of the parent, any
+//! other key one of its own board. So each key that the tree's files name is resolved once, and a
+//! tick reads entries by number.
 
 use crate::value::{PortType, PortValue, Value};
 use std::collections::BTreeMap;
@@ -30,7 +30,7 @@ pub(crate) struct Blackboard {
 #[derive(Debug)]
 struct Board {
     parent: Option<BoardId>,
-    /// Which key of the parent a key means.
+    /// Keys that mean a key of the parent.
     remaps: BTreeMap<String, String>,
     /// Every other key means the parent's key of the same name.
     autoremap: bool,
@@ -46,7 +46,7 @@ struct Entry {
     /// None while the first value decides.
     kind: Option<PortType>,
     value: Option<Value>,
-    /// How often it has been written.
+    /// The number of writes.
     writes: u64,
 }
 
@@ -146,7 +146,7 @@ impl Blackboard {
         self.entries[key.0 as usize].kind
     }
 
-    /// How often the entry has been written; none if it does not exist.
+    /// The number of writes; none if the entry does not exist.
     pub(crate) fn writes(&self, key: KeyId) -> Option<u64> {
         let entry = &self.entries[key.0 as usize];
         entry.exists.then_some(entry.writes)

@@ -1,8 +1,7 @@
-//! The types of leaves that an application has, and the loading of trees that use them.
+//! The types of leaves that an application has.
 
-use crate::load::{self, TreeErrors};
-use crate::model::{BUILTINS, LeafKind, Port, PortDirection};
-use crate::tree::{Leaf, LeafContext, LeafModel, LeafResult, MakeLeaf, Tree};
+use crate::model::{BUILTINS, LeafKind, Port, PortDirection, is_port, key_of, may_be_name};
+use crate::tree::{Leaf, LeafContext, LeafModel, LeafResult, MakeLeaf};
 use crate::value::Value;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -60,19 +59,18 @@ impl Factory {
     }
 
     fn register(&mut self, name: &str, kind: LeafKind, ports: Vec<Port>, make: MakeLeaf) {
-        assert!(load::may_be_name(name), "`{name}` cannot be the name of a leaf");
+        assert!(may_be_name(name), "`{name}` cannot be the name of a leaf");
         let taken = BUILTINS.iter().any(|(known, ..)| *known == name);
         assert!(!taken && !self.leaves.contains_key(name), "the name `{name}` is taken");
         for (index, port) in ports.iter().enumerate() {
             let port_name = port.name;
             let free = ports[..index].iter().all(|other| other.name != port_name);
             assert!(
-                free && load::may_be_name(port_name) && load::is_port(port_name),
+                free && may_be_name(port_name) && is_port(port_name),
                 "{name} cannot have a port `{port_name}`"
             );
             let fits = |text: &str| port.kind.admit(&Value::text(text)).is_some();
-            let right =
-                port.default.is_none_or(|text| load::key_of("", text).is_some() || fits(text));
+            let right = port.default.is_none_or(|text| key_of("", text).is_some() || fits(text));
             assert!(right, "the default of `{port_name}` of {name} is no {}", port.kind.name());
         }
         let model = LeafModel { name: name.to_owned(), kind, ports, make };
@@ -82,31 +80,6 @@ impl Factory {
     /// Gives a number a name that scripts and cases of `Switch` can use.
     pub fn enum_value(&mut self, name: &str, number: i64) {
         self.enums.insert(name.to_owned(), number);
-    }
-
-    /// Loads the main tree of a file that includes no other.
-    ///
-    /// # Errors
-    ///
-    /// All that is wrong with the file.
-    pub fn load(&self, file: &str, text: &str) -> Result<Tree, TreeErrors> {
-        self.load_with(file, text, None, &mut |_| Err("no files are included here".into()))
-    }
-
-    /// Loads a tree: the one that `main` names, or else the file's main tree. `include` gives the
-    /// text of an included file, whose path is relative to the same folder as `file`.
-    ///
-    /// # Errors
-    ///
-    /// All that is wrong with the files.
-    pub fn load_with(
-        &self,
-        file: &str,
-        text: &str,
-        main: Option<&str>,
-        include: &mut dyn FnMut(&str) -> Result<String, String>,
-    ) -> Result<Tree, TreeErrors> {
-        load::load(self, file, text, main, include)
     }
 
     /// The `TreeNodesModel` of the application's leaves, as a file that Groot2 loads.

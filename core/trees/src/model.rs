@@ -1,10 +1,10 @@
-//! Which types of nodes there are: their names, ports and how many children they have.
+//! The types of nodes: their names, ports and numbers of children.
 
 use crate::status::Status;
 use crate::value::{PortType, PortValue};
 use std::ops::RangeInclusive;
 
-/// Which way a value goes through a port.
+/// The direction of a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PortDirection {
     /// The node reads it.
@@ -55,7 +55,7 @@ impl Port {
         Port::new(name, PortDirection::InOut, T::TYPE)
     }
 
-    /// What the port is where a tree does not give it, as a tree would write it: `3.0` or `{key}`.
+    /// The port's default, as a tree would write it: `3.0` or `{key}`.
     pub const fn or(mut self, default: &'static str) -> Port {
         self.default = Some(default);
         self
@@ -79,7 +79,7 @@ impl Port {
     }
 }
 
-/// What the text of a port means.
+/// The meaning of a port's text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PortRole {
     /// A value, or in braces the entry that holds it.
@@ -92,7 +92,7 @@ pub(crate) enum PortRole {
     Entry,
 }
 
-/// How a leaf of the application is called.
+/// The kinds of leaves of the application.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LeafKind {
     /// Called in each tick; may answer RUNNING.
@@ -103,11 +103,11 @@ pub enum LeafKind {
     Action,
 }
 
-/// What a node does.
+/// The types of nodes, some of which differ in a parameter only.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum Kind {
     /// `Sequence`, `Fallback` and their like.
-    Ordered(Order),
+    Ordered(ChildOrder),
     /// `ReactiveSequence` and `ReactiveFallback`.
     Reactive {
         go: Status,
@@ -147,9 +147,9 @@ pub(crate) enum Kind {
     Leaf(LeafKind),
 }
 
-/// How children are ticked in turn.
+/// A rule by which children are ticked in turn.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Order {
+pub(crate) struct ChildOrder {
     /// The answer after which the next child is ticked; any other one stops.
     pub(crate) go: Status,
     /// A child that is done at once ends the tick.
@@ -158,16 +158,17 @@ pub(crate) struct Order {
     pub(crate) keeps: bool,
 }
 
-impl Order {
-    pub(crate) const SEQUENCE: Order = Order { go: Status::Success, yields: false, keeps: false };
-    const FALLBACK: Order = Order { go: Status::Failure, ..Order::SEQUENCE };
-    const ASYNC_SEQUENCE: Order = Order { yields: true, ..Order::SEQUENCE };
-    const ASYNC_FALLBACK: Order = Order { yields: true, ..Order::FALLBACK };
-    const WITH_MEMORY: Order = Order { keeps: true, ..Order::ASYNC_SEQUENCE };
+impl ChildOrder {
+    pub(crate) const SEQUENCE: ChildOrder =
+        ChildOrder { go: Status::Success, yields: false, keeps: false };
+    const FALLBACK: ChildOrder = ChildOrder { go: Status::Failure, ..ChildOrder::SEQUENCE };
+    const ASYNC_SEQUENCE: ChildOrder = ChildOrder { yields: true, ..ChildOrder::SEQUENCE };
+    const ASYNC_FALLBACK: ChildOrder = ChildOrder { yields: true, ..ChildOrder::FALLBACK };
+    const WITH_MEMORY: ChildOrder = ChildOrder { keeps: true, ..ChildOrder::ASYNC_SEQUENCE };
 }
 
 impl Kind {
-    /// How many children a node may have.
+    /// The numbers of children that a node may have.
     pub(crate) fn children(self) -> RangeInclusive<usize> {
         use Kind::*;
         match self {
@@ -204,18 +205,18 @@ const SWITCH: [Port; 7] = [
     Port::input::<String>("case_6").optional(),
 ];
 
-/// The name of a type of node, what it does, and its ports.
+/// The name, kind and ports of a type of node.
 pub(crate) type Builtin = (&'static str, Kind, &'static [Port]);
 
 /// All types of nodes of BehaviorTree.CPP 4.10 that need no application, but for
 /// `ManualSelector`, which asks on a terminal.
 pub(crate) static BUILTINS: [Builtin; 42] = [
-    ("Sequence", Kind::Ordered(Order::SEQUENCE), &[]),
-    ("AsyncSequence", Kind::Ordered(Order::ASYNC_SEQUENCE), &[]),
-    ("SequenceWithMemory", Kind::Ordered(Order::WITH_MEMORY), &[]),
+    ("Sequence", Kind::Ordered(ChildOrder::SEQUENCE), &[]),
+    ("AsyncSequence", Kind::Ordered(ChildOrder::ASYNC_SEQUENCE), &[]),
+    ("SequenceWithMemory", Kind::Ordered(ChildOrder::WITH_MEMORY), &[]),
     ("ReactiveSequence", Kind::Reactive { go: Status::Success }, &[]),
-    ("Fallback", Kind::Ordered(Order::FALLBACK), &[]),
-    ("AsyncFallback", Kind::Ordered(Order::ASYNC_FALLBACK), &[]),
+    ("Fallback", Kind::Ordered(ChildOrder::FALLBACK), &[]),
+    ("AsyncFallback", Kind::Ordered(ChildOrder::ASYNC_FALLBACK), &[]),
     ("ReactiveFallback", Kind::Reactive { go: Status::Failure }, &[]),
     (
         "Parallel",
@@ -282,3 +283,24 @@ pub(crate) static BUILTINS: [Builtin; 42] = [
     ("Sleep", Kind::Sleep, &[Port::input::<u32>("msec")]),
     ("WasEntryUpdated", Kind::WasEntryUpdated, &[ENTRY]),
 ];
+
+/// Whether nodes and trees may have this name.
+pub(crate) fn may_be_name(name: &str) -> bool {
+    let forbidden = |c: char| c.is_control() || " <>&\"'/\\:*?|.".contains(c);
+    !name.is_empty() && !name.eq_ignore_ascii_case("root") && !name.contains(forbidden)
+}
+
+/// Whether an attribute of this name connects a port: not `name`, `ID` and what begins with `_`.
+pub(crate) fn is_port(name: &str) -> bool {
+    name.starts_with(|c: char| c.is_ascii_alphabetic()) && name != "name" && name != "ID"
+}
+
+/// The key that the text of a port names, if it names one: `{key}` with blanks around it, or `{=}`
+/// and `=` for the port's own name.
+pub(crate) fn key_of<'a>(port: &'a str, text: &'a str) -> Option<&'a str> {
+    if text == "=" {
+        return Some(port);
+    }
+    let key = text.trim_matches(' ').strip_prefix('{')?.strip_suffix('}')?;
+    Some(if key == "=" { port } else { key.trim_matches(' ') })
+}

@@ -1,4 +1,4 @@
-//! What a node of a tree answers.
+//! The statuses of nodes.
 
 use std::fmt;
 
@@ -10,11 +10,11 @@ pub enum Status {
     Idle,
     /// Started and not finished.
     Running,
-    /// Finished; what it was to do is done.
+    /// Finished: the node's task is done.
     Success,
-    /// Finished; what it was to do is not done.
+    /// Finished: the node's task is not done.
     Failure,
-    /// Not started, because a condition of the node told so.
+    /// Not started, because of a condition of the node.
     Skipped,
 }
 

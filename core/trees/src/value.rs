@@ -161,7 +161,7 @@ fn admit<T: PortValue>(value: &Value) -> Option<Value> {
 pub trait PortValue: Sized + 'static {
     /// The type as models name it.
     const TYPE: PortType;
-    /// How models name the type of a list of such values.
+    /// The name of a list of such values in models.
     const LIST: &'static str = "std::vector";
 
     /// Reads the value, of which a text is to be parsed; none if it does not convert.

@@ -3,14 +3,14 @@
 use super::definitions::Definitions;
 use super::problem::Problem;
 use super::source::{Attribute, Element, MAX_DEPTH, Named, Place, Sources, nearest};
-use super::{CONDITIONS, EXPLICIT, NodeType, is_port, key_of};
+use super::{CONDITIONS, EXPLICIT, NodeType};
 use crate::blackboard::{BoardId, KeyId};
 use crate::factory::Factory;
-use crate::model::{BUILTINS, Kind, Port, PortDirection, PortRole};
+use crate::model::{BUILTINS, Kind, Port, PortDirection, PortRole, is_port, key_of};
 use crate::script;
 use crate::status::Status;
 use crate::tree::{
-    Binding, BoundPort, Code, Label, LeafState, LoopQueue, Tree, TreeNode, TreeNodeId,
+    BoundPort, Code, LeafState, LoopQueue, NodeLabel, PortBinding, Tree, TreeNode, TreeNodeId,
 };
 use crate::value::{PortValue, Value};
 use std::collections::{BTreeSet, VecDeque};
@@ -49,11 +49,11 @@ struct Builder<'a> {
     bytes: usize,
 }
 
-/// Where in the tree a node stands.
+/// The surroundings of a node.
 #[derive(Clone, Copy)]
 struct Scope<'a> {
     board: BoardId,
-    /// With what its path begins.
+    /// The beginning of its path.
     prefix: &'a str,
     depth: u32,
 }
@@ -105,7 +105,7 @@ impl<'a> Builder<'a> {
             part,
             ..TreeNode::default()
         });
-        let label = Label { path: path.clone(), type_name: type_name.to_owned(), depth };
+        let label = NodeLabel { path: path.clone(), type_name: type_name.to_owned(), depth };
         self.tree.labels.push(label);
         let mut children = Vec::new();
         if let Some(id) = element.attribute("ID").filter(|_| is_subtree) {
@@ -199,7 +199,7 @@ impl<'a> Builder<'a> {
         path
     }
 
-    /// What of a node lies in a list of its own.
+    /// Adds the part of a node that lies in a list of its own; its index there.
     fn part(
         &mut self,
         element: &Element,
@@ -281,11 +281,11 @@ impl<'a> Builder<'a> {
                         let (node, port) = (node.name.into(), port.name.into());
                         self.sources.error(element.place, Problem::MissingPort { node, port });
                     }
-                    Binding::Missing
+                    PortBinding::Missing
                 }
             };
             let children = element.children.len();
-            if let (Kind::Parallel | Kind::ParallelAll, Binding::Literal(Value::Int(threshold))) =
+            if let (Kind::Parallel | Kind::ParallelAll, PortBinding::Literal(Value::Int(threshold))) =
                 (node.kind, &binding)
                 && i64::try_from(children).is_ok_and(|children| *threshold > children)
             {
@@ -296,18 +296,18 @@ impl<'a> Builder<'a> {
         }
     }
 
-    fn binding(&mut self, port: &Port, board: BoardId, text: &str, place: Place) -> Binding {
+    fn binding(&mut self, port: &Port, board: BoardId, text: &str, place: Place) -> PortBinding {
         match (key_of(port.name, text), port.role) {
-            (_, PortRole::Script) => return Binding::Missing,
-            (None, PortRole::Name) => return Binding::Entry(self.key(board, text, place)),
-            (None, PortRole::Entry) => return Binding::Key(self.key(board, text, place)),
+            (_, PortRole::Script) => return PortBinding::Missing,
+            (None, PortRole::Name) => return PortBinding::Entry(self.key(board, text, place)),
+            (None, PortRole::Entry) => return PortBinding::Key(self.key(board, text, place)),
             (Some(key), _) => {
                 let id = self.key(board, key, place);
                 if let Err(known) = self.tree.board.declare(id, port.kind) {
                     let (key, known, kind) = (key.to_owned(), known.name(), port.kind.name());
                     self.sources.error(place, Problem::EntryType { key, known, kind });
                 }
-                return Binding::Key(id);
+                return PortBinding::Key(id);
             }
             (None, PortRole::Value) => {}
         }
@@ -317,9 +317,9 @@ impl<'a> Builder<'a> {
         let idle = port.kind == Status::TYPE && text == Status::Idle.name();
         let Some(value) = port.kind.admit(&Value::text(text)).filter(|_| !idle) else {
             self.sources.no_value(place, text, port.kind.name());
-            return Binding::Missing;
+            return PortBinding::Missing;
         };
-        Binding::Literal(value)
+        PortBinding::Literal(value)
     }
 
     /// The entry that a key means.
@@ -331,7 +331,7 @@ impl<'a> Builder<'a> {
         self.tree.board.key(board, key)
     }
 
-    /// The board of a subtree: which keys are the parent's, and what is written into it at once.
+    /// The board of a subtree, with the keys that are the parent's and the literals in it.
     fn inner_board(&mut self, element: &'a Element, id: &Attribute, outer: BoardId) -> BoardId {
         let given = element.attributes.iter().filter(|given| is_port(&given.name));
         let mut ports: Named<(&str, Place)> =

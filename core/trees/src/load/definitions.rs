@@ -1,9 +1,10 @@
-//! What the files of a tree hold: trees, and models of nodes.
+//! The contents of a tree's files: trees, and models of nodes.
 
 use super::NodeType;
 use super::problem::Problem;
 use super::source::{Attribute, Element, MAX_DEPTH, Named, Place, Sources};
 use crate::factory::Factory;
+use crate::model::may_be_name;
 use std::collections::BTreeSet;
 
 /// The trees by their names, and the models of subtrees.
@@ -25,7 +26,7 @@ impl Definitions {
         self.trees.get(name)?.as_ref()
     }
 
-    /// Sorts what the files hold.
+    /// Sorts the contents of the files.
     pub(super) fn of(factory: &Factory, sources: &mut Sources) -> Definitions {
         let mut definitions = Definitions::default();
         let elements = std::mem::take(&mut sources.elements);
@@ -144,10 +145,4 @@ fn collect_subtrees<'a>(element: &'a Element, found: &mut Vec<&'a Attribute>) {
         found.extend(element.attribute("ID"));
     }
     element.children.iter().for_each(|child| collect_subtrees(child, found));
-}
-
-/// Whether nodes and trees may have this name.
-pub(crate) fn may_be_name(name: &str) -> bool {
-    let forbidden = |c: char| c.is_control() || " <>&\"'/\\:*?|.".contains(c);
-    !name.is_empty() && !name.eq_ignore_ascii_case("root") && !name.contains(forbidden)
 }

@@ -7,8 +7,6 @@ mod source;
 
 pub use problem::{Problem, TreeError, TreeErrors};
 
-pub(crate) use definitions::may_be_name;
-
 use crate::factory::Factory;
 use crate::model::{BUILTINS, Kind, Port};
 use crate::tree::{LeafModel, Tree};
@@ -16,26 +14,42 @@ use definitions::Definitions;
 use source::{Element, Place, Sources};
 use std::sync::Arc;
 
-/// Loads the main tree of a file.
-pub(crate) fn load(
-    factory: &Factory,
-    file: &str,
-    text: &str,
-    main: Option<&str>,
-    include: source::Include<'_>,
-) -> Result<Tree, TreeErrors> {
-    let mut sources = Sources::default();
-    sources.read(file, text, include);
-    let definitions = Definitions::of(factory, &mut sources);
-    // Every tree is checked, whether it is used or not.
-    for root in definitions.trees.values().flatten() {
-        build::build(factory, &mut sources, &definitions, root, false);
+impl Factory {
+    /// Loads the main tree of a file that includes no other.
+    ///
+    /// # Errors
+    ///
+    /// All that is wrong with the file.
+    pub fn load(&self, file: &str, text: &str) -> Result<Tree, TreeErrors> {
+        self.load_with(file, text, None, &mut |_| Err("no files are included here".into()))
     }
-    let root = main_tree(&mut sources, &definitions, main);
-    let root = root.filter(|_| sources.errors.is_empty());
-    let tree = root.map(|root| build::build(factory, &mut sources, &definitions, root, true));
-    let errors = sources.errors;
-    tree.filter(|_| errors.is_empty()).ok_or(TreeErrors { errors })
+
+    /// Loads a tree: the one that `main` names, or else the file's main tree. `include` gives the
+    /// text of an included file, whose path is relative to the same folder as `file`.
+    ///
+    /// # Errors
+    ///
+    /// All that is wrong with the files.
+    pub fn load_with(
+        &self,
+        file: &str,
+        text: &str,
+        main: Option<&str>,
+        include: &mut dyn FnMut(&str) -> Result<String, String>,
+    ) -> Result<Tree, TreeErrors> {
+        let mut sources = Sources::default();
+        sources.read(file, text, include);
+        let definitions = Definitions::of(self, &mut sources);
+        // Every tree is checked, whether it is used or not.
+        for root in definitions.trees.values().flatten() {
+            build::build(self, &mut sources, &definitions, root, false);
+        }
+        let root = main_tree(&mut sources, &definitions, main);
+        let root = root.filter(|_| sources.errors.is_empty());
+        let tree = root.map(|root| build::build(self, &mut sources, &definitions, root, true));
+        let errors = sources.errors;
+        tree.filter(|_| errors.is_empty()).ok_or(TreeErrors { errors })
+    }
 }
 
 /// The tree that the caller names, else that of the first file, else the only one.
@@ -61,12 +75,12 @@ fn main_tree<'a>(
 /// Elements whose `ID` is the type of a node. Which of them it is makes no difference.
 const EXPLICIT: [&str; 4] = ["Action", "Condition", "Control", "Decorator"];
 
-/// What an element is.
+/// The type of a node.
 struct NodeType<'a> {
     name: &'a str,
     kind: Kind,
     ports: &'a [Port],
-    /// What the application has registered.
+    /// The application's own leaf.
     leaf: Option<&'a Arc<LeafModel>>,
 }
 
@@ -81,16 +95,6 @@ impl<'a> NodeType<'a> {
     }
 }
 
-/// The key that the text of a port names, if it names one: `{key}` with blanks around it, or `{=}`
-/// and `=` for the port's own name.
-pub(crate) fn key_of<'a>(port: &'a str, text: &'a str) -> Option<&'a str> {
-    if text == "=" {
-        return Some(port);
-    }
-    let key = text.trim_matches(' ').strip_prefix('{')?.strip_suffix('}')?;
-    Some(if key == "=" { port } else { key.trim_matches(' ') })
-}
-
 /// The conditions of nodes: those that are looked at before a tick, and what is run after it.
 const CONDITIONS: [&str; 8] = [
     "_failureIf",
@@ -102,8 +106,3 @@ const CONDITIONS: [&str; 8] = [
     "_post",
     "_onHalted",
 ];
-
-/// Whether an attribute of this name connects a port: not `name`, `ID` and what begins with `_`.
-pub(crate) fn is_port(name: &str) -> bool {
-    name.starts_with(|c: char| c.is_ascii_alphabetic()) && name != "name" && name != "ID"
-}

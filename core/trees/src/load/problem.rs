@@ -1,8 +1,8 @@
-//! What can be wrong with a file, and how it is shown.
+//! The errors of files, and their text.
 
 use std::fmt;
 
-/// All that is wrong with a tree's files.
+/// All errors of a tree's files.
 #[derive(Debug, thiserror::Error)]
 pub struct TreeErrors {
     pub(super) errors: Vec<TreeError>,
@@ -25,7 +25,7 @@ impl fmt::Display for TreeErrors {
     }
 }
 
-/// One thing that is wrong, and where.
+/// One error of a file, and its place.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{file}:{line}:{column}: {problem}{}\n{}", hint(.suggestion), marked(.line, .column, .excerpt))]
 #[non_exhaustive]
@@ -38,7 +38,7 @@ pub struct TreeError {
     pub column: usize,
     /// The line's text, of a long line what is near the column.
     pub excerpt: String,
-    /// What is wrong.
+    /// The error.
     pub problem: Problem,
     /// The nearest right spelling.
     pub suggestion: Option<String>,
@@ -48,7 +48,7 @@ fn hint(suggestion: &Option<String>) -> String {
     suggestion.as_ref().map(|right| format!("; did you mean `{right}`?")).unwrap_or_default()
 }
 
-/// How many characters of a line stand before its excerpt.
+/// The number of characters before the excerpt of a line.
 pub(super) fn skipped(column: usize) -> usize {
     column.saturating_sub(41)
 }
@@ -61,7 +61,7 @@ fn marked(line: &usize, column: &usize, excerpt: &str) -> String {
     format!("  {number} | {excerpt}\n  {blanks} | {mark}^")
 }
 
-/// What is wrong with a place in a file.
+/// An error of a file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Problem {
@@ -91,7 +91,7 @@ pub enum Problem {
     Include {
         /// The file.
         path: String,
-        /// Why.
+        /// The reason.
         reason: String,
     },
     /// Files that include each other, or trees that contain each other.
@@ -138,9 +138,9 @@ pub enum Problem {
     Children {
         /// The node's type.
         node: String,
-        /// How many it has.
+        /// The number that it has.
         found: usize,
-        /// How many it may have.
+        /// The numbers that it may have.
         expected: String,
     },
     /// More than one child can be interrupted between its children.
@@ -149,9 +149,9 @@ pub enum Problem {
     /// A threshold that the number of children cannot reach.
     #[error("a threshold of {threshold} with {children} children")]
     Threshold {
-        /// How many are to succeed or to fail.
+        /// The number of children that are to succeed or to fail.
         threshold: i64,
-        /// How many there are.
+        /// The number of children.
         children: usize,
     },
     /// Two ports of different types use one entry.

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 pub(super) const MAX_DEPTH: usize = 256;
 /// A hand-written file has a hundred kilobytes at most.
 const MAX_FILE: usize = 4 << 20;
-/// Behind so many errors stand no further ones that a person would read.
+/// A user corrects these first.
 const MAX_ERRORS: usize = 100;
 
 /// A line may be the whole file: 40 characters before the place and 60 behind it are shown.
@@ -37,7 +37,7 @@ pub(super) struct Attribute {
     pub(super) name: String,
     pub(super) value: String,
     pub(super) place: Place,
-    /// Where the value is written.
+    /// The place of the value.
     pub(super) value_place: Place,
 }
 
@@ -51,7 +51,7 @@ impl Element {
     }
 }
 
-/// The files, and what has been found wrong with them.
+/// The files, and their errors.
 #[derive(Default)]
 pub(super) struct Sources {
     /// Names and texts.
@@ -193,12 +193,12 @@ impl Sources {
         self.misspelt(place, problem, port, node.ports.iter().map(|port| port.name));
     }
 
-    /// Notes what is wrong.
+    /// Notes an error.
     pub(super) fn error(&mut self, place: Place, problem: Problem) {
         self.misspelt(place, problem, "", []);
     }
 
-    /// Notes what is wrong, with the known word that is nearest to the one that was written.
+    /// Notes an error, with the known word that is nearest to the one that was written.
     pub(super) fn misspelt<'a>(
         &mut self,
         place: Place,
@@ -224,7 +224,7 @@ impl Sources {
         });
     }
 
-    /// Where this byte of an attribute's value is written: an entity is several bytes long.
+    /// The place of this byte of an attribute's value. An entity is several bytes long in the file.
     pub(super) fn within(&self, attribute: &Attribute, at: usize) -> Place {
         let Place { file, at: start } = attribute.value_place;
         let (mut decoded, mut entity) = (0, false);

@@ -8,7 +8,7 @@ use crate::value::{PortValue, Value};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Why a script cannot be run to its end.
+/// The error of a script that runs.
 #[derive(Clone, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScriptError {
@@ -23,7 +23,7 @@ pub enum ScriptError {
     Type {
         /// The entry's name.
         entry: Arc<str>,
-        /// What it keeps.
+        /// The type that it keeps.
         kind: &'static str,
         /// The value that was to be written.
         value: Value,

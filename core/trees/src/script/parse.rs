@@ -1,25 +1,17 @@
 //! Reads a script: a Pratt parser.
 
-use super::token::{Token, tokens};
+use super::token::{ParseError, Token, tokens};
 use super::{Expr, Script};
 use crate::blackboard::KeyId;
 use crate::value::Value;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// Why a text is no script.
-#[derive(Debug)]
-pub(crate) struct ParseError {
-    /// Where in the text, in bytes.
-    pub(crate) at: usize,
-    pub(crate) what: Cow<'static, str>,
-}
-
 /// Scripts are short; the bounds keep the recursion that reads and runs them shallow.
 const MAX_SYMBOLS: usize = 1_000;
 const MAX_DEPTH: usize = 64;
 
-/// How tight an operator binds; 0 if it stands between no operands.
+/// The tightness of an operator; 0 if it stands between no operands.
 fn binding(operator: &str) -> u8 {
     match operator {
         ":=" | "=" | "+=" | "-=" | "*=" | "/=" => ASSIGNMENT,
@@ -151,7 +143,7 @@ impl<'a> Parser<'a> {
         Ok(left)
     }
 
-    /// What stands between operators.
+    /// An operand.
     fn operand(&mut self) -> Result<Expr, ParseError> {
         let at = self.next;
         let operand = match self.take() {

@@ -1,7 +1,14 @@
 //! The symbols of a script.
 
-use super::parse::ParseError;
 use std::borrow::Cow;
+
+/// The error of a text that is no script.
+#[derive(Debug)]
+pub(crate) struct ParseError {
+    /// The byte of the text.
+    pub(crate) at: usize,
+    pub(crate) what: Cow<'static, str>,
+}
 
 /// One symbol.
 #[derive(Clone, Copy, Debug, PartialEq)]

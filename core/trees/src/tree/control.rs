@@ -1,8 +1,8 @@
 //! The nodes with several children.
 
-use super::execute::Tick;
+use super::execute::NodeAnswer;
 use super::{TickError, TickProblem, Tree, TreeNodeId};
-use crate::model::Order;
+use crate::model::ChildOrder;
 use crate::script::equal;
 use crate::status::Status;
 use crate::value::Value;
@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 impl Tree {
     /// The first so many children in turn. `memory.index` is the present one, and `memory.count`
     /// counts the skipped ones of a run.
-    pub(super) fn ordered(&mut self, id: TreeNodeId, order: Order, count: u32) -> Tick {
+    pub(super) fn ordered(&mut self, id: TreeNodeId, order: ChildOrder, count: u32) -> NodeAnswer {
         let node = self.node_mut(id);
         if node.status == Status::Idle {
             node.memory.count = 0;
@@ -51,7 +51,7 @@ impl Tree {
     }
 
     /// `ReactiveSequence` and `ReactiveFallback`: from the first child on in each tick.
-    pub(super) fn reactive(&mut self, id: TreeNodeId, go: Status) -> Tick {
+    pub(super) fn reactive(&mut self, id: TreeNodeId, go: Status) -> NodeAnswer {
         self.node_mut(id).status = Status::Running;
         let mut all_skipped = true;
         for index in 0..self.node(id).child_count {
@@ -95,7 +95,7 @@ impl Tree {
     }
 
     /// `memory.count` and `memory.failures` count the children that are done.
-    pub(super) fn parallel(&mut self, id: TreeNodeId) -> Tick {
+    pub(super) fn parallel(&mut self, id: TreeNodeId) -> NodeAnswer {
         let (successes, from_above) = self.threshold(id, 0)?;
         let (failures, _) = self.threshold(id, 1)?;
         self.node_mut(id).status = Status::Running;
@@ -116,7 +116,7 @@ impl Tree {
         Ok(if skipped == count { Status::Skipped } else { Status::Running })
     }
 
-    pub(super) fn parallel_all(&mut self, id: TreeNodeId) -> Tick {
+    pub(super) fn parallel_all(&mut self, id: TreeNodeId) -> NodeAnswer {
         let (failures, _) = self.threshold(id, 0)?;
         self.node_mut(id).status = Status::Running;
         let count = self.node(id).child_count;
@@ -137,7 +137,7 @@ impl Tree {
     }
 
     /// Ticks a child that is not done, and counts what it answers.
-    fn tick_undone(&mut self, id: TreeNodeId, index: u32, skipped: &mut u32) -> Tick {
+    fn tick_undone(&mut self, id: TreeNodeId, index: u32, skipped: &mut u32) -> NodeAnswer {
         let child = self.child(id, index);
         if self.node(child).done {
             return Ok(self.node(child).status);
@@ -162,7 +162,7 @@ impl Tree {
     }
 
     /// `memory.index` is the branch that runs; 0 while the condition is looked at.
-    pub(super) fn if_then_else(&mut self, id: TreeNodeId) -> Tick {
+    pub(super) fn if_then_else(&mut self, id: TreeNodeId) -> NodeAnswer {
         self.node_mut(id).status = Status::Running;
         if self.memory(id).index == 0 {
             let branch = match self.execute(self.child(id, 0))? {
@@ -183,7 +183,7 @@ impl Tree {
         Ok(status)
     }
 
-    pub(super) fn while_do_else(&mut self, id: TreeNodeId) -> Tick {
+    pub(super) fn while_do_else(&mut self, id: TreeNodeId) -> NodeAnswer {
         self.node_mut(id).status = Status::Running;
         let has_else = self.node(id).child_count == 3;
         let status = match self.execute(self.child(id, 0))? {
@@ -208,7 +208,7 @@ impl Tree {
     }
 
     /// `memory.index` is the number of the child that runs, from 1; 0 if none does.
-    pub(super) fn switch(&mut self, id: TreeNodeId, cases: u32) -> Tick {
+    pub(super) fn switch(&mut self, id: TreeNodeId, cases: u32) -> NodeAnswer {
         let is_meant = |variable: &Value, case: u32| {
             let case = self.raw(id, case as usize + 1);
             case.is_some_and(|case| same(variable, case, &self.enums))
@@ -229,10 +229,10 @@ impl Tree {
     }
 
     /// A sequence of all children but the last; the flag is set while that one runs.
-    pub(super) fn try_catch(&mut self, id: TreeNodeId) -> Tick {
+    pub(super) fn try_catch(&mut self, id: TreeNodeId) -> NodeAnswer {
         let last = self.node(id).child_count - 1;
         if !self.memory(id).flag {
-            match self.ordered(id, Order::SEQUENCE, last)? {
+            match self.ordered(id, ChildOrder::SEQUENCE, last)? {
                 Status::Failure => self.memory(id).flag = true,
                 status => return Ok(status),
             }

@@ -1,6 +1,6 @@
 //! The nodes with one child.
 
-use super::execute::Tick;
+use super::execute::NodeAnswer;
 use super::{LoopQueue, PortError, Tree, TreeNodeId};
 use crate::status::Status;
 use crate::value::Value;
@@ -8,7 +8,7 @@ use std::time::Duration;
 
 impl Tree {
     /// Ticks the child, and resets it when it is done.
-    fn tick_and_reset(&mut self, id: TreeNodeId) -> Tick {
+    fn tick_and_reset(&mut self, id: TreeNodeId) -> NodeAnswer {
         let status = self.execute(self.child(id, 0))?;
         if status.is_completed() {
             self.reset(self.child(id, 0))?;
@@ -17,7 +17,11 @@ impl Tree {
     }
 
     /// `Inverter`, `ForceSuccess`, `ForceFailure`.
-    pub(super) fn map_child(&mut self, id: TreeNodeId, map: impl Fn(Status) -> Status) -> Tick {
+    pub(super) fn map_child(
+        &mut self,
+        id: TreeNodeId,
+        map: impl Fn(Status) -> Status,
+    ) -> NodeAnswer {
         self.node_mut(id).status = Status::Running;
         let status = self.tick_and_reset(id)?;
         Ok(if status.is_completed() { map(status) } else { status })
@@ -25,7 +29,7 @@ impl Tree {
 
     /// `Repeat` until FAILURE, `RetryUntilSuccessful` until SUCCESS; `memory.count` counts cycles.
     /// A cycle that is done at once ends the tick; one that was RUNNING does not.
-    pub(super) fn repeat(&mut self, id: TreeNodeId, until: Status) -> Tick {
+    pub(super) fn repeat(&mut self, id: TreeNodeId, until: Status) -> NodeAnswer {
         let due = |count: u32, cycles: i32| cycles == -1 || i64::from(count) < i64::from(cycles);
         let mut cycles: i32 = self.port(id, 0)?;
         self.node_mut(id).status = Status::Running;
@@ -58,7 +62,7 @@ impl Tree {
         Ok(Status::from(until == Status::Failure))
     }
 
-    pub(super) fn keep_running(&mut self, id: TreeNodeId) -> Tick {
+    pub(super) fn keep_running(&mut self, id: TreeNodeId) -> NodeAnswer {
         self.node_mut(id).status = Status::Running;
         let status = self.tick_and_reset(id)?;
         Ok(if status == Status::Failure { status } else { Status::Running })
@@ -76,7 +80,7 @@ impl Tree {
         Ok(())
     }
 
-    pub(super) fn delay(&mut self, id: TreeNodeId) -> Tick {
+    pub(super) fn delay(&mut self, id: TreeNodeId) -> NodeAnswer {
         let started = self.memory(id).flag;
         self.start_timer(id)?;
         let deadline = self.memory(id).time;
@@ -92,7 +96,7 @@ impl Tree {
     }
 
     /// Without a limit if that is 0 ms.
-    pub(super) fn timeout(&mut self, id: TreeNodeId) -> Tick {
+    pub(super) fn timeout(&mut self, id: TreeNodeId) -> NodeAnswer {
         let limited = self.port::<u32>(id, 0)? > 0;
         self.start_timer(id)?;
         let deadline = self.memory(id).time;
@@ -113,7 +117,7 @@ impl Tree {
     }
 
     /// The flag is set when the child has answered once, for ever, and `memory.status` is that.
-    pub(super) fn run_once(&mut self, id: TreeNodeId) -> Tick {
+    pub(super) fn run_once(&mut self, id: TreeNodeId) -> NodeAnswer {
         let then_skip = self.port(id, 0)?;
         let memory = self.memory(id);
         if memory.flag {
@@ -127,7 +131,7 @@ impl Tree {
     }
 
     /// The flag is set from when the condition holds to the child's answer.
-    pub(super) fn precondition(&mut self, id: TreeNodeId) -> Tick {
+    pub(super) fn precondition(&mut self, id: TreeNodeId) -> NodeAnswer {
         if !self.memory(id).flag {
             if !self.holds(id, self.node(id).part)? {
                 return self.port(id, 1);
@@ -142,7 +146,7 @@ impl Tree {
     }
 
     /// The flag is set while the child runs.
-    pub(super) fn tick_loop(&mut self, id: TreeNodeId) -> Tick {
+    pub(super) fn tick_loop(&mut self, id: TreeNodeId) -> NodeAnswer {
         let part = self.node(id).part as usize;
         if self.node(id).status == Status::Idle {
             self.memory(id).flag = false;
@@ -192,7 +196,7 @@ impl Tree {
     }
 
     /// `SkipUnlessUpdated` and `WaitValueUpdate`. The flag is set while the child runs.
-    pub(super) fn updated(&mut self, id: TreeNodeId, otherwise: Status) -> Tick {
+    pub(super) fn updated(&mut self, id: TreeNodeId, otherwise: Status) -> NodeAnswer {
         if !self.memory(id).flag && !self.is_updated(id) {
             return Ok(otherwise);
         }
@@ -210,7 +214,7 @@ impl Tree {
         std::mem::replace(&mut self.memory(id).writes, writes) != writes
     }
 
-    pub(super) fn subtree(&mut self, id: TreeNodeId) -> Tick {
+    pub(super) fn subtree(&mut self, id: TreeNodeId) -> NodeAnswer {
         let node = self.node_mut(id);
         if node.status == Status::Idle {
             node.status = Status::Running;

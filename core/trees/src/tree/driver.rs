@@ -1,6 +1,6 @@
 //! The leaves of the application, and what the driver decides about them from outside.
 
-use super::execute::Tick;
+use super::execute::NodeAnswer;
 use super::leaf::{Halt, Leaf, LeafContext, LeafRun, LeafState};
 use super::{TickProblem, Tree, TreeNodeId};
 use crate::model::{Kind, LeafKind};
@@ -8,7 +8,7 @@ use crate::status::Status;
 use std::time::Duration;
 
 impl Tree {
-    pub(super) fn tick_leaf(&mut self, id: TreeNodeId, kind: LeafKind) -> Tick {
+    pub(super) fn tick_leaf(&mut self, id: TreeNodeId, kind: LeafKind) -> NodeAnswer {
         let part = self.node(id).part as usize;
         let status = self.node(id).status;
         let state = &mut self.leaves[part];
@@ -124,7 +124,7 @@ impl Tree {
         current && self.answer(run, Some(status))
     }
 
-    /// What the next tick of a leaf answers, or none for a new start.
+    /// Sets the answer of a leaf's next tick; none starts the leaf again.
     fn answer(&mut self, run: LeafRun, answer: Option<Status>) -> bool {
         let state = self.leaf_mut(run.node);
         (state.answer, state.deferred) = (answer, answer.is_none());
@@ -163,7 +163,7 @@ impl Tree {
         is_action && node.status == Status::Running && !state.deferred
     }
 
-    /// What a leaf that runs sees, for a driver that reads its ports or writes its results.
+    /// The context of a leaf that runs, for a driver that reads its ports or writes its results.
     pub fn leaf_context(&mut self, run: LeafRun) -> Option<LeafContext<'_>> {
         self.is_current(run).then_some(LeafContext { tree: self, run })
     }

@@ -1,4 +1,4 @@
-//! Why a tick, or the reading of a port, fails.
+//! The errors of ticks and of ports.
 
 use super::TreeNodeId;
 use crate::script::ScriptError;
@@ -7,7 +7,7 @@ use crate::status::Status;
 /// The error of a leaf, of any type.
 pub type LeafError = Box<dyn std::error::Error + Send + Sync>;
 
-/// Why a port cannot be read or written.
+/// The error of a port that cannot be read or written.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PortError {
@@ -46,12 +46,12 @@ pub struct TickError {
     pub node: TreeNodeId,
     /// The node's path.
     pub path: String,
-    /// What happened.
+    /// The cause.
     #[source]
     pub problem: TickProblem,
 }
 
-/// What is wrong with a tick.
+/// The cause of a failed tick.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TickProblem {
@@ -60,7 +60,7 @@ pub enum TickProblem {
     Script {
         /// The script.
         text: String,
-        /// Why.
+        /// The script's error.
         error: ScriptError,
     },
     /// A port cannot be read or written.
@@ -75,9 +75,9 @@ pub enum TickProblem {
     /// `Parallel` and `ParallelAll` have fewer children than a threshold.
     #[error("a threshold of {threshold} with {children} children")]
     Threshold {
-        /// How many are to succeed or to fail.
+        /// The number of children that are to succeed or to fail.
         threshold: u32,
-        /// How many there are.
+        /// The number of children.
         children: u32,
     },
     /// The tree has made up too many keys.

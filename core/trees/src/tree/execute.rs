@@ -1,23 +1,24 @@
 //! Ticks, resets and halts one node, whatever its type.
 
 use super::{Code, TickError, TickProblem, Tree, TreeNodeId};
-use crate::model::{Kind, Order};
+use crate::model::{ChildOrder, Kind};
 use crate::script::{ScriptError, truth};
 use crate::status::Status;
 use crate::value::{PortValue, Value};
 
-/// What a node answers in a tick.
-pub(super) type Tick = Result<Status, Box<TickError>>;
+/// The answer of a node in a tick.
+pub(super) type NodeAnswer = Result<Status, Box<TickError>>;
 
-/// Whether a script holds, or the error of a node.
+/// A result, or the error of a node.
 type Checked<T> = Result<T, Box<TickError>>;
 
-/// What `_failureIf`, `_successIf` and `_skipIf` answer where they hold, and `_while` where not.
+/// The answers of `_failureIf`, `_successIf` and `_skipIf` where they hold, and of `_while` where
+/// it does not.
 const BEFORE: [Status; 4] = [Status::Failure, Status::Success, Status::Skipped, Status::Skipped];
 
 impl Tree {
     /// Ticks a node: its conditions before, itself, its scripts after.
-    pub(super) fn execute(&mut self, id: TreeNodeId) -> Tick {
+    pub(super) fn execute(&mut self, id: TreeNodeId) -> NodeAnswer {
         let status = match self.check_before(id)? {
             Some(status) => status,
             None => self.tick_kind(id)?,
@@ -43,7 +44,7 @@ impl Tree {
         Ok(status)
     }
 
-    fn tick_kind(&mut self, id: TreeNodeId) -> Tick {
+    fn tick_kind(&mut self, id: TreeNodeId) -> NodeAnswer {
         match self.node(id).kind {
             Kind::Ordered(order) => self.ordered(id, order, self.node(id).child_count),
             Kind::Reactive { go } => self.reactive(id, go),
@@ -78,7 +79,7 @@ impl Tree {
         }
     }
 
-    /// What the conditions of a node decide. All but `_while` are looked at only before it starts.
+    /// The decision of a node's conditions. All but `_while` are looked at only before it starts.
     fn check_before(&mut self, id: TreeNodeId) -> Checked<Option<Status>> {
         let node = self.node(id);
         let Some(hooks) = node.hooks else { return Ok(None) };
@@ -146,13 +147,13 @@ impl Tree {
         self.run_hook(id, 7)
     }
 
-    /// Resets the children, and forgets what the type of node forgets when it is halted.
+    /// Resets the children, and the memory that does not outlive a halt.
     pub(super) fn clear(&mut self, id: TreeNodeId) -> Checked<()> {
         let node = self.node_mut(id);
         let memory = &mut node.memory;
         match node.kind {
             // Their memory outlives a halt.
-            Kind::Ordered(Order { keeps: true, .. })
+            Kind::Ordered(ChildOrder { keeps: true, .. })
             | Kind::RunOnce
             | Kind::Precondition
             | Kind::WasEntryUpdated => {}

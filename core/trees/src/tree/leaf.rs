@@ -1,4 +1,4 @@
-//! Leaves of the application, and what they see of the tree.
+//! Leaves of the application, and their view of the tree.
 
 use super::{LeafError, PortError, Tree, TreeNodeId};
 use crate::blackboard::KeyId;
@@ -8,7 +8,7 @@ use crate::value::{PortValue, Value};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// What a leaf answers.
+/// The answer of a leaf.
 pub type LeafResult = Result<Status, LeafError>;
 
 /// Whether a halted leaf has come to rest.
@@ -22,8 +22,8 @@ pub enum Halt {
 
 /// A leaf of the application that keeps something from one call to the next.
 ///
-/// An action that waits for something outside answers RUNNING from `start`; its driver calls
-/// [`Tree::complete`] with what [`LeafContext::run`] has told.
+/// An action that waits for something outside answers RUNNING from `start`. Its driver later calls
+/// [`Tree::complete`] with the value of [`LeafContext::run`].
 ///
 /// ```
 /// use blastema_trees::{Factory, Halt, Leaf, LeafContext, LeafResult, Port, Status};
@@ -75,7 +75,7 @@ pub trait Leaf: Send + 'static {
         Vec::new()
     }
 
-    /// How the leaf is called. A condition, and an action that is done at once, has only `start`.
+    /// The kind of leaf. Conditions, and actions that are done at once, have only `start`.
     fn kind() -> LeafKind
     where
         Self: Sized,
@@ -137,9 +137,9 @@ pub(crate) struct LeafState {
     pub(crate) body: Option<Box<dyn Leaf>>,
     /// The driver's answer, which the next tick gives.
     pub(crate) answer: Option<Status>,
-    /// How often the leaf has been started.
+    /// The number of starts.
     pub(crate) starts: u32,
-    /// When it was last started.
+    /// The time of the last start.
     pub(crate) since: Duration,
     /// To be started as soon as no leaf is halting.
     pub(crate) deferred: bool,
@@ -164,12 +164,12 @@ pub struct LeafRun {
 #[derive(Debug)]
 pub(crate) struct BoundPort {
     pub(crate) name: &'static str,
-    pub(crate) binding: Binding,
+    pub(crate) binding: PortBinding,
 }
 
-/// What a port of a node is connected to.
+/// The connection of a port.
 #[derive(Clone, Debug)]
-pub(crate) enum Binding {
+pub(crate) enum PortBinding {
     Missing,
     /// Converted already.
     Literal(Value),
@@ -178,7 +178,7 @@ pub(crate) enum Binding {
     Entry(KeyId),
 }
 
-/// What a leaf sees of its tree while it is called.
+/// The tree as a leaf sees it while it is called.
 pub struct LeafContext<'a> {
     pub(super) tree: &'a mut Tree,
     pub(super) run: LeafRun,
@@ -221,7 +221,7 @@ impl LeafContext<'_> {
     /// It is not written yet, or does not convert.
     pub fn optional_input<T: PortValue>(&self, port: &str) -> Result<Option<T>, PortError> {
         let bound = self.bound(port)?;
-        if let Binding::Missing = bound.binding {
+        if let PortBinding::Missing = bound.binding {
             return Ok(None);
         }
         read(self.tree, bound).map(Some)
@@ -233,7 +233,7 @@ impl LeafContext<'_> {
     ///
     /// The entry keeps another type.
     pub fn output<T: PortValue>(&mut self, port: &str, value: T) -> Result<(), PortError> {
-        let Binding::Key(key) = self.bound(port)?.binding else { return Ok(()) };
+        let PortBinding::Key(key) = self.bound(port)?.binding else { return Ok(()) };
         self.tree.board.set(key, value).map_err(|kind| PortError::Type {
             port: port.into(),
             value: T::TYPE.name().into(),
@@ -253,9 +253,9 @@ impl LeafContext<'_> {
 pub(super) fn read<T: PortValue>(tree: &Tree, bound: &BoundPort) -> Result<T, PortError> {
     let port = || bound.name.to_owned();
     let value = match &bound.binding {
-        Binding::Missing | Binding::Entry(_) => return Err(PortError::Missing(port())),
-        Binding::Literal(value) => value,
-        Binding::Key(key) => tree.board.value(*key).ok_or_else(|| {
+        PortBinding::Missing | PortBinding::Entry(_) => return Err(PortError::Missing(port())),
+        PortBinding::Literal(value) => value,
+        PortBinding::Key(key) => tree.board.value(*key).ok_or_else(|| {
             let key = tree.board.name(*key).to_string();
             PortError::Unset { port: port(), key }
         })?,

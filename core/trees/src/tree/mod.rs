@@ -13,7 +13,7 @@ mod execute;
 mod leaf;
 
 pub use error::{LeafError, PortError, TickError, TickProblem};
-pub(crate) use leaf::{Binding, BoundPort, LeafModel, LeafState, MakeLeaf};
+pub(crate) use leaf::{BoundPort, LeafModel, LeafState, MakeLeaf, PortBinding};
 pub use leaf::{Halt, Leaf, LeafContext, LeafResult, LeafRun};
 
 use crate::blackboard::{Blackboard, BoardId, KeyId};
@@ -36,7 +36,7 @@ pub struct TreeNodeId(pub(crate) u32);
 #[derive(Default)]
 pub struct Tree {
     pub(crate) nodes: Vec<TreeNode>,
-    pub(crate) labels: Vec<Label>,
+    pub(crate) labels: Vec<NodeLabel>,
     /// The children of all nodes.
     pub(crate) children: Vec<TreeNodeId>,
     /// The ports of all nodes.
@@ -70,7 +70,7 @@ pub(crate) struct TreeNode {
     pub(crate) kind: Kind,
     pub(crate) is_decorator: bool,
     pub(crate) status: Status,
-    /// What it answered last.
+    /// The last answer.
     pub(crate) answer: Status,
     /// Its parent, a `Parallel` or `ParallelAll`, need not tick it again.
     pub(crate) done: bool,
@@ -85,7 +85,7 @@ pub(crate) struct TreeNode {
     pub(crate) memory: NodeMemory,
 }
 
-/// What a node keeps from one tick to the next; what each field means is the node type's matter.
+/// The memory of a node between ticks; each type of node gives the fields its own meaning.
 #[derive(Debug, Default)]
 pub(crate) struct NodeMemory {
     index: u32,
@@ -97,9 +97,9 @@ pub(crate) struct NodeMemory {
     writes: u64,
 }
 
-/// What of a node only people and errors need.
+/// The names of a node, for monitors and errors.
 #[derive(Debug)]
-pub(crate) struct Label {
+pub(crate) struct NodeLabel {
     pub(crate) path: String,
     /// The name of the node's type, or of the subtree.
     pub(crate) type_name: String,
@@ -121,14 +121,14 @@ pub(crate) struct LoopQueue {
     pub(crate) loaded: bool,
 }
 
-/// A change of what a node answers.
+/// A change of a node's answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StatusChange {
     /// The node.
     pub node: TreeNodeId,
-    /// What it answered before.
+    /// The answer before.
     pub from: Status,
-    /// What it answers now; `Idle` if it has been halted.
+    /// The answer now; `Idle` if the node has been halted.
     pub to: Status,
 }
 
@@ -142,11 +142,11 @@ pub struct NodeView<'a> {
     pub path: &'a str,
     /// The name of its type, or of the subtree.
     pub type_name: &'a str,
-    /// How many nodes stand above it.
+    /// The number of nodes above it.
     pub depth: u32,
     /// Its status.
     pub status: Status,
-    /// What it answered when it was last ticked; `Idle` if it has been halted since.
+    /// The answer of its last tick; `Idle` if it has been halted since.
     pub answer: Status,
 }
 
@@ -201,7 +201,7 @@ impl Tree {
         Ok(status)
     }
 
-    /// Halts every node that runs. Whether a leaf has come to rest says [`Tree::is_halting`].
+    /// Halts every node that runs. [`Tree::is_halting`] says whether a leaf has yet to come to rest.
     ///
     /// # Errors
     ///
@@ -225,7 +225,7 @@ impl Tree {
     }
 
     /// The next time at which a tick can change something by itself: a timer fires, or the last
-    /// tick was ended early. What comes from outside is the driver's matter.
+    /// tick was ended early. The driver itself knows when something comes from outside.
     pub fn next_tick(&self) -> Option<Duration> {
         if self.yielded { Some(self.now) } else { self.wake }
     }
@@ -253,7 +253,7 @@ impl Tree {
         })
     }
 
-    /// Which nodes answered otherwise in the last tick than before, in the order of the answers.
+    /// The nodes whose answers the last tick has changed, in the order of the answers.
     pub fn changes(&self) -> &[StatusChange] {
         &self.changes
     }
@@ -271,7 +271,7 @@ impl Tree {
         text
     }
 
-    /// Notes what a node answers.
+    /// Notes a node's answer.
     fn note(&mut self, id: TreeNodeId, to: Status) {
         let from = std::mem::replace(&mut self.nodes[id.0 as usize].answer, to);
         if from != to {
@@ -284,7 +284,7 @@ impl Tree {
         }
     }
 
-    /// Reserves what ticks need, so that they allocate nothing.
+    /// Reserves the memory that ticks need, so that they allocate none.
     pub(crate) fn reserve(&mut self) {
         // Each node changes in each direction once, and a few do so more often.
         self.changes.reserve_exact(2 * self.nodes.len() + 64);
@@ -336,14 +336,14 @@ impl Tree {
         &self.bindings[self.node(id).first_binding as usize + port]
     }
 
-    fn binding(&self, id: TreeNodeId, port: usize) -> &Binding {
+    fn binding(&self, id: TreeNodeId, port: usize) -> &PortBinding {
         &self.bound(id, port).binding
     }
 
     /// The key that a port is connected to.
     fn key(&self, id: TreeNodeId, port: usize) -> Option<KeyId> {
         match self.binding(id, port) {
-            Binding::Key(key) => Some(*key),
+            PortBinding::Key(key) => Some(*key),
             _ => None,
         }
     }
@@ -351,14 +351,14 @@ impl Tree {
     /// The value of a port, whatever its type; none while it has no value.
     fn raw(&self, id: TreeNodeId, port: usize) -> Option<&Value> {
         match self.binding(id, port) {
-            Binding::Literal(value) => Some(value),
-            Binding::Key(key) => self.board.value(*key),
-            Binding::Missing | Binding::Entry(_) => None,
+            PortBinding::Literal(value) => Some(value),
+            PortBinding::Key(key) => self.board.value(*key),
+            PortBinding::Missing | PortBinding::Entry(_) => None,
         }
     }
 
     /// Ends the tick, and asks for the next one at once.
-    fn yield_now(&mut self) -> execute::Tick {
+    fn yield_now(&mut self) -> execute::NodeAnswer {
         (self.yielded, self.woken) = (true, true);
         Ok(Status::Running)
     }
