@@ -103,10 +103,8 @@ impl Run<'_> {
             }
             Expr::Choice(parts) => {
                 let condition = self.eval(&parts[0])?;
-                let holds = match &condition {
-                    Value::Text(text) => !text.is_empty(),
-                    other => number("?", other)? != 0.0,
-                };
+                let error = || ScriptError::Operand { operator: "?", operand: condition.clone() };
+                let holds = condition.as_real().ok_or_else(error)? != 0.0;
                 self.eval(&parts[if holds { 1 } else { 2 }])
             }
             Expr::Assignment(key, operator, value) => self.assign(*key, operator, value),

@@ -6,6 +6,7 @@
     record.py random 0 2000 > random.z    # random trees, the same lines, compressed by zlib
     record.py fresh 5000 6000             # random trees, not compressed, for a test that reads them
     record.py model FILE                  # loads a file, and says whether the library takes it
+    record.py later | record | record.py pack > later.z    # what 4.10.0 answers: see record.cpp
 
 A line is the request (XML, leaves with the answers that they give in turn, what is written into the
 blackboard before which tick, when the tree is halted) with the library's answer in "answers": for
@@ -22,11 +23,14 @@ import random
 import sys
 import zlib
 
-import behaviortreepy as b
+try:
+    import behaviortreepy as b
+    N = b.NodeStatus
+    TO = {"S": N.SUCCESS, "F": N.FAILURE, "R": N.RUNNING, "K": N.SKIPPED}
+    FROM = {N.SUCCESS: "S", N.FAILURE: "F", N.RUNNING: "R", N.SKIPPED: "K", N.IDLE: "I"}
+except ImportError:
+    pass  # `later` and `pack` do without.
 
-N = b.NodeStatus
-TO = {"S": N.SUCCESS, "F": N.FAILURE, "R": N.RUNNING, "K": N.SKIPPED}
-FROM = {N.SUCCESS: "S", N.FAILURE: "F", N.RUNNING: "R", N.SKIPPED: "K", N.IDLE: "I"}
 TYPES = ["Sequence", "Fallback", "ReactiveSequence", "ReactiveFallback", "SequenceWithMemory",
          "AsyncSequence", "AsyncFallback", "Parallel", "ParallelAll", "IfThenElse", "WhileDoElse",
          "Switch2", "Inverter", "ForceSuccess", "ForceFailure", "Repeat", "RetryUntilSuccessful",
@@ -99,7 +103,7 @@ def run(request):
     return done
 
 
-def generate(seed, depth=4, ticks=12):
+def generate(seed, depth=4, ticks=12, types=TYPES):
     """A random valid tree as a request."""
     r = random.Random(seed)
     leaves, variables = {}, ["p", "q", "s"]
@@ -129,7 +133,7 @@ def generate(seed, depth=4, ticks=12):
     def node(depth):
         if depth <= 0 or r.random() < 0.25:
             return f"<{leaf(['action', 'action', 'sync', 'condition'])}{conditions()}/>"
-        kind = r.choice(TYPES)
+        kind = r.choice(types)
         own = conditions()
         if kind in TYPES[:7]:
             inner = children(depth, r.randint(1, 4))
@@ -144,6 +148,9 @@ def generate(seed, depth=4, ticks=12):
             if kind == "ParallelAll":
                 ports = f'max_failures="{r.randint(1, n)}"'
             return f"<{kind} {ports}{own}>{children(depth, n)}</{kind}>"
+        if kind == "TryCatch":
+            port = f'catch_on_halt="{r.choice(["true", "false"])}"'
+            return f"<TryCatch {port}{own}>{children(depth, r.randint(2, 4))}</TryCatch>"
         if kind in ("IfThenElse", "WhileDoElse"):
             # A condition that is skipped throws, so it has no conditions of its own.
             first = leaf(["condition", "sync", "action"])
@@ -174,6 +181,13 @@ def line(request):
     return json.dumps(run(request), separators=(",", ":")) + "\n"
 
 
+def later():
+    """Requests for the library's version 4.10.0: by hand, and random trees with many TryCatch."""
+    from cases import LATER
+    types = TYPES + 5 * ["TryCatch"]
+    return [request for request, _ in LATER] + [generate(seed, types=types) for seed in range(500)]
+
+
 def main():
     # The library prints warnings on standard output.
     real = os.fdopen(os.dup(1), "wb")
@@ -187,6 +201,10 @@ def main():
             if expected not in (None, statuses):
                 print(f"{request['title']}: {statuses}, not {expected}", file=sys.stderr)
             real.write(text.encode())
+    elif what == "later":
+        real.writelines(json.dumps(request).encode() + b"\n" for request in later())
+    elif what == "pack":
+        real.write(zlib.compress(sys.stdin.buffer.read(), 9))
     elif what == "model":
         factory = b.BehaviorTreeFactory()
         factory.create_tree_from_text(open(sys.argv[2]).read())

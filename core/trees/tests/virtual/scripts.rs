@@ -105,7 +105,8 @@ fn texts_are_joined_compared_and_read_as_numbers() {
 fn a_choice_takes_one_branch() {
     check(&[
         ("x := flag ? 1 : unknown", "1"),
-        ("x := 'text' ? 1 : 2", "1"),
+        ("x := '2' ? 1 : 2", "1"),
+        ("x := 'text' ? 1 : 2", "`?` does not take `text`"),
         ("x := 0 ? 1 : two == 2 ? 3 : 4", "3"),
         ("flag ? x := 1 : (x := 2)", "1"),
     ]);
