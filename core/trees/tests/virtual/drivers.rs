@@ -1,7 +1,9 @@
 //! What the driver of a tree does: completes leaves, limits them, and reads what has changed.
 
 use crate::scripted::{Bench, factory, file};
-use blastema_trees::{Factory, Leaf, LeafContext, LeafResult, Port, Status, TickProblem};
+use blastema_trees::{
+    Factory, Halt, Leaf, LeafContext, LeafResult, Port, Status, TickProblem, Tree,
+};
 use std::time::Duration;
 
 const SECOND: Duration = Duration::from_secs(1);
@@ -223,4 +225,95 @@ fn two_leaves_of_one_name_have_two_paths() {
     let paths: Vec<&str> = bench.tree.nodes().map(|node| node.path).collect();
 
     assert_eq!(paths, ["Sequence::1", "go", "go::3"]);
+}
+
+#[test]
+fn a_leaf_that_is_completed_and_then_left_is_not_halted() {
+    let mut bench = Bench::new("C=SF A=R", "<ReactiveSequence><C/><A/></ReactiveSequence>");
+    bench.tick();
+    let (run, _) = bench.tree.running().next().unwrap();
+    assert!(bench.tree.complete(run, Status::Success));
+    bench.calls();
+
+    assert_eq!((bench.tick(), bench.calls()), ('F', "C:tick:F".into()));
+}
+
+/// An action that says when it comes to rest.
+struct Brakes(Duration);
+
+impl Leaf for Brakes {
+    fn start(&mut self, _: &mut LeafContext<'_>) -> LeafResult {
+        Ok(Status::Running)
+    }
+
+    fn halt(&mut self, cx: &mut LeafContext<'_>) -> Halt {
+        self.0 = cx.now() + SECOND;
+        self.halting(cx)
+    }
+
+    fn halting(&mut self, cx: &mut LeafContext<'_>) -> Halt {
+        if cx.now() >= self.0 {
+            return Halt::Done;
+        }
+        cx.wake_at(self.0);
+        Halt::Pending
+    }
+}
+
+#[test]
+fn a_leaf_that_comes_to_rest_asks_for_the_tick_in_which_it_does() {
+    let (mut factory, calls) = factory("C=SF A=R");
+    factory.leaf("Brakes", || Brakes(Duration::ZERO));
+    let body = "<ReactiveFallback><Sequence><C/><Brakes/></Sequence><A/></ReactiveFallback>";
+    let tree =
+        factory.load("test.xml", &file(&body.replace("Sequence", "ReactiveSequence"))).unwrap();
+    let mut bench = Bench { tree, calls, now: Duration::ZERO };
+    assert_eq!(bench.tick(), 'R');
+    assert_eq!((bench.tick(), bench.tree.next_tick()), ('R', Some(SECOND)));
+    bench.calls();
+
+    assert_eq!((bench.after(500), bench.calls()), ('R', "C:tick:F".into()));
+    assert_eq!(bench.tree.next_tick(), Some(SECOND));
+    assert_eq!((bench.after(500), bench.calls()), ('R', "C:tick:F A:start:R".into()));
+}
+
+#[test]
+fn a_leaf_that_is_failed_while_it_comes_to_rest_fails_and_comes_to_rest() {
+    let mut factory = Factory::new();
+    factory.leaf("Brakes", || Brakes(Duration::ZERO));
+    let mut tree = factory.load("test.xml", &file("<Brakes/>")).unwrap();
+    tree.tick(Duration::ZERO).unwrap();
+    let (run, _) = tree.running().next().unwrap();
+
+    assert!(tree.fail(run, Duration::ZERO));
+
+    assert!(tree.is_halting());
+    assert_eq!(tree.tick(Duration::ZERO).unwrap(), Status::Failure);
+    assert!(tree.is_halting());
+    assert_eq!(tree.tick(SECOND).unwrap(), Status::Running);
+    assert!(!tree.is_halting());
+}
+
+#[test]
+fn a_failed_script_of_a_halt_is_an_error_and_all_nodes_are_halted() {
+    let body =
+        r#"<Parallel success_count="2" failure_count="2"><A _onHalted="n = 1"/><B/></Parallel>"#;
+    let mut bench = Bench::new("A=R B=R", body);
+    bench.tick();
+    bench.calls();
+
+    let error = bench.tree.halt(bench.now).unwrap_err();
+
+    assert_eq!(error.path, "A::2");
+    assert_eq!(bench.calls(), "A:halt B:halt");
+    assert!(bench.tree.nodes().all(|node| node.status == Status::Idle));
+}
+
+#[test]
+fn a_tree_without_nodes_is_skipped_and_trees_go_from_thread_to_thread() {
+    fn goes<T: Send>(value: T) -> T {
+        value
+    }
+
+    assert_eq!(goes(Tree::default()).tick(SECOND).unwrap(), Status::Skipped);
 }
