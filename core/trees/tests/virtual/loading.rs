@@ -1,8 +1,11 @@
 //! Errors of files: all at once, each with its place and the nearest right spelling.
 
-use crate::scripted::{factory, file};
+use crate::scripted::{Bench, factory, file};
 use blastema_trees::{Factory, Port, Status, TreeErrors};
 use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 #[track_caller]
 fn errors(text: &str) -> TreeErrors {
@@ -372,4 +375,47 @@ fn wrong_registrations_are_mistakes_of_the_program() {
     assert!(!registers("Leaf", vec![Port::input::<i32>("_a")]));
     assert!(!registers("Leaf", vec![Port::input::<i32>("a"), Port::output::<i32>("a")]));
     assert!(!registers("Leaf", vec![Port::input::<i32>("a").or("one")]));
+}
+
+#[test]
+fn a_plain_tree_of_lost_communication_loads_as_written_and_only_a_reactive_one_looks_again() {
+    let (mut factory, calls) = factory("TeleoperatedMission=R AutonomousSafeReturn=R");
+    let ports = [Port::input::<String>("topic_name"), Port::input::<f64>("timeout_sec").or("3.0")];
+    let connected = Arc::new(AtomicBool::new(true));
+    let shared = connected.clone();
+    factory.condition("IsCommsConnected", ports, move |cx| {
+        assert_eq!(cx.input::<String>("topic_name")?, "/operator/heartbeat");
+        assert_eq!(cx.input::<f64>("timeout_sec")?, 3.0);
+        Ok(Status::from(shared.load(Ordering::Relaxed)))
+    });
+    let tree = r#"<BehaviorTree ID="CommsAwareOperation">
+<Fallback>
+<Sequence>
+<Condition ID="IsCommsConnected"
+topic_name="/operator/heartbeat"
+timeout_sec="3.0"/>
+<Action ID="TeleoperatedMission"/>
+</Sequence>
+<Sequence>
+<Action ID="AutonomousSafeReturn"/>
+</Sequence>
+</Fallback>
+</BehaviorTree>"#;
+    let run = |tree: String| {
+        connected.store(true, Ordering::Relaxed);
+        let tree = factory.load("test.xml", &format!("<root>{tree}</root>")).unwrap();
+        let mut bench = Bench { tree, calls: calls.clone(), now: Duration::ZERO };
+        bench.tick();
+        connected.store(false, Ordering::Relaxed);
+        bench.tick();
+        bench.calls()
+    };
+
+    let plain = "TeleoperatedMission:start:R TeleoperatedMission:run:R";
+    assert_eq!(run(tree.into()), plain, "a plain sequence goes on with its mission");
+    let right =
+        tree.replace("Sequence", "ReactiveSequence").replace("Fallback", "ReactiveFallback");
+    let reactive =
+        "TeleoperatedMission:start:R TeleoperatedMission:halt AutonomousSafeReturn:start:R";
+    assert_eq!(run(right), reactive);
 }
