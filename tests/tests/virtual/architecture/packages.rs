@@ -14,6 +14,8 @@ const PLACES: [Place; 15] = [
     Place { package: "blastema-macros", below: &[], below_in_tests: &[] },
     // The derives are written for the core's traits, so the core's tests try them.
     Place { package: "blastema-core", below: &[], below_in_tests: &["blastema-macros"] },
+    // Usable without the rest.
+    Place { package: "blastema-trees", below: &[], below_in_tests: &[] },
     Place { package: "blastema-contract", below: &["blastema-core"], below_in_tests: &[] },
     // Its actors are tried with probes in their neighbours' places.
     Place {
@@ -63,6 +65,7 @@ const PLACES: [Place; 15] = [
 const EVERYTHING: &[&str] = &[
     "blastema-macros",
     "blastema-core",
+    "blastema-trees",
     "blastema-contract",
     "blastema-transports",
     "blastema-doubles",
@@ -75,6 +78,8 @@ const EVERYTHING: &[&str] = &[
 /// be simulated, and one day run on a microcontroller.
 const CORE_TAKES: [&str; 8] =
     ["bincode", "bytes", "ring", "serde", "snow", "thiserror", "x25519-dalek", "zeroize"];
+/// The same for behaviour trees.
+const TREES_TAKE: [&str; 3] = ["roxmltree", "strsim", "thiserror"];
 
 /// Crates of which only these packages may know.
 const KNOWN_BY: [(&str, &[&str]); 6] = [
@@ -152,7 +157,12 @@ pub(crate) fn outsiders(tree: &Tree) -> Vec<Breach> {
             let barred = KNOWN_BY
                 .iter()
                 .any(|(krate, packages)| *krate == needed && !packages.contains(&package));
-            if barred || package == "blastema-core" && !CORE_TAKES.contains(&needed) {
+            let bare = match package {
+                "blastema-core" => CORE_TAKES.contains(&needed),
+                "blastema-trees" => TREES_TAKE.contains(&needed),
+                _ => true,
+            };
+            if barred || !bare {
                 breaches.push(Breach::new(&manifest.path, line, format!("{package} -> {needed}")));
             }
         }

@@ -44,7 +44,8 @@ pub(crate) fn purity(tree: &Tree) -> Vec<Breach> {
         "HashSet",
     ];
     found(tree, &foreign, |source, _| {
-        source.path.starts_with("core/src/") || source.path.starts_with("core/lite/")
+        let machines = ["core/src/", "core/lite/", "core/trees/src/"];
+        machines.iter().any(|folder| source.path.starts_with(folder))
     })
 }
 

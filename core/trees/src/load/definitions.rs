@@ -1,0 +1,148 @@
+//! The contents of a tree's files: trees, and models of nodes.
+
+use super::NodeType;
+use super::problem::Problem;
+use super::source::{Attribute, Element, MAX_DEPTH, Named, Place, Sources};
+use crate::factory::Factory;
+use crate::model::may_be_name;
+use std::collections::BTreeSet;
+
+/// The trees by their names, and the models of subtrees.
+#[derive(Default)]
+pub(super) struct Definitions {
+    /// Their outermost nodes.
+    pub(super) trees: Named<Option<Element>>,
+    /// The ports of subtrees, with their defaults, from `TreeNodesModel`.
+    pub(super) models: Named<Named<Option<String>>>,
+}
+
+impl Definitions {
+    /// The outermost node of the tree that is named at this place.
+    pub(super) fn tree(&self, sources: &mut Sources, name: &str, place: Place) -> Option<&Element> {
+        if !self.trees.contains_key(name) {
+            let known = self.trees.keys().map(String::as_str);
+            sources.misspelt(place, Problem::UnknownTree(name.to_owned()), name, known);
+        }
+        self.trees.get(name)?.as_ref()
+    }
+
+    /// Sorts the contents of the files.
+    pub(super) fn of(factory: &Factory, sources: &mut Sources) -> Definitions {
+        let mut definitions = Definitions::default();
+        let elements = std::mem::take(&mut sources.elements);
+        let count = elements.len();
+        for element in elements {
+            match element.name.as_str() {
+                "BehaviorTree" => definitions.define(factory, sources, element, count),
+                "TreeNodesModel" => definitions.model(factory, sources, &element),
+                name => {
+                    let known = ["BehaviorTree", "TreeNodesModel", "include"];
+                    let problem = Problem::Element(name.to_owned());
+                    sources.misspelt(element.place, problem, name, known);
+                }
+            }
+        }
+        definitions.circles(sources);
+        definitions
+    }
+
+    /// Takes a tree; it needs a name where the file has anything else.
+    fn define(
+        &mut self,
+        factory: &Factory,
+        sources: &mut Sources,
+        mut element: Element,
+        count: usize,
+    ) {
+        let place = element.place;
+        let named = count > 1 || element.attribute("ID").is_some();
+        let id = if named { sources.needed(&element, "ID") } else { None };
+        let name = id.map_or("BehaviorTree_0", |id| &id.value).to_owned();
+        if let Some(id) = id {
+            if !may_be_name(&name) {
+                sources.error(id.value_place, Problem::Name(name.clone()));
+            } else if NodeType::of_name(factory, &name).is_some() || self.trees.contains_key(&name)
+            {
+                sources.error(id.value_place, Problem::Taken(name.clone()));
+            }
+        }
+        let found = element.children.len();
+        if found != 1 {
+            let (node, expected) = ("BehaviorTree".into(), "1".into());
+            sources.error(place, Problem::Children { node, found, expected });
+        }
+        let root = if found == 1 { element.children.pop() } else { None };
+        self.trees.insert(name, root);
+    }
+
+    /// Takes the ports of subtrees, and compares those of other nodes with the program's. A node
+    /// that the program does not have is an editor's matter until a tree uses it.
+    fn model(&mut self, factory: &Factory, sources: &mut Sources, models: &Element) {
+        for model in &models.children {
+            let Some(id) = sources.needed(model, "ID") else { continue };
+            let known = NodeType::of_name(factory, &id.value);
+            let mut ports = Named::new();
+            for port in model.children.iter().filter(|child| child.name.ends_with("_port")) {
+                let Some(name) = sources.needed(port, "name") else { continue };
+                ports.insert(name.value.clone(), port.value("default").map(str::to_owned));
+                if let Some(known) = &known
+                    && known.ports.iter().all(|known| known.name != name.value)
+                {
+                    sources.unknown_port(known, name.value_place, &name.value);
+                }
+            }
+            if model.name == "SubTree" {
+                self.models.insert(id.value.clone(), ports);
+            }
+        }
+    }
+
+    /// Reports each tree that contains itself, once for each circle.
+    fn circles(&self, sources: &mut Sources) {
+        let mut subtrees = Named::new();
+        for (name, root) in &self.trees {
+            let mut found = Vec::new();
+            root.iter().for_each(|root| collect_subtrees(root, &mut found));
+            subtrees.insert(name.clone(), found);
+        }
+        let mut done = BTreeSet::new();
+        for name in self.trees.keys() {
+            follow(sources, &subtrees, name, &mut Vec::new(), &mut done);
+        }
+    }
+}
+
+fn follow<'a>(
+    sources: &mut Sources,
+    subtrees: &'a Named<Vec<&'a Attribute>>,
+    name: &'a str,
+    path: &mut Vec<&'a str>,
+    done: &mut BTreeSet<&'a str>,
+) {
+    // Deeper trees are refused when they are built.
+    if done.contains(name) || path.len() >= MAX_DEPTH {
+        return;
+    }
+    path.push(name);
+    for id in subtrees.get(name).into_iter().flatten() {
+        match path.iter().position(|known| *known == id.value) {
+            Some(first) => {
+                let mut circle: Vec<String> = Vec::new();
+                circle.extend(path[first..].iter().map(|&name| name.to_owned()));
+                circle.push(id.value.clone());
+                sources.error(id.value_place, Problem::Circle(circle));
+            }
+            None => follow(sources, subtrees, &id.value, path, done),
+        }
+    }
+    path.pop();
+    done.insert(name);
+}
+
+/// The names of the subtrees at or below an element.
+fn collect_subtrees<'a>(element: &'a Element, found: &mut Vec<&'a Attribute>) {
+    if element.name == "SubTree" {
+        found.extend(element.attribute("ID"));
+    }
+    element.children.iter().for_each(|child| collect_subtrees(child, found));
+}

@@ -1,0 +1,214 @@
+//! Runs a script.
+//!
+//! All arithmetic is done in real numbers, and both sides of `&&` and `||` are always evaluated.
+
+use super::{Expr, Script};
+use crate::blackboard::{Blackboard, KeyId};
+use crate::value::{PortValue, Value};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// The error of a script that runs.
+#[derive(Clone, Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ScriptError {
+    /// An entry is read that has no value.
+    #[error("the entry `{0}` has no value")]
+    Unset(Arc<str>),
+    /// `=` and its like write only entries that exist.
+    #[error("the entry `{0}` does not exist; `:=` creates it")]
+    Missing(Arc<str>),
+    /// The entry has a type that the value does not convert to.
+    #[error("the entry `{entry}` keeps {kind}, to which `{value}` does not convert")]
+    Type {
+        /// The entry's name.
+        entry: Arc<str>,
+        /// The type that it keeps.
+        kind: &'static str,
+        /// The value that was to be written.
+        value: Value,
+    },
+    /// The operator does not take such operands.
+    #[error("`{operator}` does not take `{operand}`")]
+    Operand {
+        /// The operator.
+        operator: &'static str,
+        /// The operand.
+        operand: Value,
+    },
+    /// The value is neither true nor false: 0, 1, or a real number.
+    #[error("`{0}` is neither true nor false")]
+    NotBool(Value),
+}
+
+type Evaluated = Result<Value, ScriptError>;
+
+impl Script {
+    /// The value of the last statement.
+    pub(crate) fn run(&self, board: &mut Blackboard, enums: &BTreeMap<String, i64>) -> Evaluated {
+        let mut run = Run { board, enums };
+        let mut last = Value::Int(0);
+        for statement in &self.statements {
+            last = run.eval(statement)?;
+        }
+        Ok(last)
+    }
+}
+
+/// Whether a value holds. A text is neither true nor false.
+pub(crate) fn truth(value: &Value) -> Option<bool> {
+    if matches!(value, Value::Text(_)) { None } else { bool::from_value(value) }
+}
+
+/// Numbers that differ by less are equal: the precision of a `float`.
+pub(crate) fn equal(a: f64, b: f64) -> bool {
+    a == b || (a - b).abs() <= f64::from(f32::EPSILON)
+}
+
+struct Run<'a> {
+    board: &'a mut Blackboard,
+    enums: &'a BTreeMap<String, i64>,
+}
+
+impl Run<'_> {
+    fn eval(&mut self, expr: &Expr) -> Evaluated {
+        match expr {
+            Expr::Literal(value) => Ok(value.clone()),
+            Expr::Key(key) => self.read(*key),
+            Expr::Unary(operator, operand) => {
+                let operand = self.eval(operand)?;
+                let real = number(operator, &operand)?;
+                Ok(Value::Real(match *operator {
+                    "-" => -real,
+                    "~" => !Value::Real(real.trunc()).as_int().ok_or_else(|| {
+                        ScriptError::Operand { operator, operand: operand.clone() }
+                    })? as f64,
+                    _ => flag(real == 0.0),
+                }))
+            }
+            Expr::Binary(left, operator, right) => {
+                let (left, right) = (self.eval(left)?, self.eval(right)?);
+                binary(&left, operator, &right)
+            }
+            Expr::Comparison(first, chain) => {
+                let mut left = self.eval(first)?;
+                for (operator, right) in chain {
+                    let right = self.eval(right)?;
+                    if !self.compare(&left, operator, &right)? {
+                        return Ok(Value::Real(0.0));
+                    }
+                    left = right;
+                }
+                Ok(Value::Real(1.0))
+            }
+            Expr::Choice(parts) => {
+                let condition = self.eval(&parts[0])?;
+                let error = || ScriptError::Operand { operator: "?", operand: condition.clone() };
+                let holds = condition.as_real().ok_or_else(error)? != 0.0;
+                self.eval(&parts[if holds { 1 } else { 2 }])
+            }
+            Expr::Assignment(key, operator, value) => self.assign(*key, operator, value),
+        }
+    }
+
+    fn read(&self, key: KeyId) -> Evaluated {
+        self.board.value(key).cloned().ok_or_else(|| ScriptError::Unset(self.board.name(key)))
+    }
+
+    fn compare(&self, a: &Value, operator: &str, b: &Value) -> Result<bool, ScriptError> {
+        let (less, same, greater) = match (a, b) {
+            (Value::Text(a), Value::Text(b)) => (a < b, a == b, a > b),
+            _ => {
+                let (a, b) = (self.number(a)?, self.number(b)?);
+                (a < b, equal(a, b), a > b)
+            }
+        };
+        Ok(match operator {
+            "==" => same,
+            "!=" => !same,
+            "<" => less,
+            ">" => greater,
+            "<=" => !greater,
+            _ => !less,
+        })
+    }
+
+    /// The number that a value is compared as: `true`, `false` and names of enums are numbers too.
+    fn number(&self, value: &Value) -> Result<f64, ScriptError> {
+        if let Value::Text(text) = value {
+            match &**text {
+                "true" => return Ok(1.0),
+                "false" => return Ok(0.0),
+                name if self.enums.contains_key(name) => return Ok(self.enums[name] as f64),
+                _ => {}
+            }
+        }
+        let error = || ScriptError::Operand { operator: "==", operand: value.clone() };
+        value.as_real().ok_or_else(error)
+    }
+
+    fn assign(&mut self, key: KeyId, operator: &'static str, value: &Expr) -> Evaluated {
+        if operator != ":=" && !self.board.exists(key) {
+            return Err(ScriptError::Missing(self.board.name(key)));
+        }
+        let mut value = self.eval(value)?;
+        if operator != ":=" && operator != "=" {
+            let old = self.read(key)?;
+            value = binary(&old, &operator[..1], &value)?;
+        } else if matches!(value, Value::Text(_))
+            && self.board.kind(key).is_none()
+            && matches!(self.board.value(key), Some(Value::Int(_) | Value::Real(_)))
+        {
+            value = Value::Real(self.number(&value)?);
+        }
+        self.board.assign(key, value.clone()).map_err(|kind| ScriptError::Type {
+            entry: self.board.name(key),
+            kind,
+            value,
+        })?;
+        self.read(key)
+    }
+}
+
+fn flag(holds: bool) -> f64 {
+    f64::from(u8::from(holds))
+}
+
+/// The number that an operand is. A text is none.
+fn number(operator: &'static str, value: &Value) -> Result<f64, ScriptError> {
+    let number = match value {
+        Value::Int(int) => Some(*int as f64),
+        Value::Real(real) => Some(*real),
+        _ => None,
+    };
+    number.ok_or_else(|| ScriptError::Operand { operator, operand: value.clone() })
+}
+
+fn binary(left: &Value, operator: &'static str, right: &Value) -> Evaluated {
+    let is_text = |value: &Value| matches!(value, Value::Text(_));
+    let joins = match operator {
+        "+" => is_text(left) && is_text(right),
+        // Of two numbers it makes nothing.
+        ".." => is_text(left) || is_text(right),
+        _ => false,
+    };
+    if joins {
+        return Ok(Value::text(format!("{left}{right}")));
+    }
+    let error = |operand: &Value| ScriptError::Operand { operator, operand: operand.clone() };
+    let (a, b) = (number(operator, left)?, number(operator, right)?);
+    let int = |value: &Value| value.as_int().ok_or_else(|| error(value));
+    let bool = |value: &Value| truth(value).ok_or_else(|| error(value));
+    Ok(Value::Real(match operator {
+        "+" => a + b,
+        "-" => a - b,
+        "*" => a * b,
+        "/" => a / b,
+        "&" => (int(left)? & int(right)?) as f64,
+        "|" => (int(left)? | int(right)?) as f64,
+        "^" => (int(left)? ^ int(right)?) as f64,
+        "&&" => flag(bool(left)? & bool(right)?),
+        "||" => flag(bool(left)? | bool(right)?),
+        _ => return Err(error(left)),
+    }))
+}
