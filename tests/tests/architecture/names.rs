@@ -4,8 +4,9 @@ use crate::tree::{Breach, Definition, Tree};
 use std::collections::BTreeMap;
 
 /// The packages of a robot in operation. Test doubles are named after what they stand for.
-const PRODUCT: [&str; 6] = [
+const PRODUCT: [&str; 7] = [
     "core/src/",
+    "core/lite/src/",
     "core/contract/src/",
     "core/macros/src/",
     "transports/src/",

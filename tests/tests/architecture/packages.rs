@@ -10,8 +10,10 @@ struct Place {
 }
 
 /// The map of the README as data, from the bottom to the top.
-const PLACES: [Place; 14] = [
+const PLACES: [Place; 15] = [
     Place { package: "blastema-macros", below: &[], below_in_tests: &[] },
+    // It runs on a chip, where nothing else of the workspace does.
+    Place { package: "blastema-lite", below: &[], below_in_tests: &[] },
     // The derives are written for the core's traits, so the core's tests try them.
     Place { package: "blastema-core", below: &[], below_in_tests: &["blastema-macros"] },
     Place { package: "blastema-contract", below: &["blastema-core"], below_in_tests: &[] },
@@ -61,6 +63,7 @@ const PLACES: [Place; 14] = [
 /// What whole systems under test may use: all that is no program, test or example itself.
 const EVERYTHING: &[&str] = &[
     "blastema-macros",
+    "blastema-lite",
     "blastema-core",
     "blastema-contract",
     "blastema-transports",
@@ -151,7 +154,13 @@ pub(crate) fn outsiders(tree: &Tree) -> Vec<Breach> {
             let barred = KNOWN_BY
                 .iter()
                 .any(|(krate, packages)| *krate == needed && !packages.contains(&package));
-            if barred || package == "blastema-core" && !CORE_TAKES.contains(&needed) {
+            let bare = match package {
+                "blastema-core" => !CORE_TAKES.contains(&needed),
+                // A chip has neither a heap nor an operating system.
+                "blastema-lite" => true,
+                _ => false,
+            };
+            if barred || bare {
                 breaches.push(Breach::new(&manifest.path, line, format!("{package} -> {needed}")));
             }
         }

@@ -44,7 +44,7 @@ pub(crate) fn purity(tree: &Tree) -> Vec<Breach> {
         "HashSet",
     ];
     found(tree, &foreign, |source, _| {
-        source.path.starts_with("core/src/") || source.path.starts_with("core/lite/")
+        source.path.starts_with("core/src/") || source.path.starts_with("core/lite/src/")
     })
 }
 

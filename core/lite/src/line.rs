@@ -1,0 +1,104 @@
+//! The devices of one serial line: the host gives the turns.
+//!
+//! ```text
+//! host ─► device 1 ─► host ─► device 2 ─► host ─► …        time ─►
+//!   PING 1      PONG     command      reply
+//! ```
+//!
+//! A device of a multi-drop line speaks only in answer to its address. One exchange is a turn; a
+//! missing answer costs its slot only. A device with the line to itself also speaks by itself.
+
+use crate::cobs::{self, CobsDecoder, FRAME_MAX};
+use crate::host::{Host, HostEvent};
+use crate::packet::PACKET_MAX;
+use crate::port::Port;
+use core::time::Duration;
+
+/// Drives the hosts of one serial line.
+///
+/// The driver owns the hosts and gives them to each call, always in the same order: one host without
+/// an address, or several with different addresses.
+#[derive(Clone, Debug, Default)]
+pub struct HostLine {
+    decoder: CobsDecoder,
+    /// The host that had the last turn.
+    turn: usize,
+    babbling: u32,
+}
+
+impl HostLine {
+    /// Takes received bytes up to the end of the first packet, and leaves the others in `bytes`.
+    /// The driver calls it, and takes all events, until no bytes are left.
+    pub fn handle_bytes<P: AsRef<[Port]>>(
+        &mut self,
+        hosts: &mut [Host<P>],
+        bytes: &mut &[u8],
+        now: Duration,
+    ) {
+        while let [byte, rest @ ..] = *bytes {
+            *bytes = rest;
+            let Some(packet) = self.decoder.push(*byte) else { continue };
+            // Without an address the line has one host.
+            let addressee = |host: &Host<P>| {
+                host.config().address.is_none_or(|address| packet.first() == Some(&address))
+            };
+            let Some(at) = hosts.iter().position(addressee) else { continue };
+            if hosts[at].config().address.is_some() && !hosts[at].is_waiting() {
+                self.babbling = self.babbling.saturating_add(1);
+                continue;
+            }
+            return hosts[at].handle_packet(packet, now);
+        }
+    }
+
+    /// Lets the hosts act on everything that is due.
+    pub fn handle_timeout<P: AsRef<[Port]>>(&mut self, hosts: &mut [Host<P>], now: Duration) {
+        hosts.iter_mut().for_each(|host| host.handle_timeout(now));
+    }
+
+    /// When the line wants `handle_timeout`, or a poll for a frame, at the latest.
+    pub fn poll_timeout<P: AsRef<[Port]>>(&self, hosts: &[Host<P>]) -> Option<Duration> {
+        // While one device has the turn, the others wait.
+        let waiting = hosts.iter().find(|host| host.is_waiting());
+        let waiting = waiting.map(Host::poll_timeout);
+        waiting.or_else(|| hosts.iter().map(Host::poll_timeout).min())
+    }
+
+    /// The next event, with the index of its host.
+    pub fn poll_event<P: AsRef<[Port]>>(
+        &mut self,
+        hosts: &mut [Host<P>],
+    ) -> Option<(usize, HostEvent)> {
+        hosts.iter_mut().enumerate().find_map(|(at, host)| Some((at, host.poll_event()?)))
+    }
+
+    /// Writes the next frame into `frame` and returns it; `None` when there is none to send now.
+    /// `values` writes the newest struct of an in port of a host into the slice.
+    pub fn poll_frame<'f, P: AsRef<[Port]>>(
+        &mut self,
+        hosts: &mut [Host<P>],
+        now: Duration,
+        mut values: impl FnMut(usize, usize, &mut [u8]),
+        frame: &'f mut [u8; FRAME_MAX],
+    ) -> Option<&'f [u8]> {
+        let taken = |host: &Host<P>| host.config().address.is_some() && host.is_waiting();
+        if hosts.iter().any(taken) {
+            return None;
+        }
+        let mut bytes = [0; PACKET_MAX];
+        for step in 1..=hosts.len() {
+            let at = (self.turn + step) % hosts.len();
+            let value = |port, value: &mut [u8]| values(at, port, value);
+            if let Some(packet) = hosts[at].poll_packet(now, value, &mut bytes) {
+                self.turn = at;
+                return Some(cobs::encode(packet, frame));
+            }
+        }
+        None
+    }
+
+    /// How many packets came from devices outside of their turns.
+    pub fn babbling(&self) -> u32 {
+        self.babbling
+    }
+}

@@ -1,0 +1,64 @@
+//! Each command is carried out exactly once on a line that loses, repeats and corrupts.
+
+use crate::bench::{Bench, Medium, NUMBER, RustSide};
+use crate::c_side::{CSide, is_long};
+use crate::channel::Channel;
+use crate::robot::{Robot, config};
+use blastema_lite::{CommandOutcome, DeviceCommand, HostConfig, HostEvent, Status, Tries};
+
+/// Carries out `commands` with 20 % of frames lost each way, 10 % repeated, and 10^-4 of bits turned.
+fn check(bench: Box<dyn Bench>, medium: Medium, commands: u32) {
+    // As many tries as keep a false `Lost` out of a run of 10^6 commands at this loss.
+    let config = HostConfig { tries: Tries::Fixed(40), ..config(medium) };
+    let mut robot = Robot::new(bench, medium, config);
+    robot.out = Channel::new(1, 0.2, 0.1, 1e-4);
+    robot.back = Channel::new(2, 0.2, 0.1, 1e-4);
+    while !robot.host.is_serving() {
+        robot.advance(1);
+    }
+    robot.frames_sent = 0;
+    let mut too_few_tries = 0;
+    for number in 1..=commands {
+        let command = number.to_le_bytes();
+        robot.host.handle_command(DeviceCommand::Call(NUMBER, &command)).expect("it serves");
+        robot.events.clear();
+        robot.pump();
+        while robot.events.is_empty() {
+            robot.now = robot.now.max(robot.host.poll_timeout());
+            robot.tick();
+        }
+        for (event, payload) in &robot.events {
+            match event {
+                HostEvent::TooFewTries { .. } => too_few_tries += 1,
+                HostEvent::Done(CommandOutcome::Replied(Status::Well)) => {
+                    assert_eq!(payload[..4], command, "carried out so often");
+                    assert_eq!(payload[4..], command, "its own reply");
+                }
+                other => panic!("command {number}: {other:?}"),
+            }
+        }
+    }
+    let frames = robot.frames_sent as f64 / f64::from(commands);
+    (robot.out, robot.back) = (Channel::perfect(), Channel::perfect());
+    robot.events.clear();
+    let journal = robot.journal();
+    assert_eq!((journal.executed, journal.twice, journal.wrong), (commands, 0, 0));
+    assert_eq!(too_few_tries, 0, "40 tries are enough at this loss");
+    println!("{medium:?}: {commands} commands, each once; {frames:.3} frames per command");
+}
+
+#[test]
+fn each_command_is_carried_out_once_by_the_rust_side() {
+    let commands = if is_long() { 1_000_000 } else { 10_000 };
+    check(Box::new(RustSide::new(Medium::Serial)), Medium::Serial, commands);
+    check(Box::new(RustSide::new(Medium::Multidrop)), Medium::Multidrop, commands / 10);
+    check(Box::new(RustSide::new(Medium::Datagram)), Medium::Datagram, commands / 10);
+}
+
+#[test]
+fn each_command_is_carried_out_once_by_the_c_side() {
+    let commands = if is_long() { 1_000_000 } else { 10_000 };
+    check(Box::new(CSide::new(Medium::Serial)), Medium::Serial, commands);
+    check(Box::new(CSide::new(Medium::Multidrop)), Medium::Multidrop, commands / 10);
+    check(Box::new(CSide::new(Medium::Datagram)), Medium::Datagram, commands / 10);
+}
