@@ -6,7 +6,7 @@
 enum { OK, WRONG_STATE, NO_SUCH, WRONG_LENGTH, HOOK_FAILED, NO_SESSION, END, OUT_OF_STEP };
 enum { PING, HELLO, DESCRIBE, POLL, RESTART };
 enum { LIFECYCLE = 0x10, START = 0x14, STOP = 0x15, RATE = 0x16, STATE = 0x20, TEXT = 0x21 };
-enum { GET = 0xE0, GET_BIT = 0x20, UNKNOWN = 0xFF };
+enum { GET = 0xE0, GET_BIT = 0x20, PING_UNHEARD = 0x80, UNKNOWN = 0xFF };
 /* bits of the header and of a PONG's flags */
 enum { PLAIN_TEXT = 0x40, FROM_DEVICE = 0x20, COMMAND = 0x10, WIDE = 8, SEQUENCE = 7 };
 enum { HAS_SESSION = 1, DEADMAN_STRUCK = 2, WAITING = 4, ONE_FAULT = 0x10 };
@@ -347,10 +347,13 @@ static void take(uint8_t n) {
     n = (uint8_t)(n - tail);
     sum = checksum_of(s.rx, n);
     if (s.rx[n] != (uint8_t)(sum >> 8) || (wide != 0u && s.rx[n + 1u] != (uint8_t)sum)) return;
-    s.heard = bl_millis();
-    s.silent = 0;
     n = (uint8_t)(n - DATA);
     message = p[2];
+    /* a host that does not hear this device must not hold the dead-man off */
+    if (wide != 0u || n == 0u || p[3] < PING_UNHEARD) {
+        s.heard = bl_millis();
+        s.silent = 0;
+    }
     if ((p[0] & COMMAND) != 0u) {
         command(n);
     } else if (p[1] == 0u) {

@@ -175,7 +175,12 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
         if packet.from_device || !for_us || !in_place {
             return;
         }
-        (self.heard, self.silent) = (now, false);
+        let is_unheard = is_link
+            && packet.message == message::PING
+            && packet.data.first().is_some_and(|number| number & message::PING_UNHEARD != 0);
+        if !is_unheard {
+            (self.heard, self.silent) = (now, false);
+        }
         if !self.has_exact_length(&packet) {
             return;
         }

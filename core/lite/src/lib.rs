@@ -91,6 +91,9 @@
 
 #![no_std]
 
+#[cfg(test)]
+extern crate std;
+
 pub mod cobs;
 mod device;
 mod firmware;

@@ -77,6 +77,12 @@ impl core::fmt::Display for PacketError {
 impl core::error::Error for PacketError {}
 
 impl<'a> DevicePacket<'a> {
+    /// A plain packet of the link to a device, without data, for the other fields to be set.
+    pub(crate) const fn to_device(address: Option<u8>) -> DevicePacket<'static> {
+        let (object, message) = (crate::message::LINK, crate::message::PING);
+        DevicePacket { address, from_device: false, sequence: None, object, message, data: &[] }
+    }
+
     /// Writes the packet with the checksum of this session and returns its bytes.
     ///
     /// # Panics

@@ -71,8 +71,14 @@ const CIRCLES: &[(&str, &str)] = &[
 ];
 
 /// The sources of the packages whose folders are layered.
-const ROOTS: &[&str] =
-    &["core/src", "core/lite/src", "core/contract/src", "transports/src", "actors/src", "actors/cli/src"];
+const ROOTS: &[&str] = &[
+    "core/src",
+    "core/lite/src",
+    "core/contract/src",
+    "transports/src",
+    "actors/src",
+    "actors/cli/src",
+];
 
 type Path = Vec<String>;
 

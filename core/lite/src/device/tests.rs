@@ -1,5 +1,7 @@
 use super::*;
 use crate::message::{HELLO, LINK, PING, POLL, RESTART};
+use std::vec;
+use std::vec::Vec;
 
 #[derive(Default)]
 struct Counter {
@@ -43,10 +45,7 @@ impl Firmware for Counter {
 }
 
 /// A packet as fields: sequence, object, message, data.
-type Fields = (Option<u8>, u8, u8, Vec4);
-
-/// Up to four bytes of data matter in these tests.
-type Vec4 = ([u8; 4], usize);
+type Fields = (Option<u8>, u8, u8, Vec<u8>);
 
 struct Chip {
     device: Device<'static, 1, 4>,
@@ -90,22 +89,24 @@ impl Chip {
         let packet = DevicePacket::decode(bytes, self.address.is_some(), self.session);
         let packet = packet.expect("a packet of this session");
         assert!(packet.from_device && packet.address == self.address);
-        let mut data = [0; 4];
-        let length = packet.data.len();
-        let shown = length.min(4);
-        data[..shown].copy_from_slice(&packet.data[..shown]);
-        Some((packet.sequence, packet.object, packet.message, (data, length)))
+        Some((packet.sequence, packet.object, packet.message, packet.data.to_vec()))
     }
 
     /// What the device answers; it must answer with one packet at most.
-    fn ask(&mut self, sequence: Option<u8>, object: u8, message: u8, data: &[u8]) -> Option<Vec4> {
+    fn ask(
+        &mut self,
+        sequence: Option<u8>,
+        object: u8,
+        message: u8,
+        data: &[u8],
+    ) -> Option<Vec<u8>> {
         self.give(self.address, sequence, object, message, data);
         let answer = self.poll();
         assert_eq!(self.poll(), None);
         answer.map(|(.., data)| data)
     }
 
-    fn call(&mut self, sequence: u8) -> Option<Vec4> {
+    fn call(&mut self, sequence: u8) -> Option<Vec<u8>> {
         self.ask(Some(sequence), 1, 0x80, &[0])
     }
 }
@@ -116,7 +117,7 @@ fn without_a_session_only_the_link_is_served() {
     assert_eq!(chip.call(1), None);
     chip.session = 0;
     assert_eq!(chip.call(1), None);
-    assert_eq!(chip.ask(None, LINK, PING, &[9]), Some(([9, 5, 0, 0], 4)));
+    assert_eq!(chip.ask(None, LINK, PING, &[9]), Some(vec![9, 5, 0, 0]));
     assert_eq!(chip.ask(None, LINK, HELLO, &[0, 0, 0, 0]), None, "0 is no session");
     assert_eq!(chip.firmware.calls, 0);
 }
@@ -128,12 +129,12 @@ fn a_repeated_command_is_answered_from_memory_and_older_copies_are_out_of_step()
     for calls in 1..=20 {
         sequence = (sequence + 1) % 8;
         for _ in 0..3 {
-            assert_eq!(chip.call(sequence), Some(([0, calls, 0, 0], 5)));
+            assert_eq!(chip.call(sequence), Some(vec![0, calls, 0, 0, 0]));
         }
         // Copies of up to six commands before this one were delayed.
         for age in 1..=6 {
             let old = (sequence + 8 - age) % 8;
-            assert_eq!(chip.call(old), Some(([Status::OutOfStep as u8, 0, 0, 0], 1)));
+            assert_eq!(chip.call(old), Some(vec![Status::OutOfStep as u8]));
         }
         assert_eq!(chip.firmware.calls, calls.into());
     }
@@ -144,13 +145,13 @@ fn the_same_hello_resets_nothing_and_another_one_forgets_the_last_command() {
     let mut chip = Chip::in_session(None);
     chip.call(1);
     chip.ask(None, LINK, HELLO, &[0x34, 0x12, 0, 0]).expect("an answer");
-    assert_eq!(chip.call(1), Some(([0, 1, 0, 0], 5)), "from memory");
+    assert_eq!(chip.call(1), Some(vec![0, 1, 0, 0, 0]), "from memory");
 
     chip.session = 0x1235;
     chip.ask(None, LINK, HELLO, &[0x35, 0x12, 0, 0]).expect("an answer");
 
-    assert_eq!(chip.call(0), Some(([Status::OutOfStep as u8, 0, 0, 0], 1)));
-    assert_eq!(chip.call(1), Some(([0, 2, 0, 0], 5)));
+    assert_eq!(chip.call(0), Some(vec![Status::OutOfStep as u8]));
+    assert_eq!(chip.call(1), Some(vec![0, 2, 0, 0, 0]));
     chip.session = 0x1234;
     assert_eq!(chip.call(2), None, "the old session is over");
 }
@@ -158,9 +159,10 @@ fn the_same_hello_resets_nothing_and_another_one_forgets_the_last_command() {
 #[test]
 fn hello_tells_the_boot_count_the_cause_the_type_and_the_states() {
     let mut chip = Chip::in_session(None);
-    assert_eq!(chip.ask(None, LINK, HELLO, &[1, 0, 0, 0]), Some(([0, 5, 1, 4], 11)));
+    let expected = vec![0, 5, 1, 4, 1, 2, 3, 4, 240, 1, 1];
+    assert_eq!(chip.ask(None, LINK, HELLO, &[1, 0, 0, 0]), Some(expected));
     chip.session = 1;
-    assert_eq!(chip.ask(None, LINK, PING, &[7]), Some(([7, 5, 1, 1], 4)));
+    assert_eq!(chip.ask(None, LINK, PING, &[7]), Some(vec![7, 5, 1, 1]));
 }
 
 #[test]
@@ -180,7 +182,7 @@ fn data_of_a_wrong_length_are_dropped_and_unknown_messages_answered() {
     }
     for (sequence, object, message) in [(1, 1, 0x81), (2, 2, 0x10), (3, 1, 0x20), (4, 1, 0x22)] {
         let answer = chip.ask(Some(sequence), object, message, &[]);
-        assert_eq!(answer, Some(([Status::NoSuch as u8, 0, 0, 0], 1)), "{object} {message:x}");
+        assert_eq!(answer, Some(vec![Status::NoSuch as u8]), "{object} {message:x}");
     }
     assert_eq!(chip.ask(None, LINK, PING, &[1, 2]), None);
     assert_eq!(chip.ask(None, LINK, POLL, &[1]), None, "the line is its own");
@@ -204,9 +206,9 @@ fn a_plain_write_is_taken_and_not_answered_and_other_plain_messages_do_nothing()
 fn a_restart_needs_the_right_type() {
     let mut chip = Chip::new(None);
     let refused = chip.ask(None, LINK, RESTART, &[4, 3, 2, 1]);
-    assert_eq!(refused, Some(([Status::NoSuch as u8, 0, 0, 0], 1)));
+    assert_eq!(refused, Some(vec![Status::NoSuch as u8]));
     assert!(!chip.device.restarts());
-    assert_eq!(chip.ask(None, LINK, RESTART, &[1, 2, 3, 4]), Some(([0; 4], 1)));
+    assert_eq!(chip.ask(None, LINK, RESTART, &[1, 2, 3, 4]), Some(vec![0]));
     assert!(chip.device.restarts());
 }
 
@@ -215,21 +217,21 @@ fn on_a_shared_line_events_wait_for_a_poll() {
     let mut chip = Chip::in_session(Some(7));
     chip.firmware.fails = true;
     let failed = chip.ask(Some(1), 1, 0x10, &[]);
-    assert_eq!(failed, Some(([Status::HookFailed as u8, DeviceState::Error as u8, 0, 0], 2)));
+    assert_eq!(failed, Some(vec![Status::HookFailed as u8, DeviceState::Error as u8]));
     chip.device.publish(1);
 
     let waiting = message::FLAG_SESSION | message::FLAG_WAITING | 1 << 4;
-    assert_eq!(chip.ask(None, LINK, PING, &[9]), Some(([9, 5, waiting, 0x34], 4)));
+    assert_eq!(chip.ask(None, LINK, PING, &[9]), Some(vec![9, 5, waiting, 0x34]));
     chip.give(Some(7), None, LINK, POLL, &[1]);
-    let state = ([DeviceState::Error as u8, 3, 0, 0], 2);
+    let state = vec![DeviceState::Error as u8, 3];
     assert_eq!(chip.poll(), Some((None, 1, message::STATE, state)));
-    assert_eq!(chip.poll(), Some((None, LINK, PING, ([1, 5, waiting, 0x34], 4))));
+    assert_eq!(chip.poll(), Some((None, LINK, PING, vec![1, 5, waiting, 0x34])));
     assert_eq!(chip.poll(), None);
 
     chip.give(Some(7), None, LINK, POLL, &[9]);
-    assert_eq!(chip.poll(), Some((None, 1, 0x60, ([0; 4], 1))));
+    assert_eq!(chip.poll(), Some((None, 1, 0x60, vec![0])));
     let rest = waiting & !message::FLAG_WAITING;
-    assert_eq!(chip.poll(), Some((None, LINK, PING, ([9, 5, rest, 0x34], 4))));
+    assert_eq!(chip.poll(), Some((None, LINK, PING, vec![9, 5, rest, 0x34])));
 }
 
 #[test]

@@ -1,7 +1,8 @@
 //! Commands: carried out once, and answered.
 
-use crate::message::{self, LifecycleChange};
-use crate::packet::DATA_MAX;
+use super::event::CommandOutcome;
+use crate::message::{self, LifecycleChange, Status};
+use crate::packet::{DATA_MAX, DevicePacket};
 use crate::port::{Port, PortKind};
 
 /// A command to a device. Ports are indices of [`HostConfig::ports`](crate::HostConfig::ports), objects count from 1.
@@ -51,23 +52,104 @@ impl core::fmt::Display for CommandError {
 
 impl core::error::Error for CommandError {}
 
-/// A command that waits for its reply; its data are kept beside it.
+/// The place of the outstanding command.
+#[derive(Clone, Debug)]
+pub(super) struct CommandSlot {
+    /// The sequence of the last command.
+    sequence: u8,
+    outstanding: Option<Outstanding>,
+    data: [u8; DATA_MAX],
+}
+
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Outstanding {
-    pub(super) object: u8,
-    pub(super) message: u8,
+struct Outstanding {
+    object: u8,
+    message: u8,
     /// Bytes of its data.
-    pub(super) length: usize,
+    length: usize,
     /// The fewest and most bytes of the reply's payload if all is well.
-    pub(super) reply: (usize, usize),
+    reply: (usize, usize),
     /// How often it was sent in vain.
-    pub(super) misses: u32,
-    pub(super) sent: bool,
+    misses: u32,
+    sent: bool,
+}
+
+impl CommandSlot {
+    pub(super) fn new() -> Self {
+        CommandSlot { sequence: 0, outstanding: None, data: [0; DATA_MAX] }
+    }
+
+    pub(super) fn is_taken(&self) -> bool {
+        self.outstanding.is_some()
+    }
+
+    pub(super) fn accept(
+        &mut self,
+        command: DeviceCommand<'_>,
+        ports: &[Port],
+    ) -> Result<(), CommandError> {
+        if self.is_taken() {
+            return Err(CommandError::Busy);
+        }
+        self.outstanding = Some(command.encode(ports, &mut self.data)?);
+        self.sequence = (self.sequence + 1) % 8;
+        Ok(())
+    }
+
+    /// The command as a packet from the host, and the most bytes of its reply's data.
+    pub(super) fn send(&mut self, address: Option<u8>) -> Option<(DevicePacket<'_>, usize)> {
+        let command = self.outstanding.as_mut()?;
+        command.sent = true;
+        let packet = DevicePacket {
+            sequence: Some(self.sequence),
+            object: command.object,
+            message: command.message,
+            data: &self.data[..command.length],
+            ..DevicePacket::to_device(address)
+        };
+        Some((packet, 1 + command.reply.1))
+    }
+
+    /// Notes that no reply came; returns how often by now.
+    pub(super) fn miss(&mut self) -> u32 {
+        self.outstanding.as_mut().map_or(0, |command| {
+            command.misses += 1;
+            command.misses
+        })
+    }
+
+    /// Takes a reply apart, if it is the command's and exactly as long as it must be.
+    pub(super) fn reply<'r>(&self, packet: &DevicePacket<'r>) -> Option<(Status, &'r [u8])> {
+        let command = self.outstanding?;
+        let (status, payload) = packet.data.split_first()?;
+        let status = Status::from_byte(*status)?;
+        let is_change = (message::LIFECYCLE..message::START).contains(&command.message);
+        let (least, most) = match status {
+            Status::Well => command.reply,
+            Status::WrongState | Status::HookFailed if is_change => (1, 1),
+            _ => (0, 0),
+        };
+        let names = (packet.sequence, packet.object, packet.message);
+        let is_own = names == (Some(self.sequence), command.object, command.message);
+        (is_own && (least..=most).contains(&payload.len())).then_some((status, payload))
+    }
+
+    /// Ends the command after its reply.
+    pub(super) fn finish(&mut self) {
+        self.outstanding = None;
+    }
+
+    /// Ends the session; returns the outcome of a command that was outstanding.
+    pub(super) fn end_session(&mut self) -> Option<CommandOutcome> {
+        self.sequence = 0;
+        let sent = self.outstanding.take()?.sent;
+        Some(if sent { CommandOutcome::Unknown } else { CommandOutcome::NotSent })
+    }
 }
 
 impl DeviceCommand<'_> {
     /// Writes the command's data.
-    pub(super) fn encode(
+    fn encode(
         &self,
         ports: &[Port],
         data: &mut [u8; DATA_MAX],

@@ -1,5 +1,7 @@
 //! What a host knows of a device beforehand, and how long it waits for it.
 
+use super::tries::Tries;
+use crate::port::{Port, PortKind};
 use core::time::Duration;
 
 /// How the host of one device behaves.
@@ -67,43 +69,16 @@ impl<P> HostConfig<P> {
     }
 }
 
-/// When a device that does not answer is lost.
-///
-/// A try fails with `q = 1 - (1 - p)^2` on a line that loses each frame with `p`. At `p` = 20 %
-/// three tries in a row fail in 4.7 % of cases.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Tries {
-    /// As many as keep false alarms below one a day at the measured loss, at least 3.
-    #[default]
-    Auto,
-    /// This many. The host reports when the measured loss demands more.
-    Fixed(u8),
-}
+impl<P: AsRef<[Port]>> HostConfig<P> {
+    /// The number of objects that have ports, at least 1.
+    pub(crate) fn objects(&self) -> u8 {
+        self.ports.as_ref().iter().map(Port::object).max().unwrap_or(1)
+    }
 
-impl Tries {
-    /// The fewest tries, also of a line without loss.
-    pub const LEAST: u8 = 3;
-
-    /// The tries that keep false alarms below one a day, if of `asked` tries `missed` failed.
-    ///
-    /// ```
-    /// use blastema_lite::Tries;
-    /// use core::time::Duration;
-    /// // 36 % fail: 14 tries at 10 pings per second, 16 at 100.
-    /// assert_eq!(Tries::needed(360, 1000, Duration::from_millis(100)), 14);
-    /// assert_eq!(Tries::needed(360, 1000, Duration::from_millis(10)), 16);
-    /// assert_eq!(Tries::needed(0, 1000, Duration::from_millis(10)), 3);
-    /// ```
-    pub fn needed(missed: u32, asked: u32, interval: Duration) -> u8 {
-        const DAY_S: f32 = 86_400.0;
-        let target = interval.as_secs_f32() / DAY_S;
-        let fails = missed as f32 / asked.max(1) as f32;
-        let mut all_fail = fails;
-        let mut tries = 1;
-        while all_fail > target && tries < u8::MAX {
-            all_fail *= fails;
-            tries += 1;
-        }
-        tries.max(Tries::LEAST)
+    /// The most bytes of a frame that reports a state or an out port's value.
+    pub(crate) fn largest_event(&self) -> usize {
+        let outs = self.ports.as_ref().iter().filter(|port| port.kind() == PortKind::Out);
+        // A state and its code are 2 bytes; address, header, commands, CRC and framing 8.
+        usize::from(outs.map(Port::size).fold(2, u8::max)) + 8
     }
 }

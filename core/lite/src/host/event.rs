@@ -1,7 +1,7 @@
 //! What a host reports of its device.
 
+use super::matching::Mismatch;
 use crate::message::{DeviceState, ResetCause, Status};
-use crate::port::Port;
 
 /// An event that the host reports to its driver, the proxy of the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,14 +75,25 @@ pub struct DeviceIdentity {
     pub reset: bool,
 }
 
-/// Why a device is refused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Mismatch {
-    /// It has this type. Another device is connected, or another firmware runs.
-    Type(u32),
-    /// The port with this index has another size or fingerprint than expected, those of this
-    /// record: firmware and robot were built from different contracts.
-    Port(usize, Port),
-    /// The port with this index is missing.
-    Missing(usize),
+/// The events that the driver has not taken yet.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct EventQueue([Option<HostEvent>; EVENTS_MAX]);
+
+/// One input causes at most three events: out of step, an outcome, a warning.
+const EVENTS_MAX: usize = 4;
+
+impl EventQueue {
+    pub(super) fn push(&mut self, event: HostEvent) {
+        let free = self.0.iter_mut().find(|place| place.is_none());
+        debug_assert!(free.is_some(), "the driver takes all events after each input");
+        if let Some(place) = free {
+            *place = Some(event);
+        }
+    }
+
+    pub(super) fn pop(&mut self) -> Option<HostEvent> {
+        let first = self.0[0].take();
+        self.0.rotate_left(1);
+        first
+    }
 }

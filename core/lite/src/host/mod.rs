@@ -23,30 +23,36 @@
 mod command;
 mod config;
 mod event;
+mod matching;
+mod tries;
 
 pub use command::{CommandError, DeviceCommand};
-pub use config::{HostConfig, Tries};
-pub use event::{CommandOutcome, DeviceIdentity, HostEvent, Mismatch};
+pub use config::HostConfig;
+pub use event::{CommandOutcome, DeviceIdentity, HostEvent};
+pub use matching::Mismatch;
+pub use tries::Tries;
 
 use crate::message::{self, DeviceState, ResetCause, Status};
 use crate::packet::{DATA_MAX, DevicePacket, OBJECTS_MAX, PACKET_MAX};
 use crate::port::{Port, PortKind, PortSet};
-use command::Outstanding;
+use command::CommandSlot;
 use core::time::Duration;
+use event::EventQueue;
+use matching::{Matching, Progress};
+use tries::LossEstimate;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     Probing,
     Greeting,
-    /// This record of the port table is asked for.
-    Matching(u8),
+    Matching(Matching),
     Serving,
     Refused,
 }
 
 /// A request that waits for its answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Request {
+enum Exchange {
     Ping(u8),
     Poll(u8),
     Hello,
@@ -58,7 +64,7 @@ enum Request {
 /// RESTART is sent again only after a PONG has shown that the device is still in the session: a
 /// second one would reset the chip a second time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Restart {
+enum RestartOrder {
     None,
     Wanted,
     Sent,
@@ -76,17 +82,14 @@ pub struct Host<P> {
     config: HostConfig<P>,
     phase: Phase,
     session: u16,
-    /// The sequence of the last command.
-    sequence: u8,
-    request: Option<(Request, Duration)>,
+    /// The request that waits for its answer, and until when.
+    exchange: Option<(Exchange, Duration)>,
     /// Unanswered requests in a row.
     misses: u32,
     /// When the device last answered.
     heard: Duration,
     lost: bool,
-    tries: u8,
-    /// Requests since the loss was last estimated, and those that were not answered.
-    asked: (u32, u32),
+    loss: LossEstimate,
     ping_number: u8,
     next_ping: Duration,
     next_forced_ping: Duration,
@@ -95,28 +98,18 @@ pub struct Host<P> {
     identity: Option<DeviceIdentity>,
     reset_seen: bool,
     states: [Option<DeviceState>; OBJECTS_MAX],
-    /// The record before the one that is asked for: a late repetition of its answer is ignored.
-    previous: Option<Port>,
-    matched: PortSet,
     contract_matches: bool,
-    restart: Restart,
+    restart: RestartOrder,
     /// Frames wait for a POLL.
     waiting: bool,
     /// A STATE event was lost: the states are read again.
     event_lost: bool,
     published: PortSet,
-    outstanding: Option<Outstanding>,
-    command_data: [u8; DATA_MAX],
+    command: CommandSlot,
     payload: [u8; DATA_MAX],
     payload_length: usize,
-    events: [Option<HostEvent>; EVENTS_MAX],
+    events: EventQueue,
 }
-
-/// One input causes at most three events: out of step, an outcome, a warning.
-const EVENTS_MAX: usize = 4;
-
-/// The estimate of the loss rests on so many requests.
-const ESTIMATE_AFTER: u32 = 1_000;
 
 /// A command is abandoned after so many times the tries that declare a silent device lost: a device
 /// that answers pings but not the command is faulty.
@@ -135,21 +128,16 @@ const FRAMES_PER_POLL: u8 = 4;
 impl<P: AsRef<[Port]>> Host<P> {
     /// A host that begins to look for its device.
     pub fn new(config: HostConfig<P>, now: Duration) -> Self {
-        let tries = match config.tries {
-            Tries::Auto => Tries::LEAST,
-            Tries::Fixed(tries) => tries.max(1),
-        };
+        let loss = LossEstimate::new(config.tries);
         Host {
             session: config.session,
             config,
             phase: Phase::Probing,
-            sequence: 0,
-            request: None,
+            exchange: None,
             misses: 0,
             heard: now,
             lost: false,
-            tries,
-            asked: (0, 0),
+            loss,
             ping_number: 0,
             next_ping: now,
             next_forced_ping: now,
@@ -157,18 +145,15 @@ impl<P: AsRef<[Port]>> Host<P> {
             identity: None,
             reset_seen: false,
             states: [None; OBJECTS_MAX],
-            previous: None,
-            matched: PortSet::default(),
             contract_matches: false,
-            restart: Restart::None,
+            restart: RestartOrder::None,
             waiting: false,
             event_lost: false,
             published: PortSet::default(),
-            outstanding: None,
-            command_data: [0; DATA_MAX],
+            command: CommandSlot::new(),
             payload: [0; DATA_MAX],
             payload_length: 0,
-            events: [None; EVENTS_MAX],
+            events: EventQueue::default(),
         }
     }
 
@@ -189,7 +174,7 @@ impl<P: AsRef<[Port]>> Host<P> {
 
     /// Whether a request waits for its answer: on a multi-drop line the device has the turn.
     pub fn is_waiting(&self) -> bool {
-        self.request.is_some()
+        self.exchange.is_some()
     }
 
     /// The state of an object, from 1, as the device has last reported it.
@@ -211,13 +196,7 @@ impl<P: AsRef<[Port]>> Host<P> {
         if self.phase != Phase::Serving {
             return Err(CommandError::NotServing);
         }
-        if self.outstanding.is_some() {
-            return Err(CommandError::Busy);
-        }
-        let ports = self.config.ports.as_ref();
-        self.outstanding = Some(command.encode(ports, &mut self.command_data)?);
-        self.sequence = (self.sequence + 1) % 8;
-        Ok(())
+        self.command.accept(command, self.config.ports.as_ref())
     }
 
     /// Announces a new value of an in port. It is sent once, without an answer; the host asks for it
@@ -240,13 +219,13 @@ impl<P: AsRef<[Port]>> Host<P> {
     /// Restarts the chip, also one that is refused. The outstanding command ends as unknown.
     pub fn handle_restart(&mut self) {
         if matches!(self.phase, Phase::Serving | Phase::Refused) {
-            self.restart = Restart::Wanted;
+            self.restart = RestartOrder::Wanted;
         }
     }
 
     /// Declares the device lost at once: its line is closed or unplugged.
     pub fn handle_line_closed(&mut self) {
-        self.request = None;
+        self.exchange = None;
         self.lose();
     }
 
@@ -265,47 +244,37 @@ impl<P: AsRef<[Port]>> Host<P> {
             (None, ..) if matches!(self.phase, Phase::Probing | Phase::Greeting) => {}
             (None, object, message::STATE) => self.state_event(object, packet.data),
             (None, object, message) => self.data(object, message, packet.data),
-            (Some(sequence), object, message) => {
-                let expected = self.outstanding.map(|command| (command.object, command.message));
-                if sequence == self.sequence && expected == Some((object, message)) {
-                    self.reply(packet.data, now);
-                }
-            }
+            (Some(_), ..) => self.reply(&packet, now),
         }
     }
 
     /// Lets the host act on everything that is due.
     pub fn handle_timeout(&mut self, now: Duration) {
-        let Some((request, _)) = self.request.filter(|(_, due)| *due <= now) else { return };
-        self.request = None;
+        let Some((request, _)) = self.exchange.filter(|(_, due)| *due <= now) else { return };
+        self.exchange = None;
         self.misses += 1;
         if !self.lost {
             self.estimate(true);
         }
         // Repetitions follow each other faster than pings; the silence must be as long all the same.
-        let silence = self.config.interval * self.tries.into();
-        if self.misses >= self.tries.into() && now.saturating_sub(self.heard) >= silence {
+        let silence = self.config.interval * self.loss.tries().into();
+        if self.misses >= self.loss.tries().into() && now.saturating_sub(self.heard) >= silence {
             self.lose();
-        } else if request == Request::Command
-            && let Some(command) = &mut self.outstanding
+        } else if request == Exchange::Command
+            && self.command.miss() >= COMMAND_PATIENCE * u32::from(self.loss.tries())
         {
-            command.misses += 1;
-            if command.misses >= COMMAND_PATIENCE * u32::from(self.tries) {
-                self.greet(low(self.session));
-            }
+            self.greet(low(self.session));
         }
     }
 
     /// When the host wants `handle_timeout`, or a poll for a packet, at the latest.
     pub fn poll_timeout(&self) -> Duration {
-        self.request.map_or(self.next_ping, |(_, due)| due)
+        self.exchange.map_or(self.next_ping, |(_, due)| due)
     }
 
     /// The next event.
     pub fn poll_event(&mut self) -> Option<HostEvent> {
-        let first = self.events[0].take();
-        self.events.rotate_left(1);
-        first
+        self.events.pop()
     }
 
     /// Writes the next packet into `bytes` and returns it; `None` when there is none to send now.
@@ -316,95 +285,97 @@ impl<P: AsRef<[Port]>> Host<P> {
         mut values: impl FnMut(usize, &mut [u8]),
         bytes: &'b mut [u8; PACKET_MAX],
     ) -> Option<&'b [u8]> {
+        let session = self.session;
+        let mut data = [0; DATA_MAX];
         if let Some(index) = self.published.pop() {
             let port = self.config.ports.as_ref()[index];
-            let mut value = [0; DATA_MAX];
-            let value = &mut value[..usize::from(port.size())];
+            let value = &mut data[..usize::from(port.size())];
             values(index, value);
-            return Some(self.encode(None, (port.object(), port.id()), value, bytes));
+            let packet = DevicePacket {
+                object: port.object(),
+                message: port.id(),
+                data: value,
+                ..DevicePacket::to_device(self.config.address)
+            };
+            return Some(packet.encode(session, bytes));
         }
-        if self.request.is_some() {
+        if self.exchange.is_some() {
             return None;
         }
-        let request = self.next_request(now)?;
-        let mut data = [0; DATA_MAX];
-        let (names, length, back) = self.compose(request, &mut data, now);
-        self.request = Some((request, now + self.config.exchange_time(length, back)));
-        let sequence = (request == Request::Command).then_some(self.sequence);
-        Some(self.encode(sequence, names, &data[..length], bytes))
+        let exchange = self.next_exchange(now)?;
+        let (packet, back) = self.compose(exchange, &mut data, now)?;
+        let (out, packet) = (packet.data.len(), packet.encode(session, bytes));
+        self.exchange = Some((exchange, now + self.config.exchange_time(out, back)));
+        Some(packet)
     }
 
     /// What is to be asked next. It is called only while no request waits.
-    fn next_request(&mut self, now: Duration) -> Option<Request> {
+    fn next_exchange(&mut self, now: Duration) -> Option<Exchange> {
         match self.phase {
-            Phase::Greeting => return Some(Request::Hello),
-            Phase::Matching(index) => return Some(Request::Describe(index)),
+            Phase::Greeting => return Some(Exchange::Hello),
+            Phase::Matching(matching) => return Some(Exchange::Describe(matching.index())),
             Phase::Probing | Phase::Serving | Phase::Refused => {}
         }
-        if self.restart == Restart::Wanted {
-            return Some(Request::Restart);
+        if self.restart == RestartOrder::Wanted {
+            return Some(Exchange::Restart);
         }
-        let silent = self.outstanding.is_some() && self.misses % 3 == 2;
+        let silent = self.command.is_taken() && self.misses % 3 == 2;
         if self.waiting && !silent {
-            return Some(Request::Poll(FRAMES_PER_POLL));
+            return Some(Exchange::Poll(FRAMES_PER_POLL));
         }
-        if self.outstanding.is_some() && !silent && now < self.next_forced_ping {
-            return Some(Request::Command);
+        if self.command.is_taken() && !silent && now < self.next_forced_ping {
+            return Some(Exchange::Command);
         }
-        if silent || now >= self.next_ping || self.outstanding.is_some() {
-            self.ping_number = self.ping_number.wrapping_add(1);
-            return Some(Request::Ping(self.ping_number));
+        if silent || now >= self.next_ping || self.command.is_taken() {
+            self.ping_number = (self.ping_number + 1) % message::PING_UNHEARD;
+            // A device that the host does not hear, or refuses, must fall to its dead-man.
+            let fed = self.phase == Phase::Serving;
+            let unheard = if fed { 0 } else { message::PING_UNHEARD };
+            return Some(Exchange::Ping(self.ping_number | unheard));
         }
         None
     }
 
-    /// Writes the request's data; returns command 0 and 1, and the data's length and the reply's.
-    fn compose(
-        &mut self,
-        request: Request,
-        data: &mut [u8; DATA_MAX],
+    /// The packet of a request, and the most bytes of its answer's data.
+    fn compose<'d>(
+        &'d mut self,
+        request: Exchange,
+        data: &'d mut [u8; DATA_MAX],
         now: Duration,
-    ) -> ((u8, u8), usize, usize) {
+    ) -> Option<(DevicePacket<'d>, usize)> {
+        let address = self.config.address;
         let (message, length, back) = match request {
-            Request::Ping(number) => {
-                self.next_ping = now + self.pause();
+            Exchange::Ping(number) => {
+                let rounds =
+                    if self.lost && self.config.address.is_some() { LOST_ROUNDS } else { 1 };
+                self.next_ping = now + self.config.interval * rounds;
                 data[0] = number;
                 (message::PING, 1, 4)
             }
-            Request::Poll(frames) => {
+            Exchange::Poll(frames) => {
                 self.waiting = false;
                 data[0] = frames;
-                let outs = self.config.ports.as_ref().iter();
-                let outs = outs.filter(|port| port.kind() == PortKind::Out);
-                let largest = outs.map(|port| usize::from(port.size())).max().unwrap_or(2);
-                // Around each struct there are eight bytes.
-                (message::POLL, 1, usize::from(frames) * (largest.max(2) + 8) + 4)
+                (message::POLL, 1, usize::from(frames) * self.config.largest_event() + 4)
             }
-            Request::Hello => {
+            Exchange::Hello => {
                 let deadman_ms = self.config.deadman.as_millis().min(u16::MAX.into()) as u16;
                 data[..2].copy_from_slice(&self.session.to_le_bytes());
                 data[2..4].copy_from_slice(&deadman_ms.to_le_bytes());
-                let objects = self.config.ports.as_ref().iter().map(|port| port.object()).max();
-                (message::HELLO, 4, 10 + usize::from(objects.unwrap_or(1)))
+                (message::HELLO, 4, 10 + usize::from(self.config.objects()))
             }
-            Request::Describe(index) => {
+            Exchange::Describe(index) => {
                 data[0] = index;
                 (message::DESCRIBE, 1, 8)
             }
-            Request::Restart => {
-                self.restart = Restart::Sent;
+            Exchange::Restart => {
+                self.restart = RestartOrder::Sent;
                 data[..4].copy_from_slice(&self.device_type().to_le_bytes());
                 (message::RESTART, 4, 1)
             }
-            Request::Command => {
-                let command = self.outstanding.as_mut().expect("a command is outstanding");
-                command.sent = true;
-                data.copy_from_slice(&self.command_data);
-                let names = (command.object, command.message);
-                return (names, command.length, 1 + command.reply.1);
-            }
+            Exchange::Command => return self.command.send(address),
         };
-        ((message::LINK, message), length, back)
+        let data = &data[..length];
+        Some((DevicePacket { message, data, ..DevicePacket::to_device(address) }, back))
     }
 
     /// A refused device is restarted by its own type, which may be another than the expected one.
@@ -412,48 +383,24 @@ impl<P: AsRef<[Port]>> Host<P> {
         self.identity.map_or(self.config.device_type, |identity| identity.device_type)
     }
 
-    fn pause(&self) -> Duration {
-        let interval = self.config.interval;
-        if self.phase == Phase::Refused {
-            // Pings feed the dead-man, and a device that is refused must not stay active.
-            interval.max(self.config.deadman * 2)
-        } else if self.lost && self.config.address.is_some() {
-            interval * LOST_ROUNDS
-        } else {
-            interval
-        }
-    }
-
-    fn encode<'b>(
-        &self,
-        sequence: Option<u8>,
-        (object, message): (u8, u8),
-        data: &[u8],
-        bytes: &'b mut [u8; PACKET_MAX],
-    ) -> &'b [u8] {
-        let address = self.config.address;
-        let packet = DevicePacket { address, from_device: false, sequence, object, message, data };
-        packet.encode(self.session, bytes)
-    }
-
     fn link_packet(&mut self, message: u8, data: &[u8], now: Duration) {
-        let Some((request, _)) = self.request else { return };
+        let Some((request, _)) = self.exchange else { return };
         match (message, request, data) {
             (
                 message::PING,
-                Request::Ping(n) | Request::Poll(n),
+                Exchange::Ping(n) | Exchange::Poll(n),
                 &[number, boot, flags, session],
             ) if n == number => {
                 self.answered(now);
                 self.next_forced_ping = now + self.config.interval * FORCED_PING;
                 // A device with much to send does not keep a command from more than one turn.
-                let polled = matches!(request, Request::Poll(_)) && self.outstanding.is_some();
+                let polled = matches!(request, Exchange::Poll(_)) && self.command.is_taken();
                 self.waiting = flags & message::FLAG_WAITING != 0 && !polled;
                 self.pong(boot, flags, session);
             }
             (
                 message::HELLO,
-                Request::Hello,
+                Exchange::Hello,
                 &[0, b0, b1, cause, t0, t1, t2, t3, data_max, objects, ref states @ ..],
             ) if states.len() == usize::from(objects) => {
                 self.answered(now);
@@ -467,28 +414,21 @@ impl<P: AsRef<[Port]>> Host<P> {
                 };
                 self.greeted(identity, states);
             }
-            (message::DESCRIBE, Request::Describe(index), &[status])
-                if Status::from_byte(status) == Some(Status::End) =>
-            {
+            (message::DESCRIBE, Exchange::Describe(_), record) => {
+                let Phase::Matching(matching) = &mut self.phase else { return };
+                let Some(progress) = matching.record(self.config.ports.as_ref(), record) else {
+                    return;
+                };
                 self.answered(now);
-                self.described(index);
-            }
-            (
-                message::DESCRIBE,
-                Request::Describe(index),
-                &[0, object, id, size, f0, f1, f2, f3],
-            ) => {
-                let record =
-                    Port::from_record(object, id, size, u32::from_le_bytes([f0, f1, f2, f3]));
-                if self.previous != Some(record) {
-                    self.answered(now);
-                    self.previous = Some(record);
-                    self.record(index, record);
+                match progress {
+                    Progress::Next => {}
+                    Progress::Right => self.serve(),
+                    Progress::Wrong(mismatch) => self.refuse(mismatch),
                 }
             }
-            (message::RESTART, Request::Restart, &[_]) => {
+            (message::RESTART, Exchange::Restart, &[_]) => {
                 self.answered(now);
-                self.restart = Restart::None;
+                self.restart = RestartOrder::None;
             }
             _ => {}
         }
@@ -510,13 +450,13 @@ impl<P: AsRef<[Port]>> Host<P> {
             self.event_lost = true;
             self.refresh();
         }
-        if self.restart == Restart::Sent {
-            self.restart = Restart::Wanted;
+        if self.restart == RestartOrder::Sent {
+            self.restart = RestartOrder::Wanted;
         }
     }
 
     fn refresh(&mut self) {
-        if self.event_lost && self.outstanding.is_none() {
+        if self.event_lost && !self.command.is_taken() {
             self.greet(low(self.session));
         }
     }
@@ -525,68 +465,45 @@ impl<P: AsRef<[Port]>> Host<P> {
         let rebooted = self.identity.is_some_and(|known| known.boot != identity.boot);
         identity.reset = core::mem::take(&mut self.reset_seen) || rebooted;
         self.identity = Some(identity);
-        self.sequence = 0;
         self.states = [None; OBJECTS_MAX];
-        for (known, byte) in self.states.iter_mut().zip(states) {
-            *known = DeviceState::from_byte(*byte);
+        for (object, state) in (1..).zip(states) {
+            self.note_state(object, *state);
         }
-        self.push(HostEvent::Greeted(identity));
+        self.events.push(HostEvent::Greeted(identity));
         if identity.device_type != self.config.device_type {
             self.refuse(Mismatch::Type(identity.device_type));
         } else if self.contract_matches && !identity.reset {
             self.serve();
         } else {
-            self.previous = None;
-            self.matched = PortSet::default();
-            self.phase = Phase::Matching(0);
-        }
-    }
-
-    fn record(&mut self, index: u8, record: Port) {
-        let ports = self.config.ports.as_ref();
-        if let Some(at) = Port::find(ports, record.object(), record.id()) {
-            let expected = ports[at];
-            if (expected.size(), expected.fingerprint()) != (record.size(), record.fingerprint()) {
-                return self.refuse(Mismatch::Port(at, record));
-            }
-            self.matched.insert(at);
-        }
-        match index.checked_add(1) {
-            Some(next) => self.phase = Phase::Matching(next),
-            None => self.described(index),
-        }
-    }
-
-    /// A chip that is too small for a port table has an empty one; its type alone must match.
-    fn described(&mut self, records: u8) {
-        let ports = 0..self.config.ports.as_ref().len();
-        let missing = ports.into_iter().find(|port| !self.matched.contains(*port));
-        match missing.filter(|_| records > 0) {
-            Some(port) => self.refuse(Mismatch::Missing(port)),
-            None => self.serve(),
+            self.phase = Phase::Matching(Matching::default());
         }
     }
 
     fn serve(&mut self) {
         self.contract_matches = true;
         self.phase = Phase::Serving;
-        self.push(HostEvent::Serving);
+        self.events.push(HostEvent::Serving);
     }
 
     fn refuse(&mut self, mismatch: Mismatch) {
         self.contract_matches = false;
         self.phase = Phase::Refused;
-        self.push(HostEvent::Refused(mismatch));
+        self.events.push(HostEvent::Refused(mismatch));
     }
 
     fn state_event(&mut self, object: u8, data: &[u8]) {
-        let &[state, code] = data else { return };
-        let Some(state) = DeviceState::from_byte(state) else { return };
-        let known = usize::from(object).checked_sub(1).and_then(|at| self.states.get_mut(at));
-        let Some(known) = known else { return };
-        *known = Some(state);
-        self.faults = (self.faults + 1) % 16;
-        self.push(HostEvent::State { object, state, code });
+        if let &[state, code] = data
+            && let Some(state) = self.note_state(object, state)
+        {
+            self.faults = (self.faults + 1) % 16;
+            self.events.push(HostEvent::State { object, state, code });
+        }
+    }
+
+    fn note_state(&mut self, object: u8, state: u8) -> Option<DeviceState> {
+        let known = self.states.get_mut(usize::from(object).checked_sub(1)?)?;
+        *known = DeviceState::from_byte(state);
+        *known
     }
 
     fn data(&mut self, object: u8, message: u8, data: &[u8]) {
@@ -595,43 +512,31 @@ impl<P: AsRef<[Port]>> Host<P> {
         let (kind, size) = (ports[port].kind(), usize::from(ports[port].size()));
         if kind == PortKind::Out && size == data.len() {
             self.keep(data);
-            self.push(HostEvent::Data { port });
+            self.events.push(HostEvent::Data { port });
         }
     }
 
-    fn reply(&mut self, data: &[u8], now: Duration) {
-        let Some(command) = self.outstanding else { return };
-        let [status, payload @ ..] = data else { return };
-        let Some(status) = Status::from_byte(*status) else { return };
-        let is_change = (message::LIFECYCLE..message::START).contains(&command.message);
-        let (least, most) = match status {
-            Status::Well => command.reply,
-            Status::WrongState | Status::HookFailed if is_change => (1, 1),
-            _ => (0, 0),
-        };
-        if !(least..=most).contains(&payload.len()) {
-            return;
-        }
+    fn reply(&mut self, packet: &DevicePacket<'_>, now: Duration) {
+        let Some((status, payload)) = self.command.reply(packet) else { return };
         self.answered(now);
         if status == Status::OutOfStep {
-            self.push(HostEvent::OutOfStep);
+            self.events.push(HostEvent::OutOfStep);
             return self.greet(low(self.session));
         }
-        if is_change && let &[state] = payload {
-            let known = usize::from(command.object).checked_sub(1);
-            if let Some(known) = known.and_then(|at| self.states.get_mut(at)) {
-                *known = DeviceState::from_byte(state);
-            }
+        if (message::LIFECYCLE..message::START).contains(&packet.message)
+            && let &[state] = payload
+        {
+            self.note_state(packet.object, state);
         }
         self.keep(payload);
-        self.outstanding = None;
-        self.push(HostEvent::Done(CommandOutcome::Replied(status)));
+        self.command.finish();
+        self.events.push(HostEvent::Done(CommandOutcome::Replied(status)));
         self.refresh();
     }
 
     /// Notes a sign of life.
     fn answered(&mut self, now: Duration) {
-        self.request = None;
+        self.exchange = None;
         self.misses = 0;
         self.heard = now;
         self.lost = false;
@@ -639,25 +544,15 @@ impl<P: AsRef<[Port]>> Host<P> {
     }
 
     fn estimate(&mut self, missed: bool) {
-        let (asked, failed) = (self.asked.0 + 1, self.asked.1 + u32::from(missed));
-        self.asked = (asked, failed);
-        if asked < ESTIMATE_AFTER {
-            return;
-        }
-        self.asked = (0, 0);
-        let needed = Tries::needed(failed, asked, self.config.interval);
-        if self.config.tries == Tries::Auto {
-            self.tries = needed;
-        } else if needed > self.tries {
-            let failed_per_mille = (failed * 1_000 / asked) as u16;
-            self.push(HostEvent::TooFewTries { needed, failed_per_mille });
+        if let Some(warning) = self.loss.count(missed, self.config.interval) {
+            self.events.push(warning);
         }
     }
 
     fn lose(&mut self) {
         if !self.lost {
             self.lost = true;
-            self.push(HostEvent::Lost);
+            self.events.push(HostEvent::Lost);
         }
         self.end_session();
         self.phase = Phase::Probing;
@@ -677,16 +572,14 @@ impl<P: AsRef<[Port]>> Host<P> {
     }
 
     fn end_session(&mut self) {
-        self.request = None;
-        self.restart = Restart::None;
+        self.exchange = None;
+        self.restart = RestartOrder::None;
         self.waiting = false;
         self.event_lost = false;
         // A value from before an interruption must not move an actuator after it.
         self.published = PortSet::default();
-        if let Some(command) = self.outstanding.take() {
-            let outcome =
-                if command.sent { CommandOutcome::Unknown } else { CommandOutcome::NotSent };
-            self.push(HostEvent::Done(outcome));
+        if let Some(outcome) = self.command.end_session() {
+            self.events.push(HostEvent::Done(outcome));
         }
     }
 
@@ -694,16 +587,11 @@ impl<P: AsRef<[Port]>> Host<P> {
         self.payload_length = payload.len();
         self.payload[..payload.len()].copy_from_slice(payload);
     }
-
-    fn push(&mut self, event: HostEvent) {
-        let free = self.events.iter_mut().find(|place| place.is_none());
-        debug_assert!(free.is_some(), "the driver takes all events after each input");
-        if let Some(place) = free {
-            *place = Some(event);
-        }
-    }
 }
 
 fn low(number: u16) -> u8 {
     number.to_le_bytes()[0]
 }
+
+#[cfg(test)]
+mod tests;

@@ -31,6 +31,7 @@ fn both_sides_answer_every_packet_with_the_same_bytes() {
             };
             let hello = [session.to_le_bytes(), [pick(4) as u8, pick(2) as u8]].concat();
             let guard = DEVICE_TYPE.to_le_bytes();
+            let number;
             match pick(30) {
                 0 => session = session.wrapping_add(pick(2) as u16).max(1),
                 1 | 2 => {
@@ -38,6 +39,11 @@ fn both_sides_answer_every_packet_with_the_same_bytes() {
                     sequence = 0;
                 }
                 3 => (packet.object, packet.message) = (0, pick(6) as u8),
+                6 => {
+                    let unheard = if pick(2) == 0 { 0 } else { message::PING_UNHEARD };
+                    number = [pick(9) as u8 | unheard];
+                    (packet.object, packet.message, packet.data) = (0, message::PING, &number);
+                }
                 4 if pick(20) == 0 => {
                     (packet.object, packet.message, packet.data) = (0, message::RESTART, &guard);
                 }

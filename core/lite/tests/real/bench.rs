@@ -190,6 +190,15 @@ impl RustSide {
         side.reset(Duration::ZERO, ResetCause::PowerOn);
         side
     }
+
+    fn drain(&mut self, sent: &mut Vec<Vec<u8>>) {
+        let (mut packet, mut frame) = ([0; PACKET_MAX], [0; FRAME_MAX]);
+        while let Some(packet) = self.device.poll_packet(&mut self.firmware, &mut packet) {
+            let is_datagram = self.medium == Medium::Datagram;
+            let bytes = if is_datagram { packet } else { cobs::encode(packet, &mut frame) };
+            sent.push(bytes.to_vec());
+        }
+    }
 }
 
 fn started(
@@ -209,30 +218,22 @@ fn started(
 impl Bench for RustSide {
     fn run(&mut self, now: Duration, bytes: &[u8]) -> Vec<Vec<u8>> {
         let mut sent = Vec::new();
-        let mut drain = |device: &mut TestDevice, firmware: &mut TestFirmware| {
-            let (mut packet, mut frame) = ([0; PACKET_MAX], [0; FRAME_MAX]);
-            while let Some(packet) = device.poll_packet(firmware, &mut packet) {
-                let is_datagram = self.medium == Medium::Datagram;
-                let bytes = if is_datagram { packet } else { cobs::encode(packet, &mut frame) };
-                sent.push(bytes.to_vec());
-            }
-        };
         if self.medium == Medium::Datagram {
             self.device.handle_packet(bytes, now, &mut self.firmware);
-            drain(&mut self.device, &mut self.firmware);
+            self.drain(&mut sent);
         } else {
             for &byte in bytes {
                 if let Some(packet) = self.decoder.push(byte) {
                     self.device.handle_packet(packet, now, &mut self.firmware);
-                    drain(&mut self.device, &mut self.firmware);
+                    self.drain(&mut sent);
                 }
             }
         }
-        self.device.handle_timeout(now, &mut self.firmware);
-        drain(&mut self.device, &mut self.firmware);
         if self.device.restarts() {
             self.reset(now, ResetCause::Software);
         }
+        self.device.handle_timeout(now, &mut self.firmware);
+        self.drain(&mut sent);
         sent
     }
 

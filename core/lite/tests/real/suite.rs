@@ -238,6 +238,21 @@ fn a_silent_host_makes_the_device_safe_and_learns_of_it() {
 }
 
 #[test]
+fn a_device_whose_answers_do_not_arrive_becomes_safe_although_it_is_asked() {
+    for mut robot in all_serving() {
+        robot.well(ACTIVATE);
+        robot.back.loss = 1.0;
+        robot.advance(560);
+        robot.back.loss = 0.0;
+        robot.advance(110);
+
+        robot.expect(HostEvent::Serving);
+        assert_eq!(robot.host.state(1), Some(DeviceState::Error));
+        assert_eq!(robot.journal().aborted, message::CODE_DEADMAN);
+    }
+}
+
+#[test]
 fn silence_is_noticed_within_the_bound_and_ends_the_command() {
     for mut robot in all_serving() {
         robot.out.loss = 1.0;

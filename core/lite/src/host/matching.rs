@@ -1,0 +1,69 @@
+//! Whether a device has the expected ports: its table, record by record.
+
+use crate::message::Status;
+use crate::port::{Port, PortSet};
+
+/// Why a device is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mismatch {
+    /// It has this type. Another device is connected, or another firmware runs.
+    Type(u32),
+    /// The port with this index has another size or fingerprint than expected, those of this
+    /// record: firmware and robot were built from different contracts.
+    Port(usize, Port),
+    /// The port with this index is missing.
+    Missing(usize),
+}
+
+/// How far the comparison is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Matching {
+    index: u8,
+    /// The record before: a late repetition of it is no answer to the present request.
+    previous: Option<Port>,
+    matched: PortSet,
+}
+
+/// What a record has led to.
+pub(super) enum Progress {
+    Next,
+    Right,
+    Wrong(Mismatch),
+}
+
+impl Matching {
+    /// The index that is asked for.
+    pub(super) fn index(&self) -> u8 {
+        self.index
+    }
+
+    /// Takes the data of an answer; `None` if they are no answer.
+    pub(super) fn record(&mut self, expected: &[Port], data: &[u8]) -> Option<Progress> {
+        let &[0, object, id, size, f0, f1, f2, f3] = data else {
+            return (*data == [Status::End as u8]).then(|| self.end(expected));
+        };
+        let fingerprint = u32::from_le_bytes([f0, f1, f2, f3]);
+        let record = Port::from_record(object, id, size, fingerprint);
+        if self.previous.replace(record) == Some(record) {
+            return None;
+        }
+        if let Some(at) = Port::find(expected, object, id) {
+            if (expected[at].size(), expected[at].fingerprint()) != (size, fingerprint) {
+                return Some(Progress::Wrong(Mismatch::Port(at, record)));
+            }
+            self.matched.insert(at);
+        }
+        let Some(next) = self.index.checked_add(1) else { return Some(self.end(expected)) };
+        self.index = next;
+        Some(Progress::Next)
+    }
+
+    /// A chip that is too small for a port table has an empty one: then its type alone must match.
+    fn end(&self, expected: &[Port]) -> Progress {
+        let missing = (0..expected.len()).find(|port| !self.matched.contains(*port));
+        match missing.filter(|_| self.index > 0) {
+            Some(port) => Progress::Wrong(Mismatch::Missing(port)),
+            None => Progress::Right,
+        }
+    }
+}
