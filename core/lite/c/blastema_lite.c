@@ -66,19 +66,18 @@ static void transmit(const uint8_t *p, uint8_t n) {
 #ifdef BL_DATAGRAM
     bl_send(p, n);
 #else
-    uint8_t run;
-    do {
-        uint8_t code;
-        run = 0;
-        while (run < n && p[run] != 0u) run++;   /* a packet is shorter than 254 bytes */
+    const uint8_t delimiter = 0;
+    for (;;) {
+        uint8_t run = 0, code;
+        while (run < n && p[run] != 0u) run++;  /* a packet is shorter than 254 bytes */
         code = (uint8_t)(run + 1u);
         bl_send(&code, 1);
         bl_send(p, run);
+        if (run == n) break;
         p += code;
         n = (uint8_t)(n - code);
-    } while (n != 0xFFu);                        /* the last block has no zero behind it */
-    run = 0;
-    bl_send(&run, 1);
+    }
+    bl_send(&delimiter, 1);
 #endif
 }
 
@@ -216,7 +215,8 @@ static uint8_t has_exact_length(uint8_t message, uint8_t n, uint8_t index, const
 }
 
 /* Carries out what is in rx; writes status and data to `out` and returns their number. */
-static uint8_t execute(uint8_t object, uint8_t message, uint8_t index, const bl_port *port, uint8_t *out) {
+static uint8_t execute(uint8_t object, uint8_t message, uint8_t index, const bl_port *port,
+                       uint8_t *out) {
     const uint8_t *data = &s.rx[DATA];
     uint8_t i = (uint8_t)(object - 1u);
     out[0] = OK;
@@ -276,7 +276,6 @@ static uint8_t hello(uint8_t *data) {
     }
     s.deadman = u16(&data[2]);
     if (s.deadman == 0u || s.deadman > BL_DEADMAN_MAX_MS) s.deadman = BL_DEADMAN_MAX_MS;
-    data[0] = OK;
     data[1] = (uint8_t)s.boot;
     data[2] = (uint8_t)(s.boot >> 8);
     data[3] = s.cause;
@@ -289,11 +288,9 @@ static uint8_t hello(uint8_t *data) {
 
 static uint8_t describe(uint8_t *data) {
     bl_port port;
-    uint8_t index = data[0];
-    data[0] = END;
-    if (index >= BL_PORTS) return 1;
-    BL_ROM_COPY(&port, &bl_ports[index], sizeof port);
-    data[0] = OK;
+    data[1] = END;
+    if (data[0] >= BL_PORTS) return 2;
+    BL_ROM_COPY(&port, &bl_ports[data[0]], sizeof port);
     data[1] = port.object;
     data[2] = port.id;
     data[3] = port.size;
@@ -301,19 +298,20 @@ static uint8_t describe(uint8_t *data) {
     return 8;
 }
 
-/* Answers in rx, whose data have `n` bytes; returns the number of the answer's, 0 for no answer. */
+/* Answers in rx, whose data have `n` bytes, behind the first one; returns the number of the answer's, 0
+ * for no answer. */
 static uint8_t link_message(uint8_t message, uint8_t n, uint8_t *data) {
     if (message == HELLO && n == 4u) return hello(data);
     if (message == DESCRIBE && n == 1u) return describe(data);
     if (message == RESTART && n == 4u) {
         uint32_t type;
         BL_ROM_COPY(&type, &bl_device_type, sizeof type);
-        data[0] = memcmp(data, &type, sizeof type) == 0 ? OK : NO_SUCH;
-        return 1;
+        data[1] = memcmp(data, &type, sizeof type) == 0 ? OK : NO_SUCH;
+        return 2;
     }
 #ifdef BL_ADDRESS
     if (message == POLL) {
-        if (n != 1u) return 0;
+        if (n != 1u || s.rx[0] == 0u) return 0; /* not all at once */
         s.rx[HEAD + 2u] = PING;
         (void)send_waiting(data[0]);
     } else
@@ -360,7 +358,7 @@ static void take(uint8_t n) {
         n = link_message(message, n, &p[3]);
         if (n == 0u || answered == 0u) return;
         finish(s.rx, (uint8_t)(DATA + n));
-        if (message == RESTART && p[3] == OK) bl_restart();
+        if (message == RESTART && p[4] == OK) bl_restart();
     } else {
         bl_port port;               /* plain: the newest value wins, and nothing is answered */
         uint8_t index = find(&port, p[1], message);

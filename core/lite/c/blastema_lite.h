@@ -34,7 +34,7 @@
 #define BL_OBJECTS 1u
 #endif
 #ifndef BL_PORTS
-#define BL_PORTS 1u             /* ports and variables together; at most 255 */
+#define BL_PORTS 1u             /* ports and variables; with the objects at most 255 */
 #endif
 #ifndef BL_DEADMAN_MAX_MS
 #define BL_DEADMAN_MAX_MS 1000u /* the host may ask for less, never for more; at most 60000 */
@@ -42,7 +42,7 @@
 /* BL_ADDRESS: an expression for the address on a multi-drop line, 1 to 247.
  * BL_DATAGRAM: packets are datagrams, without COBS; see bl_receive_packet. */
 
-#if BL_MAX_DATA > 240 || BL_PORTS > 255 || BL_DEADMAN_MAX_MS > 60000
+#if BL_MAX_DATA > 240 || BL_OBJECTS + BL_PORTS > 255 || BL_DEADMAN_MAX_MS > 60000
 #error "a size of this device is larger than the protocol allows"
 #endif
 #if BL_MAX_DATA < BL_OBJECTS + 10
@@ -105,8 +105,8 @@ extern const bl_object bl_objects[BL_OBJECTS];
 extern const bl_port bl_ports[BL_PORTS];
 extern const uint32_t bl_device_type;
 
-/* Sends bytes, at once or by a queue. A frame comes in pieces, a datagram in one. On RS-485, the
- * first byte leaves not before one character time after the last received one. */
+/* Sends bytes, at once or by a queue. A frame comes in pieces, some of them empty; a datagram in one.
+ * On RS-485, the first byte leaves not before one character time after the last received one. */
 void bl_send(const uint8_t *bytes, uint8_t count);
 /* Milliseconds since any time; wraps. */
 uint16_t bl_millis(void);

@@ -47,7 +47,7 @@ enum Answer {
     Describe(u8),
     /// POLL: so many frames may still be sent; the number for the PONG.
     Turn(u8, u8),
-    Restart(Status),
+    Restart(u8, Status),
     /// The reply that is kept.
     Reply,
     OutOfStep(Head),
@@ -309,9 +309,9 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
             (message::PING, &[number]) => Answer::Pong(number),
             (message::POLL, &[frames]) => Answer::Turn(frames, frames),
             (message::DESCRIBE, &[index]) => Answer::Describe(index),
-            (message::RESTART, guard) => {
+            (message::RESTART, guard @ &[first, ..]) => {
                 let ours = *guard == self.config.device_type.to_le_bytes();
-                Answer::Restart(if ours { Status::Well } else { Status::NoSuch })
+                Answer::Restart(first, if ours { Status::Well } else { Status::NoSuch })
             }
             (message::HELLO, &[a, b, c, d]) if (a, b) != (0, 0) => {
                 self.open(u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d]));
@@ -534,6 +534,7 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
                 (link(message::PING), 4)
             }
             Answer::Hello => {
+                [data[0], _] = self.session.to_le_bytes();
                 data[1..3].copy_from_slice(&self.config.boot.to_le_bytes());
                 data[3] = self.config.cause as u8;
                 data[4..8].copy_from_slice(&self.config.device_type.to_le_bytes());
@@ -545,19 +546,19 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
             }
             Answer::Describe(index) => match self.config.ports.get(usize::from(index)) {
                 Some(port) => {
-                    data[..4].copy_from_slice(&[0, port.object(), port.id(), port.size()]);
+                    data[..4].copy_from_slice(&[index, port.object(), port.id(), port.size()]);
                     data[4..8].copy_from_slice(&port.fingerprint().to_le_bytes());
                     (link(message::DESCRIBE), 8)
                 }
                 None => {
-                    data[0] = Status::End as u8;
-                    (link(message::DESCRIBE), 1)
+                    data[..2].copy_from_slice(&[index, Status::End as u8]);
+                    (link(message::DESCRIBE), 2)
                 }
             },
-            Answer::Restart(status) => {
+            Answer::Restart(first, status) => {
                 self.restarts |= status == Status::Well;
-                data[0] = status as u8;
-                (link(message::RESTART), 1)
+                data[..2].copy_from_slice(&[first, status as u8]);
+                (link(message::RESTART), 2)
             }
             Answer::Reply => {
                 let (head, length) = self.kept?;

@@ -1,16 +1,18 @@
 //! Command 1 of each message, and the values in their data.
 //!
 //! A reply to a command has the same object and message, and one byte of [`Status`] before the
-//! data that the table lists.
+//! data that the table lists. An answer of the link begins with the first byte of its request: a
+//! late answer to an earlier request is not mistaken for it.
 //!
 //! ```text
 //! object 0          data to the device    data back
 //! 00 PING           number 1              number 1, boot 1, flags 1, session 1
-//! 01 HELLO          session 2, dead-man   status 1, boot 2, cause 1, type 4, max data 1, objects k 1,
+//! 01 HELLO          session 2, dead-man   session 1, boot 2, cause 1, type 4, max data 1, objects k 1,
 //!                   ms 2                  states k
-//! 02 DESCRIBE       index 1               status 1, object 1, port 1, size 1, fingerprint 4; or END 1
+//! 02 DESCRIBE       index 1               index 1, object 1, port 1, size 1, fingerprint 4; or
+//!                                         index 1, END 1
 //! 03 POLL           frames allowed 1      so many DATA or STATE at most, then PONG
-//! 04 RESTART        type 4                status 1
+//! 04 RESTART        type 4                type 1, status 1
 //! objects 1-255
 //! 10-13 life cycle  -                     state 1, also with the status WrongState or HookFailed
 //! 14, 15, 16        -; -; period ms 2     -             START, STOP, RATE of the context

@@ -62,8 +62,11 @@ fuzz_target!(|script: Script| {
                     data[0] = asked.3[0];
                     data[3] = if wait_ms < 200 { session as u8 } else { data[3] };
                 }
+                if answers && (object, message) == (message::LINK, message::DESCRIBE) {
+                    data.insert(0, asked.3[0]);
+                }
                 if answers && message == message::HELLO && object == message::LINK {
-                    data.splice(.., [0, 1, 0, 1, 1, 0, 0, 0, 240, 2, 1, 1]);
+                    data.splice(.., [session as u8, 1, 0, 1, 1, 0, 0, 0, 240, 2, 1, 1]);
                 }
                 let fields = DevicePacket {
                     address,

@@ -159,7 +159,7 @@ fn the_same_hello_resets_nothing_and_another_one_forgets_the_last_command() {
 #[test]
 fn hello_tells_the_boot_count_the_cause_the_type_and_the_states() {
     let mut chip = Chip::in_session(None);
-    let expected = vec![0, 5, 1, 4, 1, 2, 3, 4, 240, 1, 1];
+    let expected = vec![1, 5, 1, 4, 1, 2, 3, 4, 240, 1, 1];
     assert_eq!(chip.ask(None, LINK, HELLO, &[1, 0, 0, 0]), Some(expected));
     chip.session = 1;
     assert_eq!(chip.ask(None, LINK, PING, &[7]), Some(vec![7, 5, 1, 1]));
@@ -206,9 +206,9 @@ fn a_plain_write_is_taken_and_not_answered_and_other_plain_messages_do_nothing()
 fn a_restart_needs_the_right_type() {
     let mut chip = Chip::new(None);
     let refused = chip.ask(None, LINK, RESTART, &[4, 3, 2, 1]);
-    assert_eq!(refused, Some(vec![Status::NoSuch as u8]));
+    assert_eq!(refused, Some(vec![4, Status::NoSuch as u8]));
     assert!(!chip.device.restarts());
-    assert_eq!(chip.ask(None, LINK, RESTART, &[1, 2, 3, 4]), Some(vec![0]));
+    assert_eq!(chip.ask(None, LINK, RESTART, &[1, 2, 3, 4]), Some(vec![1, 0]));
     assert!(chip.device.restarts());
 }
 

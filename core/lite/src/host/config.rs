@@ -75,10 +75,16 @@ impl<P: AsRef<[Port]>> HostConfig<P> {
         self.ports.as_ref().iter().map(Port::object).max().unwrap_or(1)
     }
 
-    /// The most bytes of a frame that reports a state or an out port's value.
-    pub(crate) fn largest_event(&self) -> usize {
+    /// The most events that wait for a POLL, a state of each object and a value of each out port,
+    /// and the bytes of their frames.
+    pub(crate) fn events(&self) -> (u8, usize) {
+        // Address, header, commands, CRC and framing are 8 bytes; a state and its code 2.
+        const AROUND: usize = 8;
         let outs = self.ports.as_ref().iter().filter(|port| port.kind() == PortKind::Out);
-        // A state and its code are 2 bytes; address, header, commands, CRC and framing 8.
-        usize::from(outs.map(Port::size).fold(2, u8::max)) + 8
+        let states = usize::from(self.objects());
+        let (count, bytes) = outs.fold((states, states * (2 + AROUND)), |(count, bytes), port| {
+            (count + 1, bytes + usize::from(port.size()) + AROUND)
+        });
+        (count.min(u8::MAX.into()) as u8, bytes)
     }
 }

@@ -19,8 +19,6 @@ pub enum Mismatch {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Matching {
     index: u8,
-    /// The record before: a late repetition of it is no answer to the present request.
-    previous: Option<Port>,
     matched: PortSet,
 }
 
@@ -37,18 +35,15 @@ impl Matching {
         self.index
     }
 
-    /// Takes the data of an answer; `None` if they are no answer.
+    /// Takes an answer without the index; `None` if it is none.
     pub(super) fn record(&mut self, expected: &[Port], data: &[u8]) -> Option<Progress> {
-        let &[0, object, id, size, f0, f1, f2, f3] = data else {
+        let &[object, id, size, f0, f1, f2, f3] = data else {
             return (*data == [Status::End as u8]).then(|| self.end(expected));
         };
         let fingerprint = u32::from_le_bytes([f0, f1, f2, f3]);
-        let record = Port::from_record(object, id, size, fingerprint);
-        if self.previous.replace(record) == Some(record) {
-            return None;
-        }
         if let Some(at) = Port::find(expected, object, id) {
             if (expected[at].size(), expected[at].fingerprint()) != (size, fingerprint) {
+                let record = Port::from_record(object, id, size, fingerprint);
                 return Some(Progress::Wrong(Mismatch::Port(at, record)));
             }
             self.matched.insert(at);

@@ -50,15 +50,24 @@ enum Phase {
     Refused,
 }
 
-/// A request that waits for its answer.
+/// A kind of request, with its answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Exchange {
-    Ping(u8),
-    Poll(u8),
+    Ping,
+    Poll,
     Hello,
-    Describe(u8),
+    Describe,
     Restart,
     Command,
+}
+
+/// A request that waits for its answer.
+#[derive(Clone, Copy, Debug)]
+struct Waiting {
+    exchange: Exchange,
+    /// The first byte of its data, which an answer of the link repeats.
+    first: u8,
+    due: Duration,
 }
 
 /// RESTART is sent again only after a PONG has shown that the device is still in the session: a
@@ -82,8 +91,7 @@ pub struct Host<P> {
     config: HostConfig<P>,
     phase: Phase,
     session: u16,
-    /// The request that waits for its answer, and until when.
-    exchange: Option<(Exchange, Duration)>,
+    exchange: Option<Waiting>,
     /// Unanswered requests in a row.
     misses: u32,
     /// When the device last answered.
@@ -121,9 +129,6 @@ const FORCED_PING: u32 = 10;
 /// A device of a multi-drop line that is lost is asked in every tenth round, so that it does not
 /// cost the others its slot each time.
 const LOST_ROUNDS: u32 = 10;
-
-/// The most frames that a device sends in one turn.
-const FRAMES_PER_POLL: u8 = 4;
 
 impl<P: AsRef<[Port]>> Host<P> {
     /// A host that begins to look for its device.
@@ -250,7 +255,10 @@ impl<P: AsRef<[Port]>> Host<P> {
 
     /// Lets the host act on everything that is due.
     pub fn handle_timeout(&mut self, now: Duration) {
-        let Some((request, _)) = self.exchange.filter(|(_, due)| *due <= now) else { return };
+        let Some(Waiting { exchange, .. }) = self.exchange.filter(|waiting| waiting.due <= now)
+        else {
+            return;
+        };
         self.exchange = None;
         self.misses += 1;
         if !self.lost {
@@ -260,7 +268,7 @@ impl<P: AsRef<[Port]>> Host<P> {
         let silence = self.config.interval * self.loss.tries().into();
         if self.misses >= self.loss.tries().into() && now.saturating_sub(self.heard) >= silence {
             self.lose();
-        } else if request == Exchange::Command
+        } else if exchange == Exchange::Command
             && self.command.miss() >= COMMAND_PATIENCE * u32::from(self.loss.tries())
         {
             self.greet(low(self.session));
@@ -269,7 +277,7 @@ impl<P: AsRef<[Port]>> Host<P> {
 
     /// When the host wants `handle_timeout`, or a poll for a packet, at the latest.
     pub fn poll_timeout(&self) -> Duration {
-        self.exchange.map_or(self.next_ping, |(_, due)| due)
+        self.exchange.map_or(self.next_ping, |waiting| waiting.due)
     }
 
     /// The next event.
@@ -304,16 +312,18 @@ impl<P: AsRef<[Port]>> Host<P> {
         }
         let exchange = self.next_exchange(now)?;
         let (packet, back) = self.compose(exchange, &mut data, now)?;
+        let first = packet.data.first().copied().unwrap_or(0);
         let (out, packet) = (packet.data.len(), packet.encode(session, bytes));
-        self.exchange = Some((exchange, now + self.config.exchange_time(out, back)));
+        let due = now + self.config.exchange_time(out, back);
+        self.exchange = Some(Waiting { exchange, first, due });
         Some(packet)
     }
 
     /// What is to be asked next. It is called only while no request waits.
-    fn next_exchange(&mut self, now: Duration) -> Option<Exchange> {
+    fn next_exchange(&self, now: Duration) -> Option<Exchange> {
         match self.phase {
             Phase::Greeting => return Some(Exchange::Hello),
-            Phase::Matching(matching) => return Some(Exchange::Describe(matching.index())),
+            Phase::Matching(_) => return Some(Exchange::Describe),
             Phase::Probing | Phase::Serving | Phase::Refused => {}
         }
         if self.restart == RestartOrder::Wanted {
@@ -321,19 +331,13 @@ impl<P: AsRef<[Port]>> Host<P> {
         }
         let silent = self.command.is_taken() && self.misses % 3 == 2;
         if self.waiting && !silent {
-            return Some(Exchange::Poll(FRAMES_PER_POLL));
+            return Some(Exchange::Poll);
         }
         if self.command.is_taken() && !silent && now < self.next_forced_ping {
             return Some(Exchange::Command);
         }
-        if silent || now >= self.next_ping || self.command.is_taken() {
-            self.ping_number = (self.ping_number + 1) % message::PING_UNHEARD;
-            // A device that the host does not hear, or refuses, must fall to its dead-man.
-            let fed = self.phase == Phase::Serving;
-            let unheard = if fed { 0 } else { message::PING_UNHEARD };
-            return Some(Exchange::Ping(self.ping_number | unheard));
-        }
-        None
+        let due = silent || now >= self.next_ping || self.command.is_taken();
+        due.then_some(Exchange::Ping)
     }
 
     /// The packet of a request, and the most bytes of its answer's data.
@@ -345,17 +349,22 @@ impl<P: AsRef<[Port]>> Host<P> {
     ) -> Option<(DevicePacket<'d>, usize)> {
         let address = self.config.address;
         let (message, length, back) = match request {
-            Exchange::Ping(number) => {
+            Exchange::Ping => {
                 let rounds =
                     if self.lost && self.config.address.is_some() { LOST_ROUNDS } else { 1 };
                 self.next_ping = now + self.config.interval * rounds;
-                data[0] = number;
+                self.ping_number = (self.ping_number + 1) % message::PING_UNHEARD;
+                // A device that the host does not hear, or refuses, must fall to its dead-man.
+                let heard = self.phase == Phase::Serving;
+                data[0] = self.ping_number | if heard { 0 } else { message::PING_UNHEARD };
                 (message::PING, 1, 4)
             }
-            Exchange::Poll(frames) => {
+            Exchange::Poll => {
                 self.waiting = false;
-                data[0] = frames;
-                (message::POLL, 1, usize::from(frames) * self.config.largest_event() + 4)
+                // All at once, so that no port waits behind another that always has something.
+                let (events, bytes) = self.config.events();
+                data[0] = events;
+                (message::POLL, 1, bytes + 4)
             }
             Exchange::Hello => {
                 let deadman_ms = self.config.deadman.as_millis().min(u16::MAX.into()) as u16;
@@ -363,14 +372,15 @@ impl<P: AsRef<[Port]>> Host<P> {
                 data[2..4].copy_from_slice(&deadman_ms.to_le_bytes());
                 (message::HELLO, 4, 10 + usize::from(self.config.objects()))
             }
-            Exchange::Describe(index) => {
-                data[0] = index;
+            Exchange::Describe => {
+                let Phase::Matching(matching) = self.phase else { return None };
+                data[0] = matching.index();
                 (message::DESCRIBE, 1, 8)
             }
             Exchange::Restart => {
                 self.restart = RestartOrder::Sent;
                 data[..4].copy_from_slice(&self.device_type().to_le_bytes());
-                (message::RESTART, 4, 1)
+                (message::RESTART, 4, 2)
             }
             Exchange::Command => return self.command.send(address),
         };
@@ -384,24 +394,24 @@ impl<P: AsRef<[Port]>> Host<P> {
     }
 
     fn link_packet(&mut self, message: u8, data: &[u8], now: Duration) {
-        let Some((request, _)) = self.exchange else { return };
-        match (message, request, data) {
-            (
-                message::PING,
-                Exchange::Ping(n) | Exchange::Poll(n),
-                &[number, boot, flags, session],
-            ) if n == number => {
+        let Some(Waiting { exchange, first, .. }) = self.exchange else { return };
+        let [number, data @ ..] = data else { return };
+        if *number != first {
+            return;
+        }
+        match (message, exchange, data) {
+            (message::PING, Exchange::Ping | Exchange::Poll, &[boot, flags, session]) => {
                 self.answered(now);
                 self.next_forced_ping = now + self.config.interval * FORCED_PING;
                 // A device with much to send does not keep a command from more than one turn.
-                let polled = matches!(request, Exchange::Poll(_)) && self.command.is_taken();
+                let polled = exchange == Exchange::Poll && self.command.is_taken();
                 self.waiting = flags & message::FLAG_WAITING != 0 && !polled;
                 self.pong(boot, flags, session);
             }
             (
                 message::HELLO,
                 Exchange::Hello,
-                &[0, b0, b1, cause, t0, t1, t2, t3, data_max, objects, ref states @ ..],
+                &[b0, b1, cause, t0, t1, t2, t3, data_max, objects, ref states @ ..],
             ) if states.len() == usize::from(objects) => {
                 self.answered(now);
                 let identity = DeviceIdentity {
@@ -414,7 +424,7 @@ impl<P: AsRef<[Port]>> Host<P> {
                 };
                 self.greeted(identity, states);
             }
-            (message::DESCRIBE, Exchange::Describe(_), record) => {
+            (message::DESCRIBE, Exchange::Describe, record) => {
                 let Phase::Matching(matching) = &mut self.phase else { return };
                 let Some(progress) = matching.record(self.config.ports.as_ref(), record) else {
                     return;

@@ -46,10 +46,10 @@ impl Stage {
         stage.open(0);
         for (index, port) in PORTS.iter().enumerate() {
             assert_eq!(stage.sent(), Some((None, LINK, DESCRIBE, Some(index as u8))));
-            stage.record(*port);
+            stage.record(index as u8, *port);
         }
         stage.sent().expect("the end is asked for");
-        stage.give(None, LINK, DESCRIBE, &[Status::End as u8]);
+        stage.give(None, LINK, DESCRIBE, &[3, Status::End as u8]);
         assert!(matches!(stage.events()[..], [HostEvent::Serving]));
         stage
     }
@@ -61,7 +61,12 @@ impl Stage {
         self.pong_of(ping, 1, present);
         let hello = self.sent().expect("HELLO follows");
         assert_eq!((hello.1, hello.2), (LINK, HELLO));
-        self.give(None, LINK, HELLO, &[0, self.boot, 0, 1, 7, 0, 0, 0, 24, 2, 1, 1]);
+        self.give(
+            None,
+            LINK,
+            HELLO,
+            &[low(self.session), self.boot, 0, 1, 7, 0, 0, 0, 24, 2, 1, 1],
+        );
         assert!(matches!(self.events()[..], [HostEvent::Greeted(_), ..]));
     }
 
@@ -83,9 +88,9 @@ impl Stage {
         self.host.handle_packet(packet.encode(self.session, &mut bytes), self.now);
     }
 
-    fn record(&mut self, port: Port) {
+    fn record(&mut self, index: u8, port: Port) {
         let [f0, f1, f2, f3] = port.fingerprint().to_le_bytes();
-        let record = [0, port.object(), port.id(), port.size(), f0, f1, f2, f3];
+        let record = [index, port.object(), port.id(), port.size(), f0, f1, f2, f3];
         self.give(None, LINK, DESCRIBE, &record);
     }
 
@@ -138,16 +143,34 @@ fn a_late_answer_to_describe_is_not_taken_for_the_next_record() {
     let mut stage = Stage::new(Tries::Fixed(3));
     stage.open(0);
     stage.sent();
-    stage.wait();
+    stage.record(0, PORTS[0]);
     stage.sent();
-    stage.record(PORTS[0]);
-    assert_eq!(stage.sent(), Some((None, LINK, DESCRIBE, Some(1))));
-
-    stage.record(PORTS[0]);
-
-    assert_eq!(stage.sent(), None, "it still waits for record 1");
-    stage.record(PORTS[1]);
+    stage.record(1, PORTS[1]);
     assert_eq!(stage.sent(), Some((None, LINK, DESCRIBE, Some(2))));
+
+    stage.record(0, PORTS[0]);
+    stage.give(None, LINK, DESCRIBE, &[3, Status::End as u8]);
+
+    assert!(stage.host.is_waiting());
+    stage.record(2, PORTS[2]);
+    assert_eq!(stage.sent(), Some((None, LINK, DESCRIBE, Some(3))));
+}
+
+#[test]
+fn a_late_answer_to_hello_opens_no_other_session() {
+    let mut stage = Stage::serving();
+    let before = low(stage.session);
+    stage.host.handle_line_closed();
+    stage.events();
+    stage.now += INTERVAL;
+    let ping = stage.sent();
+    stage.pong_of(ping, 1, before);
+    assert_eq!(stage.sent().map(|sent| sent.2), Some(HELLO));
+
+    stage.give(None, LINK, HELLO, &[before, 1, 0, 1, 7, 0, 0, 0, 24, 2, 1, 1]);
+
+    assert_eq!(stage.events(), []);
+    assert!(stage.host.is_waiting());
 }
 
 #[test]
@@ -155,7 +178,7 @@ fn a_chip_without_a_port_table_is_known_by_its_type() {
     let mut stage = Stage::new(Tries::Fixed(3));
     stage.open(0);
     stage.sent();
-    stage.give(None, LINK, DESCRIBE, &[Status::End as u8]);
+    stage.give(None, LINK, DESCRIBE, &[0, Status::End as u8]);
     assert_eq!(stage.events(), [HostEvent::Serving]);
 }
 
@@ -206,7 +229,7 @@ fn out_of_step_ends_the_command_as_unknown_and_opens_a_new_session() {
     assert_eq!(stage.events(), [HostEvent::OutOfStep, unknown]);
     assert_eq!(stage.sent().map(|sent| sent.2), Some(HELLO));
     assert_ne!(stage.session, before);
-    stage.give(None, LINK, HELLO, &[0, 1, 0, 1, 7, 0, 0, 0, 24, 2, 1, 1]);
+    stage.give(None, LINK, HELLO, &[low(stage.session), 1, 0, 1, 7, 0, 0, 0, 24, 2, 1, 1]);
     assert!(stage.host.is_serving(), "the contract was compared before");
     stage.host.handle_command(CALL).expect("it serves");
     assert_eq!(stage.sent().and_then(|sent| sent.0), Some(1), "sequences begin again");

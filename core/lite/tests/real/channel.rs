@@ -32,6 +32,9 @@ pub(crate) struct Channel {
     pub(crate) repeated: f64,
     /// The share of bits that are turned.
     pub(crate) bit_errors: f64,
+    /// The share of packets that are held back and arrive after up to four later ones.
+    pub(crate) late: f64,
+    held: Vec<(u64, Vec<u8>)>,
     /// Bits up to the next error.
     until_error: f64,
 }
@@ -43,7 +46,8 @@ impl Channel {
 
     pub(crate) fn new(seed: u64, loss: f64, repeated: f64, bit_errors: f64) -> Channel {
         let random = Random(seed);
-        let mut channel = Channel { random, loss, repeated, bit_errors, until_error: 0.0 };
+        let (late, held, until_error) = (0.0, Vec::new(), 0.0);
+        let mut channel = Channel { random, loss, repeated, bit_errors, late, held, until_error };
         channel.until_error = channel.gap();
         channel
     }
@@ -58,14 +62,31 @@ impl Channel {
         }
     }
 
-    /// What arrives of a frame: none, one or two copies.
+    /// What arrives when this frame is sent: none, one or two copies of it, and late ones before it.
     pub(crate) fn carry(&mut self, frame: &[u8]) -> Vec<Vec<u8>> {
+        for (packets, _) in &mut self.held {
+            *packets -= 1;
+        }
+        let mut arrived: Vec<Vec<u8>> = self
+            .held
+            .extract_if(.., |(packets, _)| *packets == 0)
+            .map(|(_, frame)| frame)
+            .collect();
+
         let copies = match () {
             () if self.random.chance(self.loss) => 0,
             () if self.random.chance(self.repeated) => 2,
             () => 1,
         };
-        (0..copies).map(|_| self.corrupted(frame)).collect()
+        for _ in 0..copies {
+            let copy = self.corrupted(frame);
+            if self.late > 0.0 && self.random.chance(self.late) {
+                self.held.push((1 + self.random.next() % 4, copy));
+            } else {
+                arrived.push(copy);
+            }
+        }
+        arrived
     }
 
     fn corrupted(&mut self, frame: &[u8]) -> Vec<u8> {
