@@ -75,6 +75,24 @@ pub struct DeviceIdentity {
     pub reset: bool,
 }
 
+impl DeviceIdentity {
+    /// Reads the reply to HELLO behind its first byte; returns the states as well.
+    pub(super) fn from_reply(reply: &[u8]) -> Option<(Self, &[u8])> {
+        let &[b0, b1, cause, t0, t1, t2, t3, data_max, objects, ref states @ ..] = reply else {
+            return None;
+        };
+        let identity = DeviceIdentity {
+            boot: u16::from_le_bytes([b0, b1]),
+            cause: ResetCause::from_byte(cause).unwrap_or(ResetCause::Unknown),
+            device_type: u32::from_le_bytes([t0, t1, t2, t3]),
+            data_max,
+            objects,
+            reset: false,
+        };
+        (states.len() == usize::from(objects)).then_some((identity, states))
+    }
+}
+
 /// The events that the driver has not taken yet.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct EventQueue([Option<HostEvent>; EVENTS_MAX]);

@@ -23,7 +23,7 @@ pub(super) struct Matching {
 }
 
 /// What a record has led to.
-pub(super) enum Progress {
+pub(super) enum MatchingStep {
     Next,
     Right,
     Wrong(Mismatch),
@@ -36,7 +36,7 @@ impl Matching {
     }
 
     /// Takes an answer without the index; `None` if it is none.
-    pub(super) fn record(&mut self, expected: &[Port], data: &[u8]) -> Option<Progress> {
+    pub(super) fn record(&mut self, expected: &[Port], data: &[u8]) -> Option<MatchingStep> {
         let &[object, id, size, f0, f1, f2, f3] = data else {
             return (*data == [Status::End as u8]).then(|| self.end(expected));
         };
@@ -44,21 +44,21 @@ impl Matching {
         if let Some(at) = Port::find(expected, object, id) {
             if (expected[at].size(), expected[at].fingerprint()) != (size, fingerprint) {
                 let record = Port::from_record(object, id, size, fingerprint);
-                return Some(Progress::Wrong(Mismatch::Port(at, record)));
+                return Some(MatchingStep::Wrong(Mismatch::Port(at, record)));
             }
             self.matched.insert(at);
         }
         let Some(next) = self.index.checked_add(1) else { return Some(self.end(expected)) };
         self.index = next;
-        Some(Progress::Next)
+        Some(MatchingStep::Next)
     }
 
     /// A chip that is too small for a port table has an empty one: then its type alone must match.
-    fn end(&self, expected: &[Port]) -> Progress {
+    fn end(&self, expected: &[Port]) -> MatchingStep {
         let missing = (0..expected.len()).find(|port| !self.matched.contains(*port));
         match missing.filter(|_| self.index > 0) {
-            Some(port) => Progress::Wrong(Mismatch::Missing(port)),
-            None => Progress::Right,
+            Some(port) => MatchingStep::Wrong(Mismatch::Missing(port)),
+            None => MatchingStep::Right,
         }
     }
 }

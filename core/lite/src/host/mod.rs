@@ -24,6 +24,7 @@ mod command;
 mod config;
 mod event;
 mod matching;
+mod pings;
 mod tries;
 
 pub use command::{CommandError, DeviceCommand};
@@ -32,13 +33,14 @@ pub use event::{CommandOutcome, DeviceIdentity, HostEvent};
 pub use matching::Mismatch;
 pub use tries::Tries;
 
-use crate::message::{self, DeviceState, ResetCause, Status};
+use crate::message::{self, DeviceState, Status};
 use crate::packet::{DATA_MAX, DevicePacket, OBJECTS_MAX, PACKET_MAX};
 use crate::port::{Port, PortKind, PortSet};
 use command::CommandSlot;
 use core::time::Duration;
 use event::EventQueue;
-use matching::{Matching, Progress};
+use matching::{Matching, MatchingStep};
+use pings::PingSchedule;
 use tries::LossEstimate;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,9 +100,7 @@ pub struct Host<P> {
     heard: Duration,
     lost: bool,
     loss: LossEstimate,
-    ping_number: u8,
-    next_ping: Duration,
-    next_forced_ping: Duration,
+    pings: PingSchedule,
     /// The fault count that the next PONG shows if no event was lost.
     faults: u8,
     identity: Option<DeviceIdentity>,
@@ -123,9 +123,6 @@ pub struct Host<P> {
 /// that answers pings but not the command is faulty.
 const COMMAND_PATIENCE: u32 = 4;
 
-/// A busy line hides a lost STATE event for so many intervals at most: only a PONG shows it.
-const FORCED_PING: u32 = 10;
-
 /// A device of a multi-drop line that is lost is asked in every tenth round, so that it does not
 /// cost the others its slot each time.
 const LOST_ROUNDS: u32 = 10;
@@ -143,9 +140,7 @@ impl<P: AsRef<[Port]>> Host<P> {
             heard: now,
             lost: false,
             loss,
-            ping_number: 0,
-            next_ping: now,
-            next_forced_ping: now,
+            pings: PingSchedule::new(now),
             faults: 0,
             identity: None,
             reset_seen: false,
@@ -277,7 +272,7 @@ impl<P: AsRef<[Port]>> Host<P> {
 
     /// When the host wants `handle_timeout`, or a poll for a packet, at the latest.
     pub fn poll_timeout(&self) -> Duration {
-        self.exchange.map_or(self.next_ping, |waiting| waiting.due)
+        self.exchange.map_or(self.pings.due(), |waiting| waiting.due)
     }
 
     /// The next event.
@@ -333,10 +328,10 @@ impl<P: AsRef<[Port]>> Host<P> {
         if self.waiting && !silent {
             return Some(Exchange::Poll);
         }
-        if self.command.is_taken() && !silent && now < self.next_forced_ping {
+        if self.command.is_taken() && !silent && !self.pings.is_forced(now) {
             return Some(Exchange::Command);
         }
-        let due = silent || now >= self.next_ping || self.command.is_taken();
+        let due = silent || now >= self.pings.due() || self.command.is_taken();
         due.then_some(Exchange::Ping)
     }
 
@@ -350,13 +345,9 @@ impl<P: AsRef<[Port]>> Host<P> {
         let address = self.config.address;
         let (message, length, back) = match request {
             Exchange::Ping => {
-                let rounds =
-                    if self.lost && self.config.address.is_some() { LOST_ROUNDS } else { 1 };
-                self.next_ping = now + self.config.interval * rounds;
-                self.ping_number = (self.ping_number + 1) % message::PING_UNHEARD;
-                // A device that the host does not hear, or refuses, must fall to its dead-man.
+                let rounds = if self.lost && address.is_some() { LOST_ROUNDS } else { 1 };
                 let heard = self.phase == Phase::Serving;
-                data[0] = self.ping_number | if heard { 0 } else { message::PING_UNHEARD };
+                data[0] = self.pings.send(heard, now, self.config.interval * rounds);
                 (message::PING, 1, 4)
             }
             Exchange::Poll => {
@@ -402,27 +393,17 @@ impl<P: AsRef<[Port]>> Host<P> {
         match (message, exchange, data) {
             (message::PING, Exchange::Ping | Exchange::Poll, &[boot, flags, session]) => {
                 self.answered(now);
-                self.next_forced_ping = now + self.config.interval * FORCED_PING;
+                self.pings.handle_pong(now, self.config.interval);
                 // A device with much to send does not keep a command from more than one turn.
                 let polled = exchange == Exchange::Poll && self.command.is_taken();
                 self.waiting = flags & message::FLAG_WAITING != 0 && !polled;
                 self.pong(boot, flags, session);
             }
-            (
-                message::HELLO,
-                Exchange::Hello,
-                &[b0, b1, cause, t0, t1, t2, t3, data_max, objects, ref states @ ..],
-            ) if states.len() == usize::from(objects) => {
-                self.answered(now);
-                let identity = DeviceIdentity {
-                    boot: u16::from_le_bytes([b0, b1]),
-                    cause: ResetCause::from_byte(cause).unwrap_or(ResetCause::Unknown),
-                    device_type: u32::from_le_bytes([t0, t1, t2, t3]),
-                    data_max,
-                    objects,
-                    reset: false,
-                };
-                self.greeted(identity, states);
+            (message::HELLO, Exchange::Hello, reply) => {
+                if let Some((identity, states)) = DeviceIdentity::from_reply(reply) {
+                    self.answered(now);
+                    self.greeted(identity, states);
+                }
             }
             (message::DESCRIBE, Exchange::Describe, record) => {
                 let Phase::Matching(matching) = &mut self.phase else { return };
@@ -431,9 +412,9 @@ impl<P: AsRef<[Port]>> Host<P> {
                 };
                 self.answered(now);
                 match progress {
-                    Progress::Next => {}
-                    Progress::Right => self.serve(),
-                    Progress::Wrong(mismatch) => self.refuse(mismatch),
+                    MatchingStep::Next => {}
+                    MatchingStep::Right => self.serve(),
+                    MatchingStep::Wrong(mismatch) => self.refuse(mismatch),
                 }
             }
             (message::RESTART, Exchange::Restart, &[_]) => {

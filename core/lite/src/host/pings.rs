@@ -1,0 +1,43 @@
+//! When a device is asked for a sign of life, and with which number.
+
+use crate::message;
+use core::time::Duration;
+
+/// The schedule of one device's pings.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PingSchedule {
+    number: u8,
+    next: Duration,
+    forced: Duration,
+}
+
+/// A busy line hides a lost STATE event for so many intervals at most: only a PONG shows it.
+const FORCED_AFTER: u32 = 10;
+
+impl PingSchedule {
+    pub(super) fn new(now: Duration) -> Self {
+        PingSchedule { number: 0, next: now, forced: now }
+    }
+
+    /// When the next PING is due, if the line is free.
+    pub(super) fn due(&self) -> Duration {
+        self.next
+    }
+
+    /// Whether a PING goes before commands.
+    pub(super) fn is_forced(&self, now: Duration) -> bool {
+        now >= self.forced
+    }
+
+    /// The number of a PING that is sent now, and whose successor follows after the pause. `heard`
+    /// if the device's answers arrive and it is the expected one: else it must fall to its dead-man.
+    pub(super) fn send(&mut self, heard: bool, now: Duration, pause: Duration) -> u8 {
+        self.next = now + pause;
+        self.number = (self.number + 1) % message::PING_UNHEARD;
+        self.number | if heard { 0 } else { message::PING_UNHEARD }
+    }
+
+    pub(super) fn handle_pong(&mut self, now: Duration, interval: Duration) {
+        self.forced = now + interval * FORCED_AFTER;
+    }
+}
