@@ -81,8 +81,8 @@ static void transmit(const uint8_t *p, uint8_t n) {
 #endif
 }
 
-/* Completes and sends a packet of `n` bytes without its checksum, which begins at `p`. Of its header,
- * the class and sequence are there. */
+/* Completes and sends a packet of `n` bytes without its checksum, which begins at `p`. Of its
+ * header, the class and sequence are there. */
 static void finish(uint8_t *p, uint8_t n) {
     uint16_t sum;
     uint8_t wide = is_wide(p);
@@ -205,8 +205,8 @@ static uint8_t is_read(uint8_t message) {
     return (message & GET_BIT) != 0u && is_call(message) == 0u;
 }
 
-/* Data of another length than the message's are a sign of noise that the checksum has missed. Only an
- * unknown message passes, to be answered. */
+/* Data of another length than the message's are a sign of noise that the checksum has missed. Only
+ * an unknown message passes, to be answered. */
 static uint8_t has_exact_length(uint8_t message, uint8_t n, uint8_t index, const bl_port *port) {
     if (message >= LIFECYCLE && message <= STOP) return n == 0u;
     if (message == RATE) return n == 2u;
@@ -298,8 +298,8 @@ static uint8_t describe(uint8_t *data) {
     return 8;
 }
 
-/* Answers in rx, whose data have `n` bytes, behind the first one; returns the number of the answer's, 0
- * for no answer. */
+/* Answers in rx, whose data have `n` bytes, behind the first one; returns the number of the
+ * answer's, 0 for no answer. */
 static uint8_t link_message(uint8_t message, uint8_t n, uint8_t *data) {
     if (message == HELLO && n == 4u) return hello(data);
     if (message == DESCRIBE && n == 1u) return describe(data);

@@ -12,9 +12,9 @@
  *     }
  *
  * Hooks run inside bl_receive and bl_poll, so neither may be called from an interrupt; interrupts
- * fill a ring. No other code recovers anything: the host notices a reset, opens a session and brings
- * the objects back to their states. A hook that hangs defeats the dead-man, so a chip that moves
- * something needs its hardware watchdog, and outputs that are safe at reset.
+ * fill a ring. No other code recovers anything: the host notices a reset, opens a session and
+ * brings the objects back to their states. A hook that hangs defeats the dead-man, so a chip that
+ * moves something needs its hardware watchdog, and outputs that are safe at reset.
  */
 #ifndef BLASTEMA_LITE_H
 #define BLASTEMA_LITE_H
@@ -80,9 +80,9 @@ enum { BL_CAUSE_UNKNOWN, BL_CAUSE_POWER_ON, BL_CAUSE_EXTERNAL, BL_CAUSE_BROWN_OU
 enum { BL_IN = 0x40, BL_OUT = 0x60, BL_CALL = 0x80, BL_VARIABLE = 0xC0 };
 enum { BL_INPUT_TOO_OLD = 0xFD, BL_DEADMAN = 0xFE };
 
-/* A hook; null in the table if there is nothing to do. The result is 0, or the code of a fault, 1 to
- * 0xEF, which leads by way of BL_ON_ABORTING to BL_ERROR. `why` is that code in BL_ON_ABORTING, which
- * must set safe outputs, and in BL_ON_ERROR; 0 in the others. */
+/* A hook; null in the table if there is nothing to do. The result is 0, or the code of a fault, 1
+ * to 0xEF, which leads by way of BL_ON_ABORTING to BL_ERROR. `why` is that code in BL_ON_ABORTING,
+ * which must set safe outputs, and in BL_ON_ERROR; 0 in the others. */
 typedef uint8_t (*bl_hook)(uint8_t why);
 
 typedef struct {
@@ -105,13 +105,13 @@ extern const bl_object bl_objects[BL_OBJECTS];
 extern const bl_port bl_ports[BL_PORTS];
 extern const uint32_t bl_device_type;
 
-/* Sends bytes, at once or by a queue. A frame comes in pieces, some of them empty; a datagram in one.
- * On RS-485, the first byte leaves not before one character time after the last received one. */
+/* Sends bytes, at once or by a queue. A frame comes in pieces, some of them empty; a datagram in
+ * one. On RS-485, the first byte leaves not before one character time after the last received. */
 void bl_send(const uint8_t *bytes, uint8_t count);
 /* Milliseconds since any time; wraps. */
 uint16_t bl_millis(void);
-/* Carries out the call with this index in bl_ports: `data` holds the arguments and takes the result.
- * 0 if all is well. */
+/* Carries out the call with this index in bl_ports: `data` holds the arguments and takes the
+ * result. 0 if all is well. */
 uint8_t bl_call(uint8_t port, uint8_t *data);
 /* Writes the text of an object's code, of at most `room` bytes; returns their number. */
 uint8_t bl_text(uint8_t object, uint8_t code, uint8_t *text, uint8_t room);

@@ -11,8 +11,8 @@
 //! ```
 //!
 //! The machine queues no packets. It keeps flags of what is to be sent, and builds each packet when
-//! the driver polls it: a published port is sent with its newest value. On a multi-drop line, states
-//! and ports wait for a POLL.
+//! the driver polls it: a published port is sent with its newest value. On a multi-drop line,
+//! states and ports wait for a POLL.
 
 use crate::firmware::{DeviceHook, Firmware};
 use crate::message::{self, DeviceState, LifecycleChange, ResetCause, Status};
@@ -71,7 +71,8 @@ struct Object {
     waiting: bool,
 }
 
-/// The machine of a device with `OBJECTS` objects, at most [`OBJECTS_MAX`], and `PORTS` ports and variables.
+/// The machine of a device with `OBJECTS` objects, at most [`OBJECTS_MAX`], and `PORTS` ports and
+/// variables.
 ///
 /// `now` is the time since any fixed origin. The driver calls `handle_packet` and `handle_timeout`,
 /// then [`poll_packet`](Self::poll_packet) until it returns `None`.

@@ -26,7 +26,8 @@ pub enum DeviceHook {
 /// The hooks and values of a device.
 ///
 /// Objects count from 1; ports are indices of the table in
-/// [`DeviceConfig::ports`](crate::DeviceConfig::ports). Slices have exactly the sizes of that table.
+/// [`DeviceConfig::ports`](crate::DeviceConfig::ports). Slices have exactly the sizes of that
+/// table.
 pub trait Firmware {
     /// Runs a hook. The result is 0, or the code of a fault, 1 to 0xEF: then the object goes into
     /// Error by way of [`DeviceHook::Aborting`]. The code of a failed

@@ -16,14 +16,13 @@ use core::time::Duration;
 
 /// Drives the hosts of one serial line.
 ///
-/// The driver owns the hosts and gives them to each call, always in the same order: one host without
-/// an address, or several with different addresses.
+/// The driver owns the hosts and gives them to each call, always in the same order: one host
+/// without an address, or several with different addresses.
 #[derive(Clone, Debug, Default)]
 pub struct HostLine {
     decoder: CobsDecoder,
     /// The host that had the last turn.
     turn: usize,
-    babbling: u32,
 }
 
 impl HostLine {
@@ -43,10 +42,6 @@ impl HostLine {
                 host.config().address.is_none_or(|address| packet.first() == Some(&address))
             };
             let Some(at) = hosts.iter().position(addressee) else { continue };
-            if hosts[at].config().address.is_some() && !hosts[at].is_waiting() {
-                self.babbling = self.babbling.saturating_add(1);
-                continue;
-            }
             return hosts[at].handle_packet(packet, now);
         }
     }
@@ -95,10 +90,5 @@ impl HostLine {
             }
         }
         None
-    }
-
-    /// How many packets came from devices outside of their turns.
-    pub fn babbling(&self) -> u32 {
-        self.babbling
     }
 }

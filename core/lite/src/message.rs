@@ -7,8 +7,8 @@
 //! ```text
 //! object 0          data to the device    data back
 //! 00 PING           number 1              number 1, boot 1, flags 1, session 1
-//! 01 HELLO          session 2, dead-man   session 1, boot 2, cause 1, type 4, max data 1, objects k 1,
-//!                   ms 2                  states k
+//! 01 HELLO          session 2,            session 1, boot 2, cause 1, type 4, max data 1,
+//!                   dead-man ms 2         objects k 1, states k
 //! 02 DESCRIBE       index 1               index 1, object 1, port 1, size 1, fingerprint 4; or
 //!                                         index 1, END 1
 //! 03 POLL           frames allowed 1      so many DATA or STATE at most, then PONG

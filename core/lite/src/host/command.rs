@@ -5,7 +5,8 @@ use crate::message::{self, LifecycleChange, Status};
 use crate::packet::{DATA_MAX, DevicePacket};
 use crate::port::{Port, PortKind};
 
-/// A command to a device. Ports are indices of [`HostConfig::ports`](crate::HostConfig::ports), objects count from 1.
+/// A command to a device. Ports are indices of [`HostConfig::ports`](crate::HostConfig::ports),
+/// objects count from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeviceCommand<'a> {
     /// Changes the life-cycle state. The reply's payload is the new state.
@@ -29,7 +30,8 @@ pub enum DeviceCommand<'a> {
 /// Why a command was not accepted. It was not sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommandError {
-    /// The device is not serving; the command can be given after [`HostEvent::Serving`](crate::HostEvent::Serving).
+    /// The device is not serving; the command can be given after
+    /// [`HostEvent::Serving`](crate::HostEvent::Serving).
     NotServing,
     /// Another command is outstanding; wait for its [`HostEvent::Done`](crate::HostEvent::Done).
     Busy,

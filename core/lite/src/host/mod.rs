@@ -12,8 +12,8 @@
 //!
 //! **Once.** The host repeats a command unchanged until its reply arrives, then takes the next of 8
 //! sequence numbers. The device carries out number `last + 1` and answers `last` from memory.
-//! Between two HELLOs a command is therefore carried out at most once, and exactly once if its reply
-//! arrives. A reset erases the device's memory. Exactly once over crashes is then impossible
+//! Between two HELLOs a command is therefore carried out at most once, and exactly once if its
+//! reply arrives. A reset erases the device's memory. Exactly once over crashes is then impossible
 //! (Fekete, Lynch, Mansour, Spinelli, J. ACM 40(5), 1993): the command ends as
 //! [`Unknown`](CommandOutcome::Unknown).
 //!
@@ -117,6 +117,7 @@ pub struct Host<P> {
     payload: [u8; DATA_MAX],
     payload_length: usize,
     events: EventQueue,
+    out_of_turn: u32,
 }
 
 /// A command is abandoned after so many times the tries that declare a silent device lost: a device
@@ -154,6 +155,7 @@ impl<P: AsRef<[Port]>> Host<P> {
             payload: [0; DATA_MAX],
             payload_length: 0,
             events: EventQueue::default(),
+            out_of_turn: 0,
         }
     }
 
@@ -175,6 +177,12 @@ impl<P: AsRef<[Port]>> Host<P> {
     /// Whether a request waits for its answer: on a multi-drop line the device has the turn.
     pub fn is_waiting(&self) -> bool {
         self.exchange.is_some()
+    }
+
+    /// How many packets the device has sent outside of its turns. They are dropped: a device that
+    /// does so disturbs the others of its line.
+    pub fn out_of_turn(&self) -> u32 {
+        self.out_of_turn
     }
 
     /// The state of an object, from 1, as the device has last reported it.
@@ -199,8 +207,8 @@ impl<P: AsRef<[Port]>> Host<P> {
         self.command.accept(command, self.config.ports.as_ref())
     }
 
-    /// Announces a new value of an in port. It is sent once, without an answer; the host asks for it
-    /// when it sends, so that the newest value goes. On media that reorder packets, give a
+    /// Announces a new value of an in port. It is sent once, without an answer; the host asks for
+    /// it when it sends, so that the newest value goes. On media that reorder packets, give a
     /// [`DeviceCommand::Write`] instead.
     ///
     /// # Errors
@@ -238,6 +246,10 @@ impl<P: AsRef<[Port]>> Host<P> {
         if !packet.from_device || packet.address != address {
             return;
         }
+        if address.is_some() && self.exchange.is_none() {
+            self.out_of_turn = self.out_of_turn.saturating_add(1);
+            return;
+        }
         match (packet.sequence, packet.object, packet.message) {
             (None, message::LINK, message) => self.link_packet(message, packet.data, now),
             // Events count only in a session that the device has confirmed.
@@ -259,7 +271,8 @@ impl<P: AsRef<[Port]>> Host<P> {
         if !self.lost {
             self.estimate(true);
         }
-        // Repetitions follow each other faster than pings; the silence must be as long all the same.
+        // Repetitions follow each other faster than pings; the silence must be as long all the
+        // same.
         let silence = self.config.interval * self.loss.tries().into();
         if self.misses >= self.loss.tries().into() && now.saturating_sub(self.heard) >= silence {
             self.lose();

@@ -30,7 +30,8 @@ impl PingSchedule {
     }
 
     /// The number of a PING that is sent now, and whose successor follows after the pause. `heard`
-    /// if the device's answers arrive and it is the expected one: else it must fall to its dead-man.
+    /// if the device's answers arrive and it is the expected one: else it must fall to its
+    /// dead-man.
     pub(super) fn send(&mut self, heard: bool, now: Duration, pause: Duration) -> u8 {
         self.next = now + pause;
         self.number = (self.number + 1) % message::PING_UNHEARD;

@@ -62,7 +62,8 @@ impl Channel {
         }
     }
 
-    /// What arrives when this frame is sent: none, one or two copies of it, and late ones before it.
+    /// What arrives when this frame is sent: none, one or two copies of it, and late ones before
+    /// it.
     pub(crate) fn carry(&mut self, frame: &[u8]) -> Vec<Vec<u8>> {
         for (packets, _) in &mut self.held {
             *packets -= 1;

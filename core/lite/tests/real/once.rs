@@ -6,7 +6,8 @@ use crate::channel::Channel;
 use crate::robot::{Robot, config, ms};
 use blastema_lite::{CommandOutcome, DeviceCommand, HostConfig, HostEvent, Status, Tries};
 
-/// Carries out `commands` with 20 % of frames lost each way, 10 % repeated, and 10^-4 of bits turned.
+/// Carries out `commands` with 20 % of frames lost each way, 10 % repeated, and 10^-4 of bits
+/// turned.
 fn check(bench: Box<dyn Bench>, medium: Medium, commands: u32) {
     // As many tries as keep a false `Lost` out of a run of 10^6 commands at this loss.
     let config = HostConfig { tries: Tries::Fixed(40), ..config(medium) };
