@@ -30,7 +30,8 @@ pub struct HostConfig<P> {
     /// How long one byte is on the line: 10 bits divided by the baud rate. 0 for datagrams.
     pub byte_time: Duration,
     /// How long the device and both ends' drivers take for an answer at most, without its bytes:
-    /// the longest hook included. Shorter repeats sooner after a loss. At least 1 ms is taken.
+    /// the longest hook, and a value that the device is just sending, included. Shorter repeats
+    /// sooner after a loss. At least 1 ms is taken.
     pub turnaround: Duration,
 }
 

@@ -24,6 +24,7 @@ mod command;
 mod config;
 mod event;
 mod matching;
+mod mirror;
 mod pings;
 mod tries;
 
@@ -34,12 +35,13 @@ pub use matching::Mismatch;
 pub use tries::Tries;
 
 use crate::message::{self, DeviceState, Status};
-use crate::packet::{DATA_MAX, DevicePacket, OBJECTS_MAX, PACKET_MAX};
+use crate::packet::{DATA_MAX, DevicePacket, PACKET_MAX};
 use crate::port::{Port, PortKind, PortSet};
 use command::CommandSlot;
 use core::time::Duration;
 use event::EventQueue;
 use matching::{Matching, MatchingStep};
+use mirror::Mirror;
 use pings::PingSchedule;
 use tries::LossEstimate;
 
@@ -87,7 +89,8 @@ enum RestartOrder {
 /// [`poll_packet`](Self::poll_packet) returns and takes every event of
 /// [`poll_event`](Self::poll_event), and calls [`handle_timeout`](Self::handle_timeout) at
 /// [`poll_timeout`](Self::poll_timeout). On serial lines, a [`HostLine`](crate::HostLine) does this
-/// for all hosts of the line.
+/// for all hosts of the line. Nothing is sent that is not polled: when the driver hangs, the device
+/// falls to its dead-man.
 #[derive(Clone, Debug)]
 pub struct Host<P> {
     config: HostConfig<P>,
@@ -101,11 +104,7 @@ pub struct Host<P> {
     lost: bool,
     loss: LossEstimate,
     pings: PingSchedule,
-    /// The fault count that the next PONG shows if no event was lost.
-    faults: u8,
-    identity: Option<DeviceIdentity>,
-    reset_seen: bool,
-    states: [Option<DeviceState>; OBJECTS_MAX],
+    mirror: Mirror,
     contract_matches: bool,
     restart: RestartOrder,
     /// Frames wait for a POLL.
@@ -142,10 +141,7 @@ impl<P: AsRef<[Port]>> Host<P> {
             lost: false,
             loss,
             pings: PingSchedule::new(now),
-            faults: 0,
-            identity: None,
-            reset_seen: false,
-            states: [None; OBJECTS_MAX],
+            mirror: Mirror::new(),
             contract_matches: false,
             restart: RestartOrder::None,
             waiting: false,
@@ -187,7 +183,7 @@ impl<P: AsRef<[Port]>> Host<P> {
 
     /// The state of an object, from 1, as the device has last reported it.
     pub fn state(&self, object: u8) -> Option<DeviceState> {
-        *self.states.get(usize::from(object).checked_sub(1)?)?
+        self.mirror.state(object)
     }
 
     /// The bytes that belong to the last [`HostEvent::Data`] or [`HostEvent::Done`].
@@ -394,7 +390,7 @@ impl<P: AsRef<[Port]>> Host<P> {
 
     /// A refused device is restarted by its own type, which may be another than the expected one.
     fn device_type(&self) -> u32 {
-        self.identity.map_or(self.config.device_type, |identity| identity.device_type)
+        self.mirror.identity().map_or(self.config.device_type, |identity| identity.device_type)
     }
 
     fn link_packet(&mut self, message: u8, data: &[u8], now: Duration) {
@@ -440,17 +436,12 @@ impl<P: AsRef<[Port]>> Host<P> {
 
     fn pong(&mut self, boot: u8, flags: u8, session: u8) {
         let has_session = flags & message::FLAG_SESSION != 0;
-        let faults = flags >> 4;
-        if let Some(identity) = self.identity {
-            self.reset_seen |= !has_session || boot != low(identity.boot);
-        }
         let ours = self.phase != Phase::Probing && has_session && session == low(self.session);
+        let event_lost = self.mirror.handle_pong(boot, has_session, flags >> 4);
         if !ours {
-            self.faults = faults;
             self.greet(session);
-        } else if self.phase == Phase::Serving && faults != self.faults {
-            // A STATE event was lost. The reply to HELLO lists the states; a command comes first.
-            self.faults = faults;
+        } else if self.phase == Phase::Serving && event_lost {
+            // The reply to HELLO lists the states; a command comes first.
             self.event_lost = true;
             self.refresh();
         }
@@ -465,14 +456,8 @@ impl<P: AsRef<[Port]>> Host<P> {
         }
     }
 
-    fn greeted(&mut self, mut identity: DeviceIdentity, states: &[u8]) {
-        let rebooted = self.identity.is_some_and(|known| known.boot != identity.boot);
-        identity.reset = core::mem::take(&mut self.reset_seen) || rebooted;
-        self.identity = Some(identity);
-        self.states = [None; OBJECTS_MAX];
-        for (object, state) in (1..).zip(states) {
-            self.note_state(object, *state);
-        }
+    fn greeted(&mut self, identity: DeviceIdentity, states: &[u8]) {
+        let identity = self.mirror.handle_hello(identity, states);
         self.events.push(HostEvent::Greeted(identity));
         if identity.device_type != self.config.device_type {
             self.refuse(Mismatch::Type(identity.device_type));
@@ -497,17 +482,10 @@ impl<P: AsRef<[Port]>> Host<P> {
 
     fn state_event(&mut self, object: u8, data: &[u8]) {
         if let &[state, code] = data
-            && let Some(state) = self.note_state(object, state)
+            && let Some(state) = self.mirror.handle_state(object, state)
         {
-            self.faults = (self.faults + 1) % 16;
             self.events.push(HostEvent::State { object, state, code });
         }
-    }
-
-    fn note_state(&mut self, object: u8, state: u8) -> Option<DeviceState> {
-        let known = self.states.get_mut(usize::from(object).checked_sub(1)?)?;
-        *known = DeviceState::from_byte(state);
-        *known
     }
 
     fn data(&mut self, object: u8, message: u8, data: &[u8]) {
@@ -530,7 +508,7 @@ impl<P: AsRef<[Port]>> Host<P> {
         if (message::LIFECYCLE..message::START).contains(&packet.message)
             && let &[state] = payload
         {
-            self.note_state(packet.object, state);
+            self.mirror.note_state(packet.object, state);
         }
         self.keep(payload);
         self.command.finish();
