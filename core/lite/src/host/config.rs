@@ -25,7 +25,8 @@ pub struct HostConfig<P> {
     /// How many unanswered tries in a row declare the device lost.
     pub tries: Tries,
     /// After so long a silence of the host the device makes itself safe, at the latest after its
-    /// own limit. Must be longer than a few intervals; rounded down to milliseconds.
+    /// own limit, which 0 stands for. Must be longer than a few intervals; rounded down to
+    /// milliseconds.
     pub deadman: Duration,
     /// How long one byte is on the line: 10 bits divided by the baud rate. 0 for datagrams.
     pub byte_time: Duration,
