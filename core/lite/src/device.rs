@@ -15,7 +15,7 @@
 //! states and ports wait for a POLL.
 
 use crate::firmware::{DeviceHook, Firmware};
-use crate::message::{self, DeviceState, LifecycleChange, ResetCause, Status};
+use crate::message::{self, DeviceState, ResetCause, Status};
 use crate::packet::{DATA_MAX, DevicePacket, OBJECTS_MAX, PACKET_MAX};
 use crate::port::{PORTS_MAX, Port, PortKind, PortSet};
 use core::time::Duration;
@@ -182,14 +182,12 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
         if !is_unheard {
             (self.heard, self.silent) = (now, false);
         }
-        if !self.has_exact_length(&packet) {
-            return;
-        }
         match packet.sequence {
             None if is_link => {
                 let answer = self.link_answer(&packet);
                 self.answer = if to_all { Answer::None } else { answer };
             }
+            _ if !self.has_exact_length(&packet) => {}
             None => self.write(&packet, now, firmware),
             Some(sequence) => self.command(sequence, &packet, now, firmware),
         }
@@ -277,40 +275,29 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
         Some(packet.encode(self.session, bytes))
     }
 
-    /// The data that this message of this object must have; `None` for an unknown message.
-    fn request_length(&self, object: u8, message: u8) -> Option<usize> {
-        let length = match (object, message) {
-            (message::LINK, message::PING | message::DESCRIBE) => 1,
-            (message::LINK, message::POLL) if self.config.address.is_some() => 1,
-            (message::LINK, message::HELLO | message::RESTART) => 4,
-            (message::LINK, _) => return None,
-            (_, message::LIFECYCLE..=message::STOP) => 0,
-            (_, message::RATE) => 2,
-            (_, message::TEXT) => 1,
-            _ => {
-                let port = self.config.ports[Port::find(self.config.ports, object, message)?];
-                let reads = port.kind() == PortKind::Out || is_get(message);
-                if reads { 0 } else { usize::from(port.size()) }
-            }
-        };
-        Some(length)
-    }
-
     /// Data of another length than the message's are a sign of noise that the checksum missed.
     /// Only a command of an unknown message passes, to be answered.
     fn has_exact_length(&self, packet: &DevicePacket<'_>) -> bool {
-        match self.request_length(packet.object, packet.message) {
-            Some(length) => packet.data.len() == length,
-            None => packet.sequence.is_some(),
-        }
+        let ports = self.config.ports;
+        let length = match (packet.message, Port::find(ports, packet.object, packet.message)) {
+            (message::LIFECYCLE..=message::STOP, _) => 0,
+            (message::RATE, _) => 2,
+            (message::TEXT, _) => 1,
+            (message, Some(at)) if ports[at].kind() == PortKind::Out || is_get(message) => 0,
+            (_, Some(at)) => usize::from(ports[at].size()),
+            (_, None) => return packet.sequence.is_some(),
+        };
+        packet.data.len() == length
     }
 
     fn link_answer(&mut self, packet: &DevicePacket<'_>) -> Answer {
         match (packet.message, packet.data) {
             (message::PING, &[number]) => Answer::Pong(number),
-            (message::POLL, &[frames]) => Answer::Turn(frames, frames),
+            (message::POLL, &[frames]) if self.config.address.is_some() => {
+                Answer::Turn(frames, frames)
+            }
             (message::DESCRIBE, &[index]) => Answer::Describe(index),
-            (message::RESTART, guard @ &[first, ..]) => {
+            (message::RESTART, guard @ &[first, _, _, _]) => {
                 let ours = *guard == self.config.device_type.to_le_bytes();
                 Answer::Restart(first, if ours { Status::Well } else { Status::NoSuch })
             }
@@ -392,8 +379,8 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
                 return (Status::Well, 0);
             }
             message::RATE => {
-                let period_ms = data.iter().rev().fold(0, |ms, byte| ms << 8 | u64::from(*byte));
-                self.period = Duration::from_millis(period_ms.max(1));
+                let period_ms = u16::from_le_bytes([data[0], data[1]]).max(1);
+                self.period = Duration::from_millis(period_ms.into());
                 self.next_execution = now + self.period;
                 return (Status::Well, 0);
             }
@@ -434,21 +421,7 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
         now: Duration,
         firmware: &mut impl Firmware,
     ) -> Status {
-        let change = LifecycleChange::from_byte(message - message::LIFECYCLE);
-        let (from, hook, to) = match change.expect("four messages change the life cycle") {
-            LifecycleChange::Activate => {
-                (DeviceState::Inactive, DeviceHook::Activated, DeviceState::Active)
-            }
-            LifecycleChange::Deactivate => {
-                (DeviceState::Active, DeviceHook::Deactivated, DeviceState::Inactive)
-            }
-            LifecycleChange::Reset => {
-                (DeviceState::Error, DeviceHook::Reset, DeviceState::Inactive)
-            }
-            LifecycleChange::Finalize => {
-                (DeviceState::Inactive, DeviceHook::Finalize, DeviceState::Finalized)
-            }
-        };
+        let (from, hook, to) = CHANGES[usize::from(message - message::LIFECYCLE)];
         if self.state(object) != from {
             return Status::WrongState;
         }
@@ -573,6 +546,14 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
         })
     }
 }
+
+/// What the four messages of the life cycle do: from this state, by this hook, to that state.
+const CHANGES: [(DeviceState, DeviceHook, DeviceState); 4] = [
+    (DeviceState::Inactive, DeviceHook::Activated, DeviceState::Active),
+    (DeviceState::Active, DeviceHook::Deactivated, DeviceState::Inactive),
+    (DeviceState::Error, DeviceHook::Reset, DeviceState::Inactive),
+    (DeviceState::Inactive, DeviceHook::Finalize, DeviceState::Finalized),
+];
 
 /// The context's period before the first RATE.
 const FIRST_PERIOD: Duration = Duration::from_millis(10);
