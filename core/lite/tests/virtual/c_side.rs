@@ -133,7 +133,7 @@ fn compile(program: &Path, medium: Medium, flags: &[&str]) {
             command.args([SANITIZERS, "-fno-sanitize-recover=all"]);
         }
         command.args(flags).arg("-I").arg(root.join("c")).arg("-o").arg(program);
-        command.args([root.join("c/blastema_lite.c"), root.join("tests/real/firmware.c")]);
+        command.args([root.join("c/blastema_lite.c"), root.join("tests/virtual/firmware.c")]);
         command.output().expect("the tests need a C compiler, `cc`")
     };
     let mut output = compiler(is_long());
