@@ -334,7 +334,8 @@ impl<P: AsRef<[Port]>> Host<P> {
             return Some(Exchange::Restart);
         }
         let silent = self.command.is_taken() && self.misses % 3 == 2;
-        if self.waiting && !silent {
+        // A POLL holds the dead-man off, which a refused device must fall to.
+        if self.waiting && self.phase == Phase::Serving && !silent {
             return Some(Exchange::Poll);
         }
         if self.command.is_taken() && !silent && !self.pings.is_forced(now) {
@@ -492,7 +493,8 @@ impl<P: AsRef<[Port]>> Host<P> {
         let ports = self.config.ports.as_ref();
         let Some(port) = Port::find(ports, object, message) else { return };
         let (kind, size) = (ports[port].kind(), usize::from(ports[port].size()));
-        if kind == PortKind::Out && size == data.len() {
+        let is_serving = self.phase == Phase::Serving;
+        if is_serving && kind == PortKind::Out && size == data.len() {
             self.keep(data);
             self.events.push(HostEvent::Data { port });
         }

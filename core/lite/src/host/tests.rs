@@ -406,3 +406,22 @@ fn a_restart_is_ordered_once_until_a_pong_shows_that_it_was_not_heard() {
 
     assert_eq!(stage.sent().map(|sent| sent.2), Some(HELLO));
 }
+
+#[test]
+fn a_refused_device_is_neither_listened_to_nor_kept_from_its_dead_man() {
+    let mut stage = Stage::new(Tries::Fixed(3));
+    stage.open(0);
+    stage.sent();
+    stage.record(0, Port::output(1, 0, 3, 99));
+    assert!(matches!(stage.events()[..], [HostEvent::Refused(Mismatch::Port(1, _))]));
+
+    stage.give(None, 1, 0x60, &[1, 2, 3]);
+    stage.now += INTERVAL;
+    let ping = stage.sent();
+    stage.pong_of(ping, 1 | message::FLAG_WAITING, low(stage.session));
+    stage.now += INTERVAL;
+
+    assert_eq!(stage.events(), []);
+    let next = stage.sent();
+    assert!(matches!(next, Some((None, LINK, PING, Some(PING_UNHEARD..)))), "{next:?}");
+}
