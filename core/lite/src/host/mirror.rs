@@ -40,13 +40,14 @@ impl Mirror {
         Some(state)
     }
 
-    /// Takes what a PONG shows; returns whether a STATE event was lost.
-    pub(super) fn handle_pong(&mut self, boot: u8, has_session: bool, faults: u8) -> bool {
+    /// Takes what a PONG shows; returns whether a STATE event was lost. There is no fault count
+    /// while STATE events may wait on the device.
+    pub(super) fn handle_pong(&mut self, boot: u8, has_session: bool, faults: Option<u8>) -> bool {
         if let Some(identity) = self.identity {
             // A boot count that repeats, with a lost session, is a reset as well.
             self.reset_seen |= !has_session || boot != identity.boot.to_le_bytes()[0];
         }
-        core::mem::replace(&mut self.faults, faults) != faults
+        faults.is_some_and(|faults| core::mem::replace(&mut self.faults, faults) != faults)
     }
 
     /// Takes the reply to HELLO; returns the identity with the knowledge whether there was a reset.

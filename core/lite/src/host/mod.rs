@@ -407,7 +407,12 @@ impl<P: AsRef<[Port]>> Host<P> {
                 // A device with much to send does not keep a command from more than one turn.
                 let polled = exchange == Exchange::Poll && self.command.is_taken();
                 self.waiting = flags & message::FLAG_WAITING != 0 && !polled;
-                self.pong(boot, flags, session);
+                // Until a POLL, reports of faults may still wait on the device.
+                let all_told = exchange == Exchange::Poll || flags & message::FLAG_WAITING == 0;
+                let faults = all_told.then_some(flags >> 4);
+                let has_session = flags & message::FLAG_SESSION != 0;
+                let event_lost = self.mirror.handle_pong(boot, has_session, faults);
+                self.pong(has_session.then_some(session), event_lost);
             }
             (message::HELLO, Exchange::Hello, reply) => {
                 if let Some((identity, states)) = DeviceIdentity::from_reply(reply) {
@@ -435,12 +440,9 @@ impl<P: AsRef<[Port]>> Host<P> {
         }
     }
 
-    fn pong(&mut self, boot: u8, flags: u8, session: u8) {
-        let has_session = flags & message::FLAG_SESSION != 0;
-        let ours = self.phase != Phase::Probing && has_session && session == low(self.session);
-        let event_lost = self.mirror.handle_pong(boot, has_session, flags >> 4);
-        if !ours {
-            self.greet(session);
+    fn pong(&mut self, session: Option<u8>, event_lost: bool) {
+        if self.phase == Phase::Probing || session != Some(low(self.session)) {
+            self.greet(session.unwrap_or(0));
         } else if self.phase == Phase::Serving && event_lost {
             // The reply to HELLO lists the states; a command comes first.
             self.event_lost = true;

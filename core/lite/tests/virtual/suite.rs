@@ -135,8 +135,9 @@ fn a_fault_of_the_firmware_is_reported_with_its_code_and_text() {
     for mut robot in all_serving() {
         robot.well(ACTIVATE);
         robot.well(DeviceCommand::Write(DRIVE, &drive(666)));
-        robot.advance(25);
-        robot.expect(error(1, 7));
+        robot.advance(60);
+        // A reported fault costs no new session, also where it waits for a POLL.
+        assert_eq!(robot.events, [(error(1, 7), vec![])]);
         assert_eq!(robot.well(DeviceCommand::Text(1, 7)), b"over travel");
         assert_eq!(robot.well(DeviceCommand::Text(1, 8)), b"");
         assert_eq!(robot.journal().aborted, 7);
