@@ -23,6 +23,8 @@ pub struct HostLine {
     decoder: CobsDecoder,
     /// The host that had the last turn.
     turn: usize,
+    /// When the line has carried all frames.
+    free: Duration,
 }
 
 impl HostLine {
@@ -68,7 +70,8 @@ impl HostLine {
     }
 
     /// Writes the next frame into `frame` and returns it; `None` when there is none to send now.
-    /// `values` writes the newest struct of an in port of a host into the slice.
+    /// `values` writes the newest struct of an in port of a host into the slice. A driver whose
+    /// line is full does not poll: the newest values wait in the host.
     pub fn poll_frame<'f, P: AsRef<[Port]>>(
         &mut self,
         hosts: &mut [Host<P>],
@@ -84,9 +87,13 @@ impl HostLine {
         for step in 1..=hosts.len() {
             let at = (self.turn + step) % hosts.len();
             let value = |port, value: &mut [u8]| values(at, port, value);
-            if let Some(packet) = hosts[at].poll_packet(now, value, &mut bytes) {
+            // A request behind other frames waits for its answer from when it leaves.
+            let start = self.free.max(now);
+            if let Some(packet) = hosts[at].poll_packet(start, value, &mut bytes) {
+                let frame = cobs::encode(packet, frame);
                 self.turn = at;
-                return Some(cobs::encode(packet, frame));
+                self.free = start + hosts[at].config().byte_time * frame.len() as u32;
+                return Some(frame);
             }
         }
         None

@@ -207,3 +207,26 @@ fn packets_outside_of_a_turn_are_counted_and_dropped() {
     assert_eq!([bus.hosts[0].out_of_turn(), bus.hosts[1].out_of_turn()], [0, 1]);
     assert!(bus.hosts[1].is_serving());
 }
+
+#[test]
+fn a_request_behind_values_waits_for_its_answer_longer_by_the_values() {
+    let mut bus = Bus::new(6..=7, ms(20));
+    bus.run(ms(500));
+    bus.now += ms(20);
+    bus.hosts.iter_mut().for_each(|host| host.handle_publish(DRIVE).expect("it serves"));
+    let Bus { hosts, line, now, .. } = &mut bus;
+    let mut poll = || {
+        let mut frame = [0; FRAME_MAX];
+        line.poll_frame(hosts, *now, |_, _, _| (), &mut frame).map(<[u8]>::len)
+    };
+
+    // The driver gives all frames to the line at once.
+    let (mut before, mut last) = (0, poll().expect("a value"));
+    while let Some(length) = poll() {
+        before += std::mem::replace(&mut last, length);
+    }
+
+    assert!(before > 20, "two values, then a PING: {before}");
+    let due = *now + BYTE_TIME * before as u32 + hosts[0].config().slot();
+    assert!(line.poll_timeout(hosts) >= Some(due));
+}
