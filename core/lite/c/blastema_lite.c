@@ -249,7 +249,7 @@ static uint8_t execute(uint8_t object, uint8_t message, uint8_t index, const bl_
 
 static void command(uint8_t n) {
     uint8_t sequence = s.rx[HEAD] & SEQUENCE, object = s.rx[HEAD + 1u], message = s.rx[HEAD + 2u];
-    bl_port port;
+    bl_port port = {0};
     uint8_t index = find(&port, object, message);
     if (has_exact_length(message, n, index, &port) == 0u) return;
     if (sequence == s.last && s.tx_length != 0u) {

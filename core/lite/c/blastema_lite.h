@@ -45,6 +45,9 @@
 #if BL_MAX_DATA > 240 || BL_OBJECTS + BL_PORTS > 255 || BL_DEADMAN_MAX_MS > 60000
 #error "a size of this device is larger than the protocol allows"
 #endif
+#if BL_OBJECTS < 1 || BL_PORTS < 1
+#error "a device has at least one object and one port; a variable will do"
+#endif
 #if BL_MAX_DATA < BL_OBJECTS + 10
 #error "BL_MAX_DATA must hold the reply to HELLO: 10 bytes, and one for each object"
 #endif

@@ -120,7 +120,7 @@ fn compile(program: &Path, medium: Medium, flags: &[&str]) {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let compiler = |sanitized: bool| {
         let mut command = Command::new("cc");
-        command.args(["-std=c99", "-D_POSIX_C_SOURCE=200809L", "-O1", "-g"]);
+        command.args(["-std=c99", "-D_POSIX_C_SOURCE=200809L", "-O2", "-g"]);
         command.args(["-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror"]);
         command.args(["-DBL_OBJECTS=2u", "-DBL_MAX_DATA=240u"]);
         command.arg(format!("-DBL_PORTS={}u", PORTS.len()));
