@@ -13,7 +13,8 @@ pub enum HostEvent {
     Serving,
     /// The device is not the expected one. No data flow until it starts again.
     Refused(Mismatch),
-    /// The device did not answer, or the line is closed. Values of the device are stale.
+    /// The device did not answer, or the line is closed. Values of the device are stale. Reported
+    /// once until the next [`Greeted`](HostEvent::Greeted).
     Lost,
     /// The outstanding command has ended. The data of a reply are in
     /// [`payload`](crate::Host::payload).

@@ -165,7 +165,7 @@ impl<P: AsRef<[Port]>> Host<P> {
         self.phase == Phase::Serving
     }
 
-    /// Whether the device has been declared lost and has not answered since.
+    /// Whether the device has been declared lost and has not entered a session since.
     pub fn is_lost(&self) -> bool {
         self.lost
     }
@@ -263,10 +263,8 @@ impl<P: AsRef<[Port]>> Host<P> {
             return;
         };
         self.exchange = None;
-        self.misses += 1;
-        if !self.lost {
-            self.estimate(true);
-        }
+        self.misses = self.misses.saturating_add(1);
+        self.estimate(true);
         // Repetitions follow each other faster than pings; the silence must be as long all the
         // same.
         let silence = self.config.interval * self.loss.tries().into();
@@ -461,6 +459,7 @@ impl<P: AsRef<[Port]>> Host<P> {
 
     fn greeted(&mut self, identity: DeviceIdentity, states: &[u8]) {
         let identity = self.mirror.handle_hello(identity, states);
+        self.lost = false;
         self.events.push(HostEvent::Greeted(identity));
         if identity.device_type != self.config.device_type {
             self.refuse(Mismatch::Type(identity.device_type));
@@ -525,12 +524,14 @@ impl<P: AsRef<[Port]>> Host<P> {
         self.exchange = None;
         self.misses = 0;
         self.heard = now;
-        self.lost = false;
         self.estimate(false);
     }
 
     fn estimate(&mut self, missed: bool) {
-        if let Some(warning) = self.loss.count(missed, self.config.interval) {
+        // The tries of a device that is switched off say nothing of the line.
+        if !self.lost
+            && let Some(warning) = self.loss.count(missed, self.config.interval)
+        {
             self.events.push(warning);
         }
     }

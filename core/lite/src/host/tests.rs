@@ -425,3 +425,17 @@ fn a_refused_device_is_neither_listened_to_nor_kept_from_its_dead_man() {
     let next = stage.sent();
     assert!(matches!(next, Some((None, LINK, PING, Some(PING_UNHEARD..)))), "{next:?}");
 }
+
+#[test]
+fn a_device_that_answers_pings_alone_is_lost_once() {
+    let mut stage = Stage::new(Tries::Fixed(3));
+    let mut lost = 0;
+    for _ in 0..200 {
+        match stage.sent() {
+            ping @ Some((None, LINK, PING, _)) => stage.pong_of(ping, 0, 0),
+            _ => stage.wait(),
+        }
+        lost += stage.events().iter().filter(|event| **event == HostEvent::Lost).count();
+    }
+    assert_eq!((lost, stage.host.is_lost()), (1, true));
+}
