@@ -220,7 +220,8 @@ impl<P: AsRef<[Port]>> Host<P> {
         Ok(())
     }
 
-    /// Restarts the chip, also one that is refused. The outstanding command ends as unknown.
+    /// Restarts the chip of a device that serves or is refused; it is greeted as a new incarnation.
+    /// The outstanding command ends as unknown. The order is dropped when the device is lost.
     pub fn handle_restart(&mut self) {
         if matches!(self.phase, Phase::Serving | Phase::Refused) {
             self.restart = RestartOrder::Wanted;
@@ -460,6 +461,9 @@ impl<P: AsRef<[Port]>> Host<P> {
     fn greeted(&mut self, identity: DeviceIdentity, states: &[u8]) {
         let identity = self.mirror.handle_hello(identity, states);
         self.lost = false;
+        if identity.reset {
+            self.restart = RestartOrder::None;
+        }
         self.events.push(HostEvent::Greeted(identity));
         if identity.device_type != self.config.device_type {
             self.refuse(Mismatch::Type(identity.device_type));
@@ -541,6 +545,7 @@ impl<P: AsRef<[Port]>> Host<P> {
             self.lost = true;
             self.events.push(HostEvent::Lost);
         }
+        self.restart = RestartOrder::None;
         self.end_session();
         self.phase = Phase::Probing;
     }
@@ -560,7 +565,9 @@ impl<P: AsRef<[Port]>> Host<P> {
 
     fn end_session(&mut self) {
         self.exchange = None;
-        self.restart = RestartOrder::None;
+        if self.restart == RestartOrder::Sent {
+            self.restart = RestartOrder::None;
+        }
         self.waiting = false;
         self.event_lost = false;
         // A value from before an interruption must not move an actuator after it.

@@ -439,3 +439,24 @@ fn a_device_that_answers_pings_alone_is_lost_once() {
     }
     assert_eq!((lost, stage.host.is_lost()), (1, true));
 }
+
+#[test]
+fn an_order_to_restart_outlives_a_new_session_but_no_reset() {
+    for reset in [false, true] {
+        let mut stage = Stage::serving();
+        stage.now += INTERVAL;
+        let ping = stage.sent();
+        stage.host.handle_restart();
+        stage.faults = 1;
+        stage.boot += u8::from(reset);
+        stage.pong(ping);
+        assert_eq!(stage.sent().map(|sent| sent.2), Some(HELLO));
+
+        let hello = [low(stage.session), stage.boot, 0, 1, 7, 0, 0, 0, 24, 2, 1, 1];
+        stage.give(None, LINK, HELLO, &hello);
+
+        let expected = if reset { DESCRIBE } else { RESTART };
+        assert_eq!(stage.sent().map(|sent| sent.2), Some(expected));
+        assert_eq!(stage.host.restart == RestartOrder::None, reset);
+    }
+}
