@@ -74,6 +74,9 @@ pub struct DeviceIdentity {
     pub objects: u8,
     /// Whether the chip was reset since this host knew it: it is a new incarnation.
     pub reset: bool,
+    /// Whether the dead-man struck since the last session: objects that were Active are in Error.
+    /// Their [`State`](HostEvent::State) events are lost, unless they waited for a POLL.
+    pub deadman: bool,
 }
 
 impl DeviceIdentity {
@@ -89,6 +92,7 @@ impl DeviceIdentity {
             data_max,
             objects,
             reset: false,
+            deadman: false,
         };
         (states.len() == usize::from(objects)).then_some((identity, states))
     }

@@ -1,7 +1,7 @@
 //! What a device has last told of itself.
 
 use super::event::DeviceIdentity;
-use crate::message::DeviceState;
+use crate::message::{self, DeviceState};
 use crate::packet::OBJECTS_MAX;
 
 /// Identity, states and fault count of a device, as the host knows them.
@@ -9,6 +9,7 @@ use crate::packet::OBJECTS_MAX;
 pub(super) struct Mirror {
     identity: Option<DeviceIdentity>,
     reset_seen: bool,
+    deadman_seen: bool,
     states: [Option<DeviceState>; OBJECTS_MAX],
     /// The fault count that the next PONG shows if no STATE event was lost.
     faults: u8,
@@ -16,7 +17,8 @@ pub(super) struct Mirror {
 
 impl Mirror {
     pub(super) fn new() -> Self {
-        Mirror { identity: None, reset_seen: false, states: [None; OBJECTS_MAX], faults: 0 }
+        let states = [None; OBJECTS_MAX];
+        Mirror { identity: None, reset_seen: false, deadman_seen: false, states, faults: 0 }
     }
 
     pub(super) fn identity(&self) -> Option<DeviceIdentity> {
@@ -40,17 +42,18 @@ impl Mirror {
         Some(state)
     }
 
-    /// Takes what a PONG shows; returns whether a STATE event was lost. There is no fault count
-    /// while STATE events may wait on the device.
-    pub(super) fn handle_pong(&mut self, boot: u8, has_session: bool, faults: Option<u8>) -> bool {
+    /// Takes what a PONG shows; returns whether a STATE event was lost, if all have been told.
+    pub(super) fn handle_pong(&mut self, boot: u8, flags: u8, all_told: bool) -> bool {
         if let Some(identity) = self.identity {
             // A boot count that repeats, with a lost session, is a reset as well.
+            let has_session = flags & message::FLAG_SESSION != 0;
             self.reset_seen |= !has_session || boot != identity.boot.to_le_bytes()[0];
         }
-        faults.is_some_and(|faults| core::mem::replace(&mut self.faults, faults) != faults)
+        self.deadman_seen |= flags & message::FLAG_DEADMAN != 0;
+        all_told && core::mem::replace(&mut self.faults, flags >> 4) != flags >> 4
     }
 
-    /// Takes the reply to HELLO; returns the identity with the knowledge whether there was a reset.
+    /// Takes the reply to HELLO; returns the identity with what PONGs have shown.
     pub(super) fn handle_hello(
         &mut self,
         mut identity: DeviceIdentity,
@@ -58,6 +61,7 @@ impl Mirror {
     ) -> DeviceIdentity {
         let rebooted = self.identity.is_some_and(|known| known.boot != identity.boot);
         identity.reset = core::mem::take(&mut self.reset_seen) || rebooted;
+        identity.deadman = core::mem::take(&mut self.deadman_seen);
         self.identity = Some(identity);
         self.states = [None; OBJECTS_MAX];
         for (object, state) in (1..).zip(states) {

@@ -408,9 +408,8 @@ impl<P: AsRef<[Port]>> Host<P> {
                 self.waiting = flags & message::FLAG_WAITING != 0 && !polled;
                 // Until a POLL, reports of faults may still wait on the device.
                 let all_told = exchange == Exchange::Poll || flags & message::FLAG_WAITING == 0;
-                let faults = all_told.then_some(flags >> 4);
+                let event_lost = self.mirror.handle_pong(boot, flags, all_told);
                 let has_session = flags & message::FLAG_SESSION != 0;
-                let event_lost = self.mirror.handle_pong(boot, has_session, faults);
                 self.pong(has_session.then_some(session), event_lost);
             }
             (message::HELLO, Exchange::Hello, reply) => {

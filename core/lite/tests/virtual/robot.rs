@@ -5,7 +5,7 @@ use crate::c_side::CSide;
 use crate::channel::Channel;
 use blastema_lite::{
     CommandOutcome, DeviceCommand, FRAME_MAX, Host, HostConfig, HostEvent, HostLine, PACKET_MAX,
-    Port, Status, Tries,
+    Port, ResetCause, Status, Tries,
 };
 use std::time::Duration;
 
@@ -170,6 +170,16 @@ impl Robot {
         let at = self.events.iter().position(|(found, _)| *found == event);
         let at = at.unwrap_or_else(|| panic!("no {event:?} in {:?}", self.events));
         self.events.drain(..=at).next_back().expect("the event itself").1
+    }
+
+    /// What the first greeting has told: boot count, cause, reset, dead-man.
+    #[track_caller]
+    pub(crate) fn greeted(&self) -> (u16, ResetCause, bool, bool) {
+        let greeted = self.events.iter().find_map(|(event, _)| match event {
+            HostEvent::Greeted(told) => Some((told.boot, told.cause, told.reset, told.deadman)),
+            _ => None,
+        });
+        greeted.expect("the device was greeted")
     }
 
     /// Carries a command out and returns its outcome and payload; other events are kept.

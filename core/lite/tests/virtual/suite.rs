@@ -42,6 +42,7 @@ fn a_device_is_found_greeted_and_described() {
             data_max: identity.data_max,
             objects: 2,
             reset: false,
+            deadman: false,
         };
         assert_eq!(identity, expected);
         robot.expect(HostEvent::Serving);
@@ -224,6 +225,7 @@ fn a_silent_host_makes_the_device_safe_and_learns_of_it() {
         robot.advance(380);
         robot.out.loss = 0.0;
         robot.advance(110);
+        assert_eq!(robot.greeted(), (1, ResetCause::PowerOn, false, false));
         robot.expect(HostEvent::Serving);
         assert_eq!(robot.host.state(1), Some(DeviceState::Active));
 
@@ -232,6 +234,7 @@ fn a_silent_host_makes_the_device_safe_and_learns_of_it() {
         robot.out.loss = 0.0;
         robot.advance(110);
 
+        assert_eq!(robot.greeted(), (1, ResetCause::PowerOn, false, true));
         robot.expect(HostEvent::Serving);
         assert_eq!(robot.host.state(1), Some(DeviceState::Error));
         assert_eq!(robot.journal().aborted, message::CODE_DEADMAN);
@@ -305,8 +308,7 @@ fn a_host_that_restarts_is_in_step_at_once_and_the_device_is_neither_reset_nor_d
 
             robot.advance(1);
 
-            let (HostEvent::Greeted(identity), _) = robot.events[0] else { panic!("greeted") };
-            assert_eq!((identity.boot, identity.reset), (1, false));
+            assert_eq!(robot.greeted(), (1, ResetCause::PowerOn, false, false));
             robot.expect(HostEvent::Serving);
             assert_eq!(robot.frames_sent - frames, 2 + PORTS.len() + 1);
             assert_eq!(robot.host.state(1), Some(DeviceState::Active));
@@ -335,11 +337,7 @@ fn after_a_reset_the_outstanding_command_is_unknown_and_never_repeated() {
         robot.advance(20);
 
         robot.expect(HostEvent::Done(CommandOutcome::Unknown));
-        let greeted = robot.events.iter().find_map(|(event, _)| match event {
-            HostEvent::Greeted(identity) => Some((identity.boot, identity.cause, identity.reset)),
-            _ => None,
-        });
-        assert_eq!(greeted, Some((2, ResetCause::Watchdog, true)));
+        assert_eq!(robot.greeted(), (2, ResetCause::Watchdog, true, false));
         robot.expect(HostEvent::Serving);
         let journal = robot.journal();
         assert_eq!((journal.executed, journal.twice, journal.wrong), (2, 0, 0));
@@ -352,11 +350,7 @@ fn an_idle_device_that_was_reset_is_a_new_incarnation() {
         robot.well(ACTIVATE);
         robot.bench.reset(robot.now, ResetCause::BrownOut);
         robot.advance(20);
-        let greeted = robot.events.iter().find_map(|(event, _)| match event {
-            HostEvent::Greeted(identity) => Some((identity.boot, identity.cause, identity.reset)),
-            _ => None,
-        });
-        assert_eq!(greeted, Some((2, ResetCause::BrownOut, true)));
+        assert_eq!(robot.greeted(), (2, ResetCause::BrownOut, true, false));
         robot.expect(HostEvent::Serving);
         assert_eq!(robot.host.state(1), Some(DeviceState::Inactive));
     }
@@ -371,11 +365,7 @@ fn the_order_to_restart_resets_the_chip_once_also_when_the_reply_is_lost() {
             robot.pump();
             robot.back.loss = 0.0;
             robot.advance(40);
-            let greeted = robot.events.iter().find_map(|(event, _)| match event {
-                HostEvent::Greeted(identity) => Some((identity.boot, identity.cause)),
-                _ => None,
-            });
-            assert_eq!(greeted, Some((2, ResetCause::Software)));
+            assert_eq!(robot.greeted(), (2, ResetCause::Software, true, false));
             robot.expect(HostEvent::Serving);
         }
     }
