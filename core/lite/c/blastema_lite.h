@@ -1,7 +1,36 @@
 /* The device's side of the protocol between a Blastema node and a microcontroller: C99, no heap.
  *
- * The firmware defines the tables and functions of the second part and calls those of the third:
+ * The firmware defines the tables and functions of the second part and calls those of the third. A
+ * lamp whose brightness the host sets at least every 200 ms, compiled with -DBL_PORTS=2u:
  *
+ *     #include "blastema_lite.h"
+ *     #pragma pack(push, 1)
+ *     typedef struct { uint16_t level; } brightness;
+ *     #pragma pack(pop)
+ *     static brightness wanted, shown;
+ *     static uint8_t off(uint8_t why) { (void)why; pwm(shown.level = 0); return 0; }
+ *     static uint8_t work(uint8_t why) {
+ *         (void)why;
+ *         pwm(shown.level = wanted.level);
+ *         bl_publish(1);
+ *         return is_hot() ? 1 : 0;
+ *     }
+ *     const uint32_t bl_device_type BL_ROM = 0x706d616cu;
+ *     const bl_object bl_objects[BL_OBJECTS] BL_ROM = {{.hook = {
+ *         [BL_ON_EXECUTE] = work, [BL_ON_DEACTIVATED] = off, [BL_ON_ABORTING] = off}}};
+ *     const bl_port bl_ports[BL_PORTS] BL_ROM = {
+ *         {.object = 1, .id = BL_IN, .data = &wanted, .size = sizeof wanted,
+ *          .fingerprint = 0x1234abcdu, .deadline_ms = 200},
+ *         {.object = 1, .id = BL_OUT, .data = &shown, .size = sizeof shown,
+ *          .fingerprint = 0x1234abcdu}};
+ *     void bl_send(const uint8_t *bytes, uint8_t n) { while (n-- != 0u) uart_put(*bytes++); }
+ *     uint16_t bl_millis(void) { return milliseconds(); }
+ *     uint8_t bl_call(uint8_t port, uint8_t *data) { (void)port; (void)data; return 1; }
+ *     uint8_t bl_text(uint8_t object, uint8_t code, uint8_t *text, uint8_t room) {
+ *         (void)object; (void)code; (void)text; (void)room;
+ *         return 0;
+ *     }
+ *     void bl_restart(void) { uart_flush(); chip_reset(); }
  *     int main(void) {
  *         board();
  *         bl_begin(next_boot(), reset_cause());
@@ -94,7 +123,7 @@ typedef struct {
 
 typedef struct {
     void *data;            /* the packed struct; unused for calls */
-    uint32_t fingerprint;  /* of the packed layout */
+    uint32_t fingerprint;  /* of the packed layout: the number that the host has for this port */
     uint16_t deadline_ms;  /* in ports: the oldest value that an active object works with; 0: any */
     uint8_t object;        /* from 1 */
     uint8_t id;            /* BL_IN, BL_OUT, BL_CALL or BL_VARIABLE, plus a number */
@@ -102,7 +131,7 @@ typedef struct {
     uint8_t reply;         /* size of a call's result */
 } bl_port;
 
-/* Second part: what the firmware gives. The tables are BL_ROM. */
+/* Second part: what the firmware gives, all of it. The tables are BL_ROM. */
 
 extern const bl_object bl_objects[BL_OBJECTS];
 extern const bl_port bl_ports[BL_PORTS];
@@ -126,7 +155,7 @@ void bl_restart(void);
 /* Starts: runs BL_ON_INITIALIZE. `boot` counts the starts, 0 if the chip cannot. */
 void bl_begin(uint16_t boot, uint8_t cause);
 #ifdef BL_DATAGRAM
-/* Takes one datagram. */
+/* Takes one datagram. The firmware drops those of more than 255 bytes. */
 void bl_receive_packet(const uint8_t *bytes, uint8_t count);
 #else
 /* Takes one received byte. */
@@ -134,7 +163,8 @@ void bl_receive(uint8_t byte);
 #endif
 /* Does what is due: dead-man, deadlines, BL_ON_EXECUTE. At least once a millisecond. */
 void bl_poll(void);
-/* Sends the struct of the out port with this index in bl_ports. */
+/* Sends the struct of the out port with this index in bl_ports; on a multi-drop line when the host
+ * asks, with its value of then. */
 void bl_publish(uint8_t port);
 /* The state of an object, from 1. */
 uint8_t bl_state(uint8_t object);

@@ -17,7 +17,58 @@ use core::time::Duration;
 /// Drives the hosts of one serial line.
 ///
 /// The driver owns the hosts and gives them to each call, always in the same order: one host
-/// without an address, or several with different addresses.
+/// without an address, or several with different addresses. When the line has failed, the driver
+/// calls [`Host::handle_line_closed`] of each, and opens it again with a new `HostLine`.
+///
+/// # Examples
+///
+/// The whole driver of a line. `read` waits for a millisecond at most.
+///
+/// ```no_run
+/// use blastema_lite::{CommandOutcome, DeviceCommand, FRAME_MAX, Host, HostEvent, HostLine, Port};
+/// use std::io::{Read, Write};
+///
+/// /// `values` are the newest structs of in ports, by host and port.
+/// fn drive(
+///     hosts: &mut [Host<Vec<Port>>],
+///     values: &[Vec<Vec<u8>>],
+///     mut serial: impl Read + Write,
+/// ) -> std::io::Result<()> {
+///     let (start, mut line) = (std::time::Instant::now(), HostLine::default());
+///     let (mut buffer, mut frame) = ([0; 256], [0; FRAME_MAX]);
+///     loop {
+///         let count = serial.read(&mut buffer)?;
+///         let mut bytes = &buffer[..count];
+///         while !bytes.is_empty() {
+///             line.handle_bytes(hosts, &mut bytes, start.elapsed());
+///             take_events(&mut line, hosts);
+///         }
+///         line.handle_timeout(hosts, start.elapsed());
+///         take_events(&mut line, hosts);
+///         // Here the application gives commands, and announces values by `handle_publish`.
+///         let value = |host: usize, port: usize, value: &mut [u8]| {
+///             value.copy_from_slice(&values[host][port]);
+///         };
+///         while let Some(frame) = line.poll_frame(hosts, start.elapsed(), value, &mut frame) {
+///             serial.write_all(frame)?;
+///         }
+///     }
+/// }
+///
+/// fn take_events(line: &mut HostLine, hosts: &mut [Host<Vec<Port>>]) {
+///     while let Some((host, event)) = line.poll_event(hosts) {
+///         match event {
+///             HostEvent::Data { port } => println!("{port}: {:?}", hosts[host].payload()),
+///             HostEvent::Done(CommandOutcome::Replied(status)) => println!("{status:?}"),
+///             HostEvent::State { object, code, .. } => {
+///                 let command = DeviceCommand::Text(object, code);
+///                 let _ = hosts[host].handle_command(command); // unless another is outstanding
+///             }
+///             other => println!("{other:?}"),
+///         }
+///     }
+/// }
+/// ```
 #[derive(Clone, Debug, Default)]
 pub struct HostLine {
     decoder: CobsDecoder,
