@@ -19,6 +19,7 @@ enum { HAS_SESSION = 1, DEADMAN_STRUCK = 2, WAITING = 4, ONE_FAULT = 0x10 };
 #define DATA (HEAD + 3u)
 #define PACKET (DATA + BL_MAX_DATA + 2u)
 #define TEXT_ROOM (BL_MAX_DATA > 32u ? 32u : BL_MAX_DATA - 1u)
+#define PERIOD_MAX_MS 60000u            /* bl_millis wraps later */
 #define EVENTS (BL_OBJECTS + BL_PORTS)  /* STATE of each object, then DATA of each port */
 
 static struct {
@@ -178,6 +179,10 @@ static uint16_t u16(const uint8_t *p) {
     return (uint16_t)(p[0] | (uint16_t)((uint16_t)p[1] << 8));
 }
 
+static uint16_t within(uint16_t value, uint16_t most) {
+    return value < most ? value : most;
+}
+
 /* The index of the port that a message concerns; UNKNOWN if there is none. */
 static uint8_t find(bl_port *port, uint8_t object, uint8_t message) {
     uint8_t i;
@@ -227,7 +232,7 @@ static uint8_t execute(uint8_t object, uint8_t message, uint8_t index, const bl_
         out[1] = s.state[i];
         return 2;
     } else if (message >= START && message <= RATE) {
-        if (message == RATE) s.period = u16(data) != 0u ? u16(data) : 1u;
+        if (message == RATE) s.period = u16(data) == 0u ? 1u : within(u16(data), PERIOD_MAX_MS);
         else s.stopped = message == STOP;
         s.executed = s.heard;
     } else if (message == TEXT) {
@@ -275,7 +280,7 @@ static uint8_t hello(uint8_t *data) {
         s.flags = (uint8_t)(s.flags & ~DEADMAN_STRUCK);
     }
     s.deadman = u16(&data[2]);
-    if (s.deadman == 0u || s.deadman > BL_DEADMAN_MAX_MS) s.deadman = BL_DEADMAN_MAX_MS;
+    s.deadman = s.deadman == 0u ? BL_DEADMAN_MAX_MS : within(s.deadman, BL_DEADMAN_MAX_MS);
     data[1] = (uint8_t)s.boot;
     data[2] = (uint8_t)(s.boot >> 8);
     data[3] = s.cause;

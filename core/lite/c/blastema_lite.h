@@ -71,6 +71,9 @@
 /* BL_ADDRESS: an expression for the address on a multi-drop line, 1 to 247.
  * BL_DATAGRAM: packets are datagrams, without COBS; see bl_receive_packet. */
 
+#if BL_DEADMAN_MAX_MS < 1
+#error "a dead-man of 0 strikes at once"
+#endif
 #if BL_MAX_DATA > 240 || BL_OBJECTS + BL_PORTS > 255 || BL_DEADMAN_MAX_MS > 60000
 #error "a size of this device is larger than the protocol allows"
 #endif
@@ -124,7 +127,8 @@ typedef struct {
 typedef struct {
     void *data;            /* the packed struct; unused for calls */
     uint32_t fingerprint;  /* of the packed layout: the number that the host has for this port */
-    uint16_t deadline_ms;  /* in ports: the oldest value that an active object works with; 0: any */
+    uint16_t deadline_ms;  /* in ports: the oldest value that an active object works with, at most
+                            * 60000; 0: any */
     uint8_t object;        /* from 1 */
     uint8_t id;            /* BL_IN, BL_OUT, BL_CALL or BL_VARIABLE, plus a number */
     uint8_t size;          /* of the struct; of the arguments of a call */

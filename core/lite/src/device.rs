@@ -379,7 +379,8 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
                 return (Status::Well, 0);
             }
             message::RATE => {
-                let period_ms = u16::from_le_bytes([data[0], data[1]]).max(1);
+                let period_ms =
+                    u16::from_le_bytes([data[0], data[1]]).clamp(1, message::PERIOD_MAX_MS);
                 self.period = Duration::from_millis(period_ms.into());
                 self.next_execution = now + self.period;
                 return (Status::Well, 0);

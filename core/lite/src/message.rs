@@ -49,6 +49,8 @@ pub const STOP: u8 = 0x15;
 pub const RATE: u8 = 0x16;
 /// Reports that an object went into Error by itself.
 pub const STATE: u8 = 0x20;
+/// The longest period of a context, dead-man and deadline: a chip's clock of 16 bits wraps later.
+pub const PERIOD_MAX_MS: u16 = 60_000;
 /// Asks for the text of a fault's code.
 pub const TEXT: u8 = 0x21;
 /// The first in port.

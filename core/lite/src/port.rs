@@ -78,7 +78,13 @@ impl Port {
 
     /// An in port whose newest value may be so old, in milliseconds, while its object is Active;
     /// an older one is a fault of the object. 0 for no limit.
+    ///
+    /// # Panics
+    ///
+    /// If it is above [`PERIOD_MAX_MS`](message::PERIOD_MAX_MS), or the port is no in port.
     pub const fn with_deadline_ms(mut self, deadline_ms: u16) -> Port {
+        assert!(deadline_ms <= message::PERIOD_MAX_MS, "a chip's clock wraps at 65,536 ms");
+        assert!(matches!(self.kind(), PortKind::In), "only in ports have deadlines");
         self.deadline_ms = deadline_ms;
         self
     }

@@ -15,7 +15,8 @@ pub enum DeviceCommand<'a> {
     Start(u8),
     /// Stops the context.
     Stop(u8),
-    /// Sets the context's period in milliseconds.
+    /// Sets the context's period in milliseconds. The device takes 0 for 1, and more than
+    /// [`PERIOD_MAX_MS`](message::PERIOD_MAX_MS) for that.
     Rate(u8, u16),
     /// Asks an object for the text of a code. The payload is UTF-8, unless the chip's is not.
     Text(u8, u8),

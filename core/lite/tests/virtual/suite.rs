@@ -198,6 +198,23 @@ fn the_context_stops_starts_and_changes_its_period() {
 }
 
 #[test]
+fn the_longest_period_is_kept_by_a_chip_whose_clock_wraps_in_it() {
+    for mut robot in all_serving().take(2) {
+        robot.well(DeviceCommand::Change(2, LifecycleChange::Activate));
+        // It is limited to 60 s.
+        robot.well(DeviceCommand::Rate(2, u16::MAX));
+        let before = robot.well(DeviceCommand::Read(COUNT))[0];
+        let end = robot.now + ms(130_000);
+        while robot.now < end {
+            robot.host.handle_publish(STEER).expect("it serves");
+            robot.now += ms(7);
+            robot.tick();
+        }
+        assert_eq!(robot.well(DeviceCommand::Read(COUNT))[0] - before, 2);
+    }
+}
+
+#[test]
 fn an_input_that_is_too_old_is_a_fault_of_its_object_alone() {
     for mut robot in all_serving() {
         robot.well(ACTIVATE);
