@@ -6,7 +6,7 @@
 enum { OK, WRONG_STATE, NO_SUCH, WRONG_LENGTH, HOOK_FAILED, NO_SESSION, END, OUT_OF_STEP };
 enum { PING, HELLO, DESCRIBE, POLL, RESTART };
 enum { LIFECYCLE = 0x10, START = 0x14, STOP = 0x15, RATE = 0x16, STATE = 0x20, TEXT = 0x21 };
-enum { GET = 0xE0, GET_BIT = 0x20, PING_UNHEARD = 0x80, UNKNOWN = 0xFF };
+enum { GET = 0xE0, GET_BIT = 0x20, PING_PROBE = 0x80, UNKNOWN = 0xFF };
 /* bits of the header and of a PONG's flags */
 enum { PLAIN_TEXT = 0x40, FROM_DEVICE = 0x20, COMMAND = 0x10, WIDE = 8, SEQUENCE = 7 };
 enum { HAS_SESSION = 1, DEADMAN_STRUCK = 2, WAITING = 4, ONE_FAULT = 0x10 };
@@ -30,7 +30,7 @@ static struct {
 #endif
     uint8_t tx_length;
     uint8_t last, flags, cause, silent, stopped;
-    uint16_t session, boot, heard, deadman, period, executed;
+    uint16_t session, boot, received, deadman, period, executed;
     uint8_t state[BL_OBJECTS], fault[BL_OBJECTS];
     uint16_t written[BL_PORTS];
 #ifdef BL_ADDRESS
@@ -54,7 +54,7 @@ static uint16_t checksum(const uint8_t *p, uint8_t n, uint16_t value, uint8_t wi
     return (uint16_t)~value;
 }
 
-/* PING and PONG have CRC-8, whatever a bit says that noise may have turned. */
+/* PING and PONG have CRC-8. Noise may have turned the bit of the header. */
 static uint8_t is_wide(const uint8_t *p) {
     return (p[HEAD + 1u] | p[HEAD + 2u]) != 0u ? WIDE : 0u;
 }
@@ -197,7 +197,7 @@ static uint8_t find(bl_port *port, uint8_t object, uint8_t message) {
 }
 
 static void write_port(const bl_port *port, uint8_t index, const uint8_t *data) {
-    s.written[index] = s.heard;
+    s.written[index] = s.received;
     memcpy(port->data, data, port->size);
 }
 
@@ -234,7 +234,7 @@ static uint8_t execute(uint8_t object, uint8_t message, uint8_t index, const bl_
     } else if (message >= START && message <= RATE) {
         if (message == RATE) s.period = u16(data) == 0u ? 1u : within(u16(data), PERIOD_MAX_MS);
         else s.stopped = message == STOP;
-        s.executed = s.heard;
+        s.executed = s.received;
     } else if (message == TEXT) {
         return (uint8_t)(1u + bl_text(object, data[0], &out[1], TEXT_ROOM));
     } else if (index == UNKNOWN) {
@@ -352,9 +352,9 @@ static void take(uint8_t n) {
     if (s.rx[n] != (uint8_t)(sum >> 8) || (wide != 0u && s.rx[n + 1u] != (uint8_t)sum)) return;
     n = (uint8_t)(n - DATA);
     message = p[2];
-    /* a host that does not hear this device must not hold the dead-man off */
-    if (wide != 0u || n == 0u || p[3] < PING_UNHEARD) {
-        s.heard = bl_millis();
+    /* a host that does not serve this device must not hold the dead-man off */
+    if (wide != 0u || n == 0u || p[3] < PING_PROBE) {
+        s.received = bl_millis();
         s.silent = 0;
     }
     if ((p[0] & COMMAND) != 0u) {
@@ -417,7 +417,7 @@ void bl_begin(uint16_t boot, uint8_t cause) {
 void bl_poll(void) {
     uint16_t now = bl_millis();
     uint8_t i, why;
-    if (s.session != 0u && s.silent == 0u && (uint16_t)(now - s.heard) >= s.deadman) {
+    if (s.session != 0u && s.silent == 0u && (uint16_t)(now - s.received) >= s.deadman) {
         s.silent = 1;
         s.flags = (uint8_t)(s.flags | DEADMAN_STRUCK);
         for (i = 0; i < BL_OBJECTS; i++)

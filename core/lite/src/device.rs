@@ -1,7 +1,7 @@
 //! The device's side: executes each command once, keeps the life cycle, strikes the dead-man.
 //!
-//! The C library in `c/` is the same machine for chips on which no Rust runs. This one serves as
-//! its measure in tests, as the device of simulations, and as firmware.
+//! The C library in `c/` is the same machine for chips on which no Rust runs. This one is its
+//! reference in tests, the device of simulations, and firmware.
 //!
 //! ```text
 //! packet ──► handle_packet ──► hooks, values of the firmware
@@ -93,7 +93,7 @@ pub struct Device<'a, const OBJECTS: usize, const PORTS: usize> {
     deadman: Duration,
     deadman_struck: bool,
     /// When the last packet was accepted.
-    heard: Duration,
+    received: Duration,
     silent: bool,
     running: bool,
     period: Duration,
@@ -127,7 +127,7 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
             published: PortSet::default(),
             deadman: config.deadman_max,
             deadman_struck: false,
-            heard: now,
+            received: now,
             silent: false,
             running: true,
             period: FIRST_PERIOD,
@@ -176,11 +176,11 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
         if packet.from_device || !for_us || !in_place {
             return;
         }
-        let is_unheard = is_link
+        let is_probe = is_link
             && packet.message == message::PING
-            && packet.data.first().is_some_and(|number| number & message::PING_UNHEARD != 0);
-        if !is_unheard {
-            (self.heard, self.silent) = (now, false);
+            && packet.data.first().is_some_and(|number| number & message::PING_PROBE != 0);
+        if !is_probe {
+            (self.received, self.silent) = (now, false);
         }
         match packet.sequence {
             None if is_link => {
@@ -195,7 +195,7 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
 
     /// Lets the device act on everything that is due: dead-man, deadlines, execution.
     pub fn handle_timeout(&mut self, now: Duration, firmware: &mut impl Firmware) {
-        if self.session != 0 && !self.silent && now.saturating_sub(self.heard) >= self.deadman {
+        if self.session != 0 && !self.silent && now.saturating_sub(self.received) >= self.deadman {
             self.silent = true;
             self.deadman_struck = true;
             for object in 1..=OBJECTS as u8 {
@@ -235,7 +235,7 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
         }
     }
 
-    /// When the device wants `handle_timeout` at the latest; `None` while nothing runs.
+    /// When `handle_timeout` is due at the latest; `None` while nothing runs.
     pub fn poll_timeout(&self) -> Option<Duration> {
         let is = |wanted| self.objects.iter().any(|object| object.state == wanted);
         if !is(DeviceState::Active) {
@@ -244,7 +244,7 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
         let watched = (0..PORTS)
             .filter(|&port| self.state(self.config.ports[port].object()) == DeviceState::Active);
         let deadlines = watched.filter_map(|port| Some(self.written[port] + self.deadline(port)?));
-        let strike = (!self.silent).then_some(self.heard + self.deadman);
+        let strike = (!self.silent).then_some(self.received + self.deadman);
         deadlines.chain(strike).chain(self.running.then_some(self.next_execution)).min()
     }
 

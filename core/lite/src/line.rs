@@ -104,7 +104,7 @@ impl HostLine {
         hosts.iter_mut().for_each(|host| host.handle_timeout(now));
     }
 
-    /// When the line wants `handle_timeout`, or a poll for a frame, at the latest.
+    /// When `handle_timeout`, and a poll for a frame, are due at the latest.
     pub fn poll_timeout<P: AsRef<[Port]>>(&self, hosts: &[Host<P>]) -> Option<Duration> {
         // While one device has the turn, the others wait.
         let waiting = hosts.iter().find(|host| host.is_waiting());

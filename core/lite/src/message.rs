@@ -66,9 +66,9 @@ pub const GET_BIT: u8 = 0x20;
 /// The most bytes of the text of a code.
 pub const TEXT_MAX: usize = 32;
 
-/// Bit of a PING's number: the host does not hear this device, or refuses it. Such a PING does not
-/// hold the dead-man off, so that a device whose answers do not arrive becomes safe.
-pub const PING_UNHEARD: u8 = 0x80;
+/// Bit of a PING's number: the host does not serve this device. Such a probe does not hold the
+/// dead-man off, so that a device whose answers do not arrive, or that is refused, becomes safe.
+pub const PING_PROBE: u8 = 0x80;
 
 /// Flag of a PONG: the device has a session.
 pub const FLAG_SESSION: u8 = 1;

@@ -5,7 +5,7 @@ use crate::message;
 /// The most ports and variables of a device: DESCRIBE has an index of one byte.
 pub const PORTS_MAX: usize = 255;
 
-/// One port or variable of a device: what one record of DESCRIBE says, and the length of a reply.
+/// One port or variable of a device: one record of DESCRIBE, and the length of a reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Port {
     object: u8,
@@ -71,7 +71,7 @@ impl Port {
         Port { object, id, size, reply, fingerprint, deadline_ms: 0 }
     }
 
-    /// What a record of DESCRIBE says. Nothing is checked: the record came from outside.
+    /// The fields of a record of DESCRIBE. Nothing is checked: the record came from outside.
     pub(crate) const fn from_record(object: u8, id: u8, size: u8, fingerprint: u32) -> Port {
         Port { object, id, size, reply: 0, fingerprint, deadline_ms: 0 }
     }

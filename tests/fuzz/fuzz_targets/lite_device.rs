@@ -1,5 +1,5 @@
-//! Whatever packets arrive at whatever times, a device does not panic, answers each packet with one
-//! packet and its events at most, and wants to be woken in the future.
+//! For all packets at all times, a device does not panic, answers each packet with one packet and
+//! its events at most, and its next timeout is in the future.
 
 #![no_main]
 

@@ -1,5 +1,5 @@
-//! Whatever packets a device sends at whatever times, its host neither panics nor floods it, ends
-//! each command once, and wants to be woken in the future.
+//! For all packets of a device at all times, its host neither panics nor floods it, ends each command
+//! once, and its next timeout is in the future.
 
 #![no_main]
 
@@ -30,7 +30,7 @@ fuzz_target!(|script: Script| {
         turnaround: Duration::ZERO,
     };
     let mut host = Host::new(config, now);
-    // What the device would know: the session of the last HELLO, and the last request.
+    // The device's memory: the session of the last HELLO, and the last request.
     let (mut session, mut asked) = (0, (None, 0, 0, [0; 4]));
     let mut outstanding = false;
     for (wait_ms, order, fields, mut data) in script {

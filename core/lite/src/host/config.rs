@@ -1,4 +1,4 @@
-//! What a host knows of a device beforehand, and how long it waits for it.
+//! The configuration of a host: the expected device, and how long the host waits for it.
 
 use super::tries::Tries;
 use crate::port::{Port, PortKind};

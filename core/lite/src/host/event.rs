@@ -1,4 +1,4 @@
-//! What a host reports of its device.
+//! Events that a host reports.
 
 use super::matching::Mismatch;
 use crate::message::{DeviceState, ResetCause, Status};
@@ -59,7 +59,7 @@ pub enum CommandOutcome {
     Unknown,
 }
 
-/// What a device tells of itself when it enters a session.
+/// What a device reports when it enters a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DeviceIdentity {
     /// How often the chip has started; 0 or a random number if it cannot count.

@@ -1,10 +1,10 @@
-//! What a device has last told of itself.
+//! The last reports of a device.
 
 use super::event::DeviceIdentity;
 use crate::message::{self, DeviceState};
 use crate::packet::OBJECTS_MAX;
 
-/// Identity, states and fault count of a device, as the host knows them.
+/// Identity, states and fault count of a device, as it last reported them.
 #[derive(Clone, Debug)]
 pub(super) struct Mirror {
     identity: Option<DeviceIdentity>,
@@ -42,15 +42,15 @@ impl Mirror {
         Some(state)
     }
 
-    /// Takes what a PONG shows; returns whether a STATE event was lost, if all have been told.
-    pub(super) fn handle_pong(&mut self, boot: u8, flags: u8, all_told: bool) -> bool {
+    /// Takes what a PONG shows; returns whether a STATE event was lost, if all have been reported.
+    pub(super) fn handle_pong(&mut self, boot: u8, flags: u8, all_reported: bool) -> bool {
         if let Some(identity) = self.identity {
             // A boot count that repeats, with a lost session, is a reset as well.
             let has_session = flags & message::FLAG_SESSION != 0;
             self.reset_seen |= !has_session || boot != identity.boot.to_le_bytes()[0];
         }
         self.deadman_seen |= flags & message::FLAG_DEADMAN != 0;
-        all_told && core::mem::replace(&mut self.faults, flags >> 4) != flags >> 4
+        all_reported && core::mem::replace(&mut self.faults, flags >> 4) != flags >> 4
     }
 
     /// Takes the reply to HELLO; returns the identity with what PONGs have shown.

@@ -100,7 +100,7 @@ pub struct Host<P> {
     /// Unanswered requests in a row.
     misses: u32,
     /// When the device last answered.
-    heard: Duration,
+    received: Duration,
     lost: bool,
     loss: LossEstimate,
     pings: PingSchedule,
@@ -137,7 +137,7 @@ impl<P: AsRef<[Port]>> Host<P> {
             phase: Phase::Probing,
             exchange: None,
             misses: 0,
-            heard: now,
+            received: now,
             lost: false,
             loss,
             pings: PingSchedule::new(now),
@@ -155,7 +155,7 @@ impl<P: AsRef<[Port]>> Host<P> {
         }
     }
 
-    /// What the host was told of its device.
+    /// The configuration.
     pub fn config(&self) -> &HostConfig<P> {
         &self.config
     }
@@ -269,7 +269,7 @@ impl<P: AsRef<[Port]>> Host<P> {
         // Repetitions follow each other faster than pings; the silence must be as long all the
         // same.
         let silence = self.config.interval * self.loss.tries().into();
-        if self.misses >= self.loss.tries().into() && now.saturating_sub(self.heard) >= silence {
+        if self.misses >= self.loss.tries().into() && now.saturating_sub(self.received) >= silence {
             self.lose();
         } else if exchange == Exchange::Command
             && self.command.miss() >= COMMAND_PATIENCE * u32::from(self.loss.tries())
@@ -278,7 +278,7 @@ impl<P: AsRef<[Port]>> Host<P> {
         }
     }
 
-    /// When the host wants `handle_timeout`, or a poll for a packet, at the latest.
+    /// When `handle_timeout`, and a poll for a packet, are due at the latest.
     pub fn poll_timeout(&self) -> Duration {
         self.exchange.map_or(self.pings.due(), |waiting| waiting.due)
     }
@@ -355,8 +355,8 @@ impl<P: AsRef<[Port]>> Host<P> {
         let (message, length, back) = match request {
             Exchange::Ping => {
                 let rounds = if self.lost && address.is_some() { LOST_ROUNDS } else { 1 };
-                let heard = self.phase == Phase::Serving;
-                data[0] = self.pings.send(heard, now, self.config.interval * rounds);
+                let serves = self.phase == Phase::Serving;
+                data[0] = self.pings.send(serves, now, self.config.interval * rounds);
                 (message::PING, 1, 4)
             }
             Exchange::Poll => {
@@ -407,8 +407,8 @@ impl<P: AsRef<[Port]>> Host<P> {
                 let polled = exchange == Exchange::Poll && self.command.is_taken();
                 self.waiting = flags & message::FLAG_WAITING != 0 && !polled;
                 // Until a POLL, reports of faults may still wait on the device.
-                let all_told = exchange == Exchange::Poll || flags & message::FLAG_WAITING == 0;
-                let event_lost = self.mirror.handle_pong(boot, flags, all_told);
+                let all_reported = exchange == Exchange::Poll || flags & message::FLAG_WAITING == 0;
+                let event_lost = self.mirror.handle_pong(boot, flags, all_reported);
                 let has_session = flags & message::FLAG_SESSION != 0;
                 self.pong(has_session.then_some(session), event_lost);
             }
@@ -522,16 +522,16 @@ impl<P: AsRef<[Port]>> Host<P> {
         self.refresh();
     }
 
-    /// Notes a sign of life.
+    /// Takes the end of an exchange.
     fn answered(&mut self, now: Duration) {
         self.exchange = None;
         self.misses = 0;
-        self.heard = now;
+        self.received = now;
         self.estimate(false);
     }
 
     fn estimate(&mut self, missed: bool) {
-        // The tries of a device that is switched off say nothing of the line.
+        // A device that is switched off is no measure of the line.
         if !self.lost
             && let Some(warning) = self.loss.count(missed, self.config.interval)
         {
@@ -550,7 +550,7 @@ impl<P: AsRef<[Port]>> Host<P> {
     }
 
     /// Opens a new session, whose lower byte differs from that of the device's present one: a PONG
-    /// tells the two apart.
+    /// shows that byte.
     fn greet(&mut self, present: u8) {
         self.end_session();
         loop {

@@ -1,4 +1,4 @@
-//! When a device is asked for a sign of life, and with which number.
+//! The times and numbers of PINGs.
 
 use crate::message;
 use core::time::Duration;
@@ -29,13 +29,12 @@ impl PingSchedule {
         now >= self.forced
     }
 
-    /// The number of a PING that is sent now, and whose successor follows after the pause. `heard`
-    /// if the device's answers arrive and it is the expected one: else it must fall to its
-    /// dead-man.
-    pub(super) fn send(&mut self, heard: bool, now: Duration, pause: Duration) -> u8 {
+    /// The number of a PING that is sent now; the next one follows after the pause. A device that
+    /// the host does not serve is probed.
+    pub(super) fn send(&mut self, serves: bool, now: Duration, pause: Duration) -> u8 {
         self.next = now + pause;
-        self.number = (self.number + 1) % message::PING_UNHEARD;
-        self.number | if heard { 0 } else { message::PING_UNHEARD }
+        self.number = (self.number + 1) % message::PING_PROBE;
+        self.number | if serves { 0 } else { message::PING_PROBE }
     }
 
     pub(super) fn handle_pong(&mut self, now: Duration, interval: Duration) {

@@ -1,5 +1,5 @@
 use super::*;
-use crate::message::{DESCRIBE, HELLO, LINK, LifecycleChange, PING, PING_UNHEARD, RESTART};
+use crate::message::{DESCRIBE, HELLO, LINK, LifecycleChange, PING, PING_PROBE, RESTART};
 use core::iter;
 use std::vec::Vec;
 
@@ -57,7 +57,7 @@ impl Stage {
     /// Answers the PING of a host that looks for its device, whose session is this, and HELLO.
     fn open(&mut self, present: u8) {
         let ping = self.sent();
-        assert!(matches!(ping, Some((None, LINK, PING, Some(PING_UNHEARD..)))), "{ping:?}");
+        assert!(matches!(ping, Some((None, LINK, PING, Some(PING_PROBE..)))), "{ping:?}");
         self.pong_of(ping, 1, present);
         let hello = self.sent().expect("HELLO follows");
         assert_eq!((hello.1, hello.2), (LINK, HELLO));
@@ -111,7 +111,7 @@ impl Stage {
         ping.and_then(|ping| ping.3).expect("a PING was due")
     }
 
-    /// Lets the time pass until the host wants to act.
+    /// Lets the time pass until the host acts.
     fn wait(&mut self) {
         self.now = self.now.max(self.host.poll_timeout());
         self.host.handle_timeout(self.now);
@@ -306,10 +306,10 @@ fn a_pong_with_another_number_is_no_answer() {
 }
 
 #[test]
-fn only_pings_of_a_host_that_hears_the_device_hold_its_dead_man_off() {
+fn only_pings_of_a_host_that_serves_the_device_hold_its_dead_man_off() {
     let mut stage = Stage::serving();
     let number = stage.pong_after_pause();
-    assert!(number < PING_UNHEARD);
+    assert!(number < PING_PROBE);
     stage.now += INTERVAL;
     while !stage.host.is_lost() {
         stage.sent();
@@ -317,7 +317,7 @@ fn only_pings_of_a_host_that_hears_the_device_hold_its_dead_man_off() {
     }
     stage.wait();
     let Some((None, LINK, PING, Some(number))) = stage.sent() else { panic!("a PING is due") };
-    assert!(number >= PING_UNHEARD);
+    assert!(number >= PING_PROBE);
 }
 
 #[test]
@@ -377,7 +377,7 @@ fn a_fault_that_was_reported_costs_no_new_session_and_one_that_was_lost_does() {
 }
 
 #[test]
-fn a_restart_is_ordered_once_until_a_pong_shows_that_it_was_not_heard() {
+fn a_restart_is_ordered_once_until_a_pong_shows_that_it_was_lost() {
     let mut stage = Stage::serving();
     stage
         .host
@@ -408,7 +408,7 @@ fn a_restart_is_ordered_once_until_a_pong_shows_that_it_was_not_heard() {
 }
 
 #[test]
-fn a_refused_device_is_neither_listened_to_nor_kept_from_its_dead_man() {
+fn a_refused_device_gets_no_data_through_and_falls_to_its_dead_man() {
     let mut stage = Stage::new(Tries::Fixed(3));
     stage.open(0);
     stage.sent();
@@ -423,7 +423,7 @@ fn a_refused_device_is_neither_listened_to_nor_kept_from_its_dead_man() {
 
     assert_eq!(stage.events(), []);
     let next = stage.sent();
-    assert!(matches!(next, Some((None, LINK, PING, Some(PING_UNHEARD..)))), "{next:?}");
+    assert!(matches!(next, Some((None, LINK, PING, Some(PING_PROBE..)))), "{next:?}");
 }
 
 #[test]

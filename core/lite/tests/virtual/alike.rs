@@ -40,8 +40,8 @@ fn both_sides_answer_every_packet_with_the_same_bytes() {
                 }
                 3 => (packet.object, packet.message) = (0, pick(6) as u8),
                 6 => {
-                    let unheard = if pick(2) == 0 { 0 } else { message::PING_UNHEARD };
-                    number = [pick(9) as u8 | unheard];
+                    let probe = if pick(2) == 0 { 0 } else { message::PING_PROBE };
+                    number = [pick(9) as u8 | probe];
                     (packet.object, packet.message, packet.data) = (0, message::PING, &number);
                 }
                 4 if pick(20) == 0 => {

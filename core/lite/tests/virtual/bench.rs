@@ -1,4 +1,4 @@
-//! A device under test, whatever it is made of; and the one that is made of Rust.
+//! A device under test; and the one that is made of the Rust machine.
 
 use blastema_lite::{
     CobsDecoder, Device, DeviceConfig, DeviceHook, FRAME_MAX, Firmware, PACKET_MAX, Port, PortSet,
@@ -54,7 +54,7 @@ pub(crate) const PORTS: [Port; 8] = [
     Port::variable(2, 0, 13, 7),
 ];
 
-/// What the world remembers of the device's deeds; a reset does not erase it.
+/// What a device has carried out; a reset does not erase it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Journal {
     pub(crate) executed: u32,

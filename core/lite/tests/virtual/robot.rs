@@ -172,11 +172,13 @@ impl Robot {
         self.events.drain(..=at).next_back().expect("the event itself").1
     }
 
-    /// What the first greeting has told: boot count, cause, reset, dead-man.
+    /// Boot count, cause, reset and dead-man of the first greeting.
     #[track_caller]
     pub(crate) fn greeted(&self) -> (u16, ResetCause, bool, bool) {
         let greeted = self.events.iter().find_map(|(event, _)| match event {
-            HostEvent::Greeted(told) => Some((told.boot, told.cause, told.reset, told.deadman)),
+            HostEvent::Greeted(found) => {
+                Some((found.boot, found.cause, found.reset, found.deadman))
+            }
             _ => None,
         });
         greeted.expect("the device was greeted")
