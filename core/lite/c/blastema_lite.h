@@ -125,7 +125,7 @@ typedef struct {
 } bl_object;
 
 typedef struct {
-    void *data;            /* the packed struct; unused for calls */
+    void *data;            /* the packed struct; null for calls alone */
     uint32_t fingerprint;  /* of the packed layout: the number that the host has for this port */
     uint16_t deadline_ms;  /* in ports: the oldest value that an active object works with, at most
                             * 60000; 0: any */

@@ -12,7 +12,9 @@
 //!
 //! * [`packet`](DevicePacket): header, object, message, data, checksum over session and packet.
 //! * [`Host`]: the host's side of one device; [`HostLine`]: the turns on a serial line.
-//! * [`Device`]: the device's side. `c/` has it in C99 for chips.
+//! * [`Device`]: the device's side. `c/` has it in C99 for chips: `blastema_lite.h` begins with a
+//!   whole firmware, in which the library takes 2.6 KiB of flash and 86 bytes of RAM on an
+//!   ATmega328P (gcc 5.4, `-Os`).
 //!
 //! Both are machines without IO: they are given packets and the time, and are polled for what to
 //! send. The crate needs neither `std` nor an allocator, and no other crate. Keys are not part of
