@@ -74,10 +74,12 @@ const CIRCLES: &[(&str, &str)] = &[
 const ROOTS: &[&str] = &[
     "core/src",
     "core/trees/src",
+    "core/lite/src",
     "core/contract/src",
     "transports/src",
     "actors/src",
     "actors/cli/src",
+    "actors/demo/src",
 ];
 
 type Path = Vec<String>;

@@ -306,9 +306,12 @@ mod a_rule_can_fail {
     }
 
     #[test]
-    fn when_the_core_takes_a_runtime() {
+    fn when_the_core_takes_a_runtime_or_a_chip_anything() {
         let heavy = format!("{CORE}tokio.workspace = true\n");
         check(packages::outsiders, &[("core/Cargo.toml", &heavy)], &[("core/Cargo.toml", 4)]);
+        let chip = heavy.replace("-core", "-lite").replace("tokio", "bytes");
+        let manifest = "core/lite/Cargo.toml";
+        check(packages::outsiders, &[(manifest, &chip)], &[(manifest, 4)]);
     }
 
     #[test]

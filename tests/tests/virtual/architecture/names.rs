@@ -4,14 +4,16 @@ use crate::architecture::tree::{Breach, Definition, Tree};
 use std::collections::BTreeMap;
 
 /// The packages of a robot in operation. Test doubles are named after what they stand for.
-const PRODUCT: [&str; 7] = [
+const PRODUCT: [&str; 9] = [
     "core/src/",
     "core/trees/src/",
+    "core/lite/src/",
     "core/contract/src/",
     "core/macros/src/",
     "transports/src/",
     "actors/src/",
     "actors/cli/src/",
+    "actors/demo/src/",
 ];
 
 /// Names that several types may have, and why.

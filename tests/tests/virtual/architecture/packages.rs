@@ -10,8 +10,10 @@ struct Place {
 }
 
 /// The map of the README as data, from the bottom to the top.
-const PLACES: [Place; 15] = [
+const PLACES: [Place; 17] = [
     Place { package: "blastema-macros", below: &[], below_in_tests: &[] },
+    // It runs on a chip, where nothing else of the workspace does.
+    Place { package: "blastema-lite", below: &[], below_in_tests: &[] },
     // The derives are written for the core's traits, so the core's tests try them.
     Place { package: "blastema-core", below: &[], below_in_tests: &["blastema-macros"] },
     // Usable without the rest.
@@ -64,6 +66,7 @@ const PLACES: [Place; 15] = [
 /// What whole systems under test may use: all that is no program, test or example itself.
 const EVERYTHING: &[&str] = &[
     "blastema-macros",
+    "blastema-lite",
     "blastema-core",
     "blastema-trees",
     "blastema-contract",
@@ -160,6 +163,8 @@ pub(crate) fn outsiders(tree: &Tree) -> Vec<Breach> {
             let bare = match package {
                 "blastema-core" => CORE_TAKES.contains(&needed),
                 "blastema-trees" => TREES_TAKE.contains(&needed),
+                // A chip has neither a heap nor an operating system.
+                "blastema-lite" => false,
                 _ => true,
             };
             if barred || !bare {
