@@ -48,4 +48,4 @@ pub use network::SimulatedNetwork;
 pub use paused::{advance, now, paused, settle};
 pub use probe::Probe;
 pub use record::{PATIENCE, Record};
-pub use turn::{Turn, long, turn, turn_within};
+pub use turn::{Turn, long, turn, turn_if_long, turn_within};

@@ -54,6 +54,13 @@ pub fn turn_within(limit: Duration) -> Turn {
     Turn { _held: held, _over: over }
 }
 
+/// The same, for one of the cases of a long list that are left to the night: there is none without
+/// `BLASTEMA_LONG=1`.
+#[track_caller]
+pub fn turn_if_long() -> Option<Turn> {
+    if long() { Some(turn()) } else { None }
+}
+
 /// Whether long lists of cases are run whole, as at night: `BLASTEMA_LONG=1`. Otherwise a few of
 /// them are.
 pub fn long() -> bool {

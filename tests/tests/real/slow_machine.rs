@@ -327,6 +327,6 @@ fn a_slow_receiver_loses_doubles_and_overtakes_nothing_when_it_is_stopped_for_a_
 
 #[test]
 fn what_a_slow_receiver_was_sent_is_served_or_reported_when_its_session_ends() {
-    let _turn = blastema_doubles::turn();
+    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
     a_slow_receiver("udp", 1500 * MS, 500 * MS, 2000);
 }

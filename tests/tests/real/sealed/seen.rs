@@ -76,7 +76,7 @@ async fn row(node: &Node, part: &str, key: &str, value: &str) -> Value {
 
 #[test]
 fn a_route_names_the_link_that_it_takes_and_the_one_that_it_falls_back_on() {
-    let _turn = blastema_doubles::turn();
+    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
     blastema::run(async {
         let folder = tempfile::tempdir().expect("a folder");
         let nodes = start(robot(folder.path())).await;

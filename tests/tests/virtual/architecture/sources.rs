@@ -153,7 +153,11 @@ pub(crate) fn turns(tree: &Tree) -> Vec<Breach> {
             let mut after = source.tokens[at + 4..].iter().map(|token| token.text.as_str());
             let name = after.by_ref().skip_while(|text| *text != "fn").nth(1).unwrap_or_default();
             let mut body = after.skip_while(|text| *text != "{").skip(1);
-            let takes_turn = body.next() == Some("let") && body.next() == Some("_turn");
+            let takes_turn = body.next() == Some("let")
+                && matches!(
+                    (body.next(), body.next(), body.next()),
+                    (Some("_turn"), ..) | (Some("Some"), _, Some("_turn"))
+                );
             if !takes_turn && !name.starts_with("a_process_") {
                 breaches.push(Breach::new(&source.path, here[0].line, name));
             }
