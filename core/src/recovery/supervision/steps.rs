@@ -116,7 +116,11 @@ impl Supervisor {
                     ChildTarget::Run => {}
                 }
                 if let Some(reason) = &child.failed {
-                    return Some(Err(GiveUpReason::StartFailed { reason: reason.clone() }));
+                    let failed = || GiveUpReason::StartFailed { reason: reason.clone() };
+                    // One that came to work has ended by another fault since.
+                    return Some(
+                        child.worked.then_some(Some(child.incarnation)).ok_or_else(failed),
+                    );
                 }
                 let whole = match self.rules.strategy {
                     Strategy::OneForOne => !self.going.contains(&key),

@@ -1,0 +1,90 @@
+//! Groups and queues, beside two threads that keep the processors.
+
+use crate::{BusyThreads, LONG, burn};
+use blastema::core::detection::FaultEntry;
+use blastema::prelude::*;
+use blastema::{FaultStatus, Incarnation};
+use std::time::Duration;
+
+/// Answered with the incarnation that serves it.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "test/who", reply = u64)]
+struct Who;
+
+#[derive(Clone, Debug, Event)]
+#[contract(name = "test/die")]
+struct Die;
+
+/// Takes its time to start.
+struct Member;
+
+impl Component for Member {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Who>().accept::<Die>();
+    }
+
+    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        burn(Duration::from_millis(2));
+        Ok(())
+    }
+}
+
+impl Handle<Who> for Member {
+    async fn handle(&mut self, _: Who, cx: &mut Context<Self>) -> u64 {
+        let Incarnation(incarnation) = cx.incarnation();
+        incarnation
+    }
+}
+
+impl Handle<Die> for Member {
+    async fn handle(&mut self, _: Die, _: &mut Context<Self>) {
+        panic!("struck");
+    }
+}
+
+#[test]
+fn a_group_whose_recoveries_all_work_never_ends_in_the_safe_state() {
+    let _busy = BusyThreads::start();
+    for run in 0..32 {
+        blastema::run(async move {
+            let strategy = [Strategy::OneForAll, Strategy::RestForOne][run % 2];
+            let group = SupervisorSpec::new("group", strategy)
+                .intensity(1000, Duration::from_secs(10))
+                .child(ChildSpec::new("a", || Member).on_own_thread())
+                .child(ChildSpec::new("b", || Member));
+            let node = Node::builder("module1").supervisor(group).start().await.unwrap();
+            let (who, die) = (node.sender::<Who>("a").unwrap(), node.sender::<Die>("a").unwrap());
+
+            for incarnation in 1..=6 {
+                // The message of death may reach one incarnation only.
+                assert_eq!(who.ask_within(Who, LONG).await.unwrap(), incarnation, "run {run}");
+                die.tell(Die).unwrap();
+            }
+
+            assert_eq!(who.ask_within(Who, LONG).await.unwrap(), 7, "run {run}");
+            let panics = async || {
+                let entries = node.faults().await.entries.into_iter();
+                entries.filter(|entry| entry.fault.kind == FaultKind::Panic).collect::<Vec<_>>()
+            };
+            let settled = async {
+                let is_over = |entry: &FaultEntry| entry.status() == FaultStatus::Closed;
+                loop {
+                    let panics = panics().await;
+                    let count: u32 = panics.iter().map(|entry| entry.fault.count).sum();
+                    if count == 6 && panics.iter().all(is_over) {
+                        return;
+                    }
+                    tokio::time::sleep(Duration::from_millis(10)).await;
+                }
+            };
+            let settled = tokio::time::timeout(LONG, settled).await;
+            let panics = panics().await;
+            assert!(settled.is_ok(), "run {run}: {panics:#?}");
+            for entry in panics {
+                let decided = entry.decided.as_ref().map_or("", |(_, action)| action.as_str());
+                assert!(!decided.contains("attempt"), "run {run}: {entry:?}");
+            }
+            node.shutdown().await;
+        });
+    }
+}
