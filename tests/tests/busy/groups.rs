@@ -1,9 +1,10 @@
 //! Groups and queues, beside two threads that keep the processors.
 
 use crate::{BusyThreads, LONG, burn};
+use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::core::detection::FaultEntry;
 use blastema::prelude::*;
-use blastema::{FaultStatus, Incarnation};
+use blastema::{FaultStatus, Incarnation, Outcome};
 use std::time::Duration;
 
 /// Answered with the incarnation that serves it.
@@ -15,12 +16,17 @@ struct Who;
 #[contract(name = "test/die")]
 struct Die;
 
+/// Keeps the thread of its receiver until the test ends.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "test/block")]
+struct Block;
+
 /// Takes its time to start.
 struct Member;
 
 impl Component for Member {
     fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Who>().accept::<Die>();
+        ports.serve::<Who>().accept::<Die>().accept::<Block>();
     }
 
     async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
@@ -33,6 +39,12 @@ impl Handle<Who> for Member {
     async fn handle(&mut self, _: Who, cx: &mut Context<Self>) -> u64 {
         let Incarnation(incarnation) = cx.incarnation();
         incarnation
+    }
+}
+
+impl Handle<Block> for Member {
+    async fn handle(&mut self, _: Block, _: &mut Context<Self>) {
+        std::thread::park();
     }
 }
 
@@ -87,4 +99,43 @@ fn a_group_whose_recoveries_all_work_never_ends_in_the_safe_state() {
             node.shutdown().await;
         });
     }
+}
+
+#[test]
+fn what_waits_for_a_component_that_is_given_up_because_it_hangs_is_refused() {
+    let _busy = BusyThreads::start();
+    blastema::run(async {
+        let arm = ChildSpec::new("arm", || Member).max_block(Duration::from_millis(200));
+        let node = Node::builder("module1")
+            .intensity(0, Duration::from_secs(10))
+            .child(arm.on_own_thread())
+            .start()
+            .await
+            .unwrap();
+        let (who, die) = (node.sender::<Who>("arm").unwrap(), node.sender::<Die>("arm").unwrap());
+        node.sender::<Block>("arm").unwrap().tell(Block).unwrap();
+        // Far beyond the end of the test.
+        let asks = who.clone();
+        let waiting = async move { asks.ask_within(Who, 60 * LONG).await };
+        let waiting = tokio::task::spawn_local(tokio::time::timeout(LONG, waiting));
+        tokio::task::yield_now().await;
+        (0..20).for_each(|_| die.tell(Die).unwrap());
+
+        let refused = waiting.await.unwrap().expect("it does not wait for its deadline");
+
+        let refused = refused.expect_err("none serves it");
+        let isolated = DeliveryError::Isolated { object: "arm".into() };
+        assert_eq!((refused.outcome(), refused.kind), (Outcome::NotTaken, isolated));
+        let arm = "arm".parse().unwrap();
+        let counted = || node.dead_letters().count(&arm, DeadReason::Isolated) == 21;
+        let all = async {
+            while !counted() {
+                tokio::time::sleep(Duration::from_millis(10)).await;
+            }
+        };
+        tokio::time::timeout(LONG, all).await.expect("each message is counted");
+        node.restart_child("arm").await.unwrap();
+        assert_eq!(who.ask_within(Who, LONG).await.unwrap(), 2, "it serves what is new");
+        node.shutdown().await;
+    });
 }
