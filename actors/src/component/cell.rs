@@ -406,18 +406,14 @@ impl<C: Component> ComponentCell<C> {
         }
     }
 
-    /// Notifies the incarnation that watches of an end, whether its queue is full or not. A notice
-    /// of an earlier end of the same object that it has not taken yet is replaced.
-    pub(crate) fn notify(&self, watcher: Incarnation, down: Down)
+    /// Gives a notice to the incarnation `owner`, whether its queue is full or not. An earlier one
+    /// about the same thing that it has not taken yet is replaced.
+    pub(crate) fn notify<M: Contract>(&self, owner: Incarnation, about: &str, notice: M)
     where
-        C: Handle<Down>,
+        C: Handle<M>,
     {
-        let about = match &down.node {
-            Some(node) => format!("{node}:{}", down.object),
-            None => down.object.to_string(),
-        };
-        let notice = seal_message::<C, Down>(down, None, None, heartbeat::coarse_now());
-        drop(self.queue.notify(watcher, &about, notice));
+        let notice = seal_message::<C, M>(notice, None, None, heartbeat::coarse_now());
+        drop(self.queue.notify(owner, &format!("{} {about}", M::NAME), notice));
     }
 
     /// An event for a component that is busy, or has just been.
