@@ -217,3 +217,91 @@ fn a_component_and_its_variable_agree_on_the_parameters_that_were_set_last() {
         node.shutdown().await;
     });
 }
+
+/// Of no worth after 50 ms.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "test/scan", max_age = "50ms")]
+struct Scan;
+
+#[derive(Clone, Debug, Event)]
+#[contract(name = "test/mode", latched)]
+struct Mode(u32);
+
+/// Says how many incarnations have begun, and in which mode it runs. It takes its time to begin.
+struct Base(Arc<(AtomicU32, AtomicU32)>);
+
+impl Component for Base {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Scan>().accept::<Die>().queue::<Die>(1, WhenFull::Refuse);
+        ports.listen::<Mode>();
+    }
+
+    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        self.0.1.store(0, SeqCst);
+        self.0.0.fetch_add(1, SeqCst);
+        burn(Duration::from_millis(20));
+        Ok(())
+    }
+}
+
+impl Handle<Scan> for Base {
+    async fn handle(&mut self, _: Scan, _: &mut Context<Self>) {
+        burn(Duration::from_millis(1));
+    }
+}
+
+impl Handle<Mode> for Base {
+    async fn handle(&mut self, Mode(mode): Mode, _: &mut Context<Self>) {
+        self.0.1.store(mode, SeqCst);
+    }
+}
+
+impl Handle<Die> for Base {
+    async fn handle(&mut self, _: Die, _: &mut Context<Self>) {
+        panic!("struck");
+    }
+}
+
+#[test]
+fn a_flood_refuses_nothing_at_another_port_and_costs_no_incarnation_its_mode() {
+    let _busy = BusyThreads::start();
+    blastema::run(async {
+        let runs_in = Arc::<(AtomicU32, AtomicU32)>::default();
+        let kept = runs_in.clone();
+        let base = ChildSpec::new("base", move || Base(kept.clone())).queue(8, WhenFull::Refuse);
+        let node = Node::builder("module1")
+            .intensity(1000, Duration::from_secs(10))
+            .child(base.on_own_thread())
+            .start()
+            .await
+            .unwrap();
+        let (scan, die) =
+            (node.sender::<Scan>("base").unwrap(), node.sender::<Die>("base").unwrap());
+        let mode = node.publisher::<Mode>("test/mode").unwrap();
+        let flood = async {
+            loop {
+                while scan.tell(Scan).is_ok() {}
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        };
+
+        let rounds = async {
+            for round in 1..=32 {
+                mode.publish(Mode(round)).unwrap();
+                die.tell(Die).expect("the flood takes none of its places");
+                let is_in_mode = async {
+                    while [&runs_in.0, &runs_in.1].map(|n| n.load(SeqCst)) != [round + 1, round] {
+                        tokio::time::sleep(Duration::from_millis(1)).await;
+                    }
+                };
+                let is_in_mode = tokio::time::timeout(LONG, is_in_mode).await;
+                assert!(is_in_mode.is_ok(), "round {round}: {runs_in:?}");
+            }
+        };
+        tokio::select! {
+            () = rounds => {}
+            () = flood => unreachable!("it has no end"),
+        }
+        node.shutdown().await;
+    });
+}
