@@ -4,7 +4,6 @@
 //! are; this adds where their first values come from, and that the component is told of every
 //! change.
 
-use crate::arbiter::heartbeat;
 use crate::component::cell::ComponentCell;
 use crate::component::context::Context;
 use crate::component::environment::ComponentEnvironment;
@@ -102,10 +101,16 @@ fn declare<C: Handle<P>, P: Parameters>(
 ) -> Result<DeclaredVariable, ParameterError> {
     let parameters = configured.parameters::<P>(&cell.record.name)?;
     let check = |parameters: &P| parameters.check().map_err(|error| error.to_string());
-    let owner = Arc::downgrade(cell);
-    let changed = move |value: &[u8]| {
-        if let (Some(owner), Ok(parameters)) = (owner.upgrade(), codec::decode::<P>(value)) {
-            owner.queue_event(parameters, heartbeat::coarse_now());
+    let (owner, telling) = (Arc::downgrade(cell), Mutex::new(()));
+    let changed = move |_: &[u8]| {
+        // The last one that is told has been read last, however many threads set parameters. An
+        // incarnation that begins later reads them itself.
+        let _telling = telling.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(owner) = owner.upgrade()
+            && let Some(incarnation) = owner.queue.owner()
+            && let Ok(parameters) = owner.parameters::<P>()
+        {
+            owner.notify(incarnation, "", parameters);
         }
     };
     Ok(DeclaredVariable::new(&parameters, RestorePolicy::Restore, check).observed(changed))
@@ -153,8 +158,8 @@ impl<C: Component> Ports<C> {
     /// Declares parameters, with the values that the
     /// [configuration](crate::NodeBuilder::parameters_from) gives them, or their defaults. The
     /// component reads them by [`Context::parameters`](crate::Context::parameters) in
-    /// `on_initialize`, and receives them by its handler whenever one is set. A component has one
-    /// set of parameters.
+    /// `on_initialize`, and receives the newest ones by its handler after a change, ahead of what
+    /// waits in its queue. A component has one set of parameters.
     pub fn parameters<P: Parameters>(&mut self) -> &mut Self
     where
         C: Handle<P>,

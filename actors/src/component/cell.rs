@@ -30,9 +30,11 @@ use crate::platform::panics::{self, PanicRecord};
 use blastema_contract::child::RestartGrant;
 use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, FaultDeclared};
 use blastema_core::detection::hang::QueueReading;
+use blastema_core::sorted::SortedMap;
 use blastema_core::{
     Contract, DeliveryError, FaultKind, Incarnation, Instant, Lifecycle, MessageId, ObjectName,
 };
+use std::any::TypeId;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
@@ -48,6 +50,8 @@ const QUARANTINE: u8 = 2;
 
 pub(crate) struct ComponentCell<C: Component> {
     pub(crate) queue: BoundedQueue<BoxedEnvelope<C>>,
+    /// The contracts whose port in the queue is not the common one.
+    ports: SortedMap<TypeId, usize>,
     pub(crate) record: CellCore,
     pub(crate) factory: Box<dyn Fn() -> C + Send + Sync>,
     /// Of its present placement.
@@ -355,17 +359,30 @@ impl CellCore {
 }
 
 impl<C: Component> ComponentCell<C> {
+    /// The queue is for all contracts that have none of their own among `queues`.
     pub(crate) fn new(
         record: CellCore,
         queue: (usize, WhenFull),
+        queues: SortedMap<TypeId, (usize, WhenFull)>,
         factory: Box<dyn Fn() -> C + Send + Sync>,
     ) -> Self {
+        let bounds = [queue].into_iter().chain(queues.values().copied());
         ComponentCell {
-            queue: BoundedQueue::new(queue.0, queue.1),
+            queue: BoundedQueue::with_ports(bounds.collect()),
+            ports: queues.keys().copied().zip(1..).collect(),
             record,
             factory,
             control: Mutex::default(),
             subscriptions: Mutex::default(),
+        }
+    }
+
+    /// At which port of the queue messages of this contract wait.
+    #[inline]
+    pub(crate) fn port_of<M: Contract>(&self) -> usize {
+        match self.ports.is_empty() {
+            true => 0,
+            false => self.ports.get(&TypeId::of::<M>()).copied().unwrap_or(0),
         }
     }
 
@@ -406,18 +423,14 @@ impl<C: Component> ComponentCell<C> {
         }
     }
 
-    /// Notifies the incarnation that watches of an end, whether its queue is full or not. A notice
-    /// of an earlier end of the same object that it has not taken yet is replaced.
-    pub(crate) fn notify(&self, watcher: Incarnation, down: Down)
+    /// Gives a notice to the incarnation `owner`, whether its queue is full or not. An earlier one
+    /// about the same thing that it has not taken yet is replaced.
+    pub(crate) fn notify<M: Contract>(&self, owner: Incarnation, about: &str, notice: M)
     where
-        C: Handle<Down>,
+        C: Handle<M>,
     {
-        let about = match &down.node {
-            Some(node) => format!("{node}:{}", down.object),
-            None => down.object.to_string(),
-        };
-        let notice = seal_message::<C, Down>(down, None, None, heartbeat::coarse_now());
-        drop(self.queue.notify(watcher, &about, notice));
+        let notice = seal_message::<C, M>(notice, None, None, heartbeat::coarse_now());
+        drop(self.queue.notify(owner, &format!("{} {about}", M::NAME), notice));
     }
 
     /// An event for a component that is busy, or has just been.
@@ -475,7 +488,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
     }
 
     fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
-        Box::pin(self.queue.space())
+        Box::pin(self.queue.space(self.port_of::<M>()))
     }
 
     fn receiver(&self) -> Option<Receiver> {
@@ -483,7 +496,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
             node: self.record.environment.registry.node(),
             object: self.record.name.clone(),
             contract: M::NAME,
-            queue: Some(self.queue.capacity()),
+            queue: Some(self.queue.bound(self.port_of::<M>()).0),
             unavailable: self.record.unavailable(),
             deadline: None,
         })
@@ -521,7 +534,7 @@ impl<C: Component> ComponentCell<C> {
                 kind: why @ (DeliveryError::Full | DeliveryError::Restarting),
                 message,
                 ..
-            }) if self.queue.policy() == WhenFull::DropNewest => {
+            }) if self.queue.bound(self.port_of::<M>()).1 == WhenFull::DropNewest => {
                 self.record.record_dead_letter(M::NAME, &why);
                 drop(message);
                 Ok(())
@@ -583,14 +596,25 @@ impl<C: Component> ComponentCell<C> {
         })
     }
 
-    /// Puts a message into the queue. The oldest one is returned where it has to give way.
+    /// Puts a message into the queue. Where it has no room, what has expired leaves its place, and
+    /// the oldest one is returned where it has to give way.
     #[inline]
-    fn push<M>(
+    fn push<M: Contract>(
         &self,
         message: M,
         seal: impl FnOnce(M) -> BoxedEnvelope<C>,
     ) -> Result<(), (M, DeliveryError)> {
-        if let Some(oldest) = self.queue.push_with(message, seal)? {
+        let port = self.port_of::<M>();
+        let is_over =
+            |envelope: &BoxedEnvelope<C>| envelope.is_void() || envelope.header().is_expired();
+        for over in self.queue.purge(port, is_over) {
+            let why = match over.is_void() {
+                true => DeliveryError::DeadlinePassed,
+                false => DeliveryError::Expired,
+            };
+            self.return_envelope(over, why);
+        }
+        if let Some(oldest) = self.queue.push_with(port, message, seal)? {
             self.return_envelope(oldest, DeliveryError::Full);
         }
         Ok(())

@@ -299,10 +299,10 @@ impl<C: Component> Context<C> {
         };
         // Two that watch each other do not keep each other.
         let (watcher, incarnation) = (Arc::downgrade(&self.cell), self.state.incarnation);
-        let tell = move |down| {
-            if let Some(watcher) = watcher.upgrade() {
-                watcher.notify(incarnation, down);
-            }
+        let tell = move |down: Down| {
+            let Some(watcher) = watcher.upgrade() else { return };
+            let node = down.node.as_ref().map(|node| format!("{node}:")).unwrap_or_default();
+            watcher.notify(incarnation, &format!("{node}{}", down.object), down);
         };
         match node {
             None => {

@@ -38,6 +38,14 @@ pub(crate) struct EnvelopeHeader {
     pub(crate) logged: Option<LogId>,
 }
 
+impl EnvelopeHeader {
+    /// Whether the message is older than its contract allows.
+    #[inline]
+    pub(crate) fn is_expired(&self) -> bool {
+        self.max_age.is_some_and(|limit| platform::now() - self.captured_at > limit)
+    }
+}
+
 /// When a message was posted, when the data in it was captured, where the sender has said so, and
 /// its id in the log, where one is kept.
 #[derive(Clone, Copy, Debug)]

@@ -4,10 +4,11 @@ use crate::component::cell::ComponentCell;
 use crate::component::declaration::Declarations;
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
+use crate::messaging::queue::WhenFull;
 use crate::registry::ContractPort;
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_core::{Event, ObjectName, Request};
-use std::any::Any;
+use blastema_core::{Contract, Event, ObjectName, Request};
+use std::any::{Any, TypeId};
 use std::sync::Arc;
 
 /// Makes the skeleton for one contract.
@@ -18,6 +19,9 @@ pub struct Ports<C: Component> {
     open: Vec<PortConstructor<C>>,
     /// The contracts that they are for.
     taken: Vec<&'static str>,
+    /// The contracts that have a queue of their own, with the component's capacity where none is
+    /// given.
+    queues: SortedMap<TypeId, (Option<usize>, WhenFull)>,
     /// What features add, each once.
     features: Vec<Box<dyn Declarations<C>>>,
 }
@@ -25,7 +29,8 @@ pub struct Ports<C: Component> {
 impl<C: Component> Ports<C> {
     /// What the component declares.
     pub(crate) fn of() -> Self {
-        let mut ports = Ports { open: Vec::new(), taken: Vec::new(), features: Vec::new() };
+        let (open, taken, queues, features) = Default::default();
+        let mut ports = Ports { open, taken, queues, features };
         C::ports(&mut ports);
         ports
     }
@@ -49,6 +54,32 @@ impl<C: Component> Ports<C> {
         self.open.push(ContractPort::open::<C, M>);
         self.taken.push(M::NAME);
         self
+    }
+
+    /// Gives messages of this contract a queue of their own, whether they are served, accepted or
+    /// listened to: they take no places in the component's [queue](crate::ChildSpec::queue), and
+    /// nothing else takes theirs. Whatever its contract, what came first is served first. A contract
+    /// that is `latched` has such a queue in any case, as long as the component's, which drops the
+    /// oldest event.
+    pub fn queue<M: Contract>(&mut self, capacity: usize, when_full: WhenFull) -> &mut Self
+    where
+        C: Handle<M>,
+    {
+        self.queues.insert(TypeId::of::<M>(), (Some(capacity), when_full));
+        self
+    }
+
+    /// Gives events of a contract that is `latched` a queue of their own, unless they have one.
+    pub(crate) fn keep_latched<E: Event>(&mut self) {
+        if E::LATCHED {
+            self.queues.entry(TypeId::of::<E>()).or_insert((None, WhenFull::DropOldest));
+        }
+    }
+
+    /// The queues of single contracts, of a component whose own has this capacity.
+    pub(crate) fn queues(&self, capacity: usize) -> SortedMap<TypeId, (usize, WhenFull)> {
+        let queues = self.queues.iter();
+        queues.map(|(of, (own, when_full))| (*of, (own.unwrap_or(capacity), *when_full))).collect()
     }
 
     /// More contracts that it takes.

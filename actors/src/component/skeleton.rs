@@ -95,7 +95,7 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
 
     fn space(&self) -> Option<CapacityFuture> {
         let cell = self.cell.clone();
-        Some(Box::pin(async move { cell.queue.space().await }))
+        Some(Box::pin(async move { cell.queue.space(cell.port_of::<M>()).await }))
     }
 
     fn record_dead_letter(&self, why: &DeliveryError) {

@@ -202,11 +202,6 @@ impl<C: Component> Child for ComponentChild<C> {
 
     fn isolate(&mut self, isolated: bool) {
         self.cell.isolate(isolated);
-        if isolated && !self.is_alive() {
-            // No incarnation lives for which the queue could be kept.
-            let object = self.cell.record.name.to_string();
-            self.cell.close(&DeliveryError::Isolated { object });
-        }
     }
 
     fn set_restart_grant(&mut self, order: Option<RestartGrant>) {
@@ -228,7 +223,7 @@ impl<C: Component> Drop for ComponentChild<C> {
 impl<C: Component> ComponentCell<C> {
     /// The component is not started again for now: closes its queue and its subscriptions.
     pub(crate) fn end(self: &Arc<Self>) {
-        self.close(&DeliveryError::Stopped);
+        self.close(&self.record.refusal(None).unwrap_or(DeliveryError::Stopped));
         self.subscriptions().iter().for_each(|subscription| subscription.end(self));
     }
 

@@ -186,7 +186,11 @@ impl<C: Component> ChildSpec<C> {
             declared.map_err(|panicked| SpecError::Ports { name: name.clone(), panicked })?;
         ports.check(&name)?;
         let record = CellCore::new(name.clone(), limits, environment.clone());
-        let cell = Arc::new(ComponentCell::new(record, self.queue, self.factory));
+        let queues = ports.queues(self.queue.0);
+        for (capacity, _) in queues.values() {
+            QUEUE.check(*capacity).map_err(refused)?;
+        }
+        let cell = Arc::new(ComponentCell::new(record, self.queue, queues, self.factory));
         environment.registry.register(&name, ports.skeletons(&cell), cell.clone())?;
         // From here on the child gives the name back when it is dropped.
         let child = ComponentChild::new(cell.clone());

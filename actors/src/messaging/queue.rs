@@ -1,5 +1,8 @@
 //! The data queue: a queue that is bounded for real.
 //!
+//! Each port of the owner may have a capacity and a policy of its own: its messages take no places
+//! of others. What waits is served in the order in which it came, whatever its port.
+//!
 //! It belongs to the reference, not to the incarnation that serves it, so that it outlives panics
 //! and even a hung thread. Only the incarnation that owns it may take from it. What a full queue
 //! does is the owner's stated policy, [`WhenFull`].
@@ -12,6 +15,10 @@ use std::collections::VecDeque;
 use std::future::{Future, poll_fn};
 use std::sync::PoisonError;
 use std::task::{Poll, Waker};
+
+/// So many of the oldest messages are looked at where a new one has no room: those that expire are
+/// among them, since older messages expire first, and a flood is refused in bounded time.
+const PURGED: usize = 64;
 
 /// What happens to a message that exceeds a queue's capacity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -53,12 +60,15 @@ pub(crate) struct BoundedQueue<T> {
     length: AtomicUsize,
     /// Nothing is taken while set.
     held: AtomicBool,
-    capacity: usize,
-    policy: WhenFull,
+    /// The capacity and policy of each port; the first one is for all ports without their own.
+    bounds: Box<[(usize, WhenFull)]>,
 }
 
 struct Inner<T> {
-    queue: VecDeque<T>,
+    /// Each with its port.
+    queue: VecDeque<(usize, T)>,
+    /// How many wait at each port.
+    waiting: Box<[usize]>,
     /// Boxed, since few components watch others.
     notices: Option<Box<Notices<T>>>,
     /// The incarnation that may take; `None` between two incarnations.
@@ -78,14 +88,29 @@ type Notices<T> = VecDeque<(Box<str>, T)>;
 /// Senders that wait for room, in the order in which they came.
 #[derive(Default)]
 struct SpaceWaiters {
-    waiting: VecDeque<(u64, Waker)>,
+    /// By ticket and port.
+    waiting: VecDeque<(u64, usize, Waker)>,
     next_ticket: u64,
+}
+
+impl SpaceWaiters {
+    /// The one that has waited longest for this port.
+    fn next(&mut self, port: usize) -> Option<Waker> {
+        let first = self.waiting.iter().position(|(_, of, _)| *of == port)?;
+        self.waiting.remove(first).map(|(.., waker)| waker)
+    }
 }
 
 impl<T> BoundedQueue<T> {
     pub(crate) fn new(capacity: usize, policy: WhenFull) -> Self {
+        BoundedQueue::with_ports([(capacity, policy)].into())
+    }
+
+    /// The same with a capacity and a policy for each port.
+    pub(crate) fn with_ports(bounds: Box<[(usize, WhenFull)]>) -> Self {
         let inner = Inner {
             queue: VecDeque::new(),
+            waiting: vec![0; bounds.len()].into(),
             notices: None,
             owner: None,
             newest: Incarnation::default(),
@@ -97,8 +122,7 @@ impl<T> BoundedQueue<T> {
             inner: Mutex::new(inner),
             length: AtomicUsize::new(0),
             held: AtomicBool::new(false),
-            capacity,
-            policy,
+            bounds,
         }
     }
 
@@ -106,13 +130,9 @@ impl<T> BoundedQueue<T> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// How many may wait.
-    pub(crate) fn capacity(&self) -> usize {
-        self.capacity
-    }
-
-    pub(crate) fn policy(&self) -> WhenFull {
-        self.policy
+    /// How many may wait at this port, and what happens to one more.
+    pub(crate) fn bound(&self, port: usize) -> (usize, WhenFull) {
+        self.bounds[port]
     }
 
     /// Asks the bound first and packs only what goes in, so that a refused message comes back as it
@@ -120,10 +140,11 @@ impl<T> BoundedQueue<T> {
     #[inline]
     pub(crate) fn push_with<M>(
         &self,
+        port: usize,
         message: M,
         pack: impl FnOnce(M) -> T,
     ) -> Result<Option<T>, (M, DeliveryError)> {
-        let Pushed { displaced, parked } = self.push_quietly(message, pack)?;
+        let Pushed { displaced, parked } = self.push_quietly(port, message, pack)?;
         // To wake across threads is a system call, so it happens outside of the lock.
         if let Some(waker) = parked {
             waker.wake();
@@ -135,6 +156,7 @@ impl<T> BoundedQueue<T> {
     #[inline]
     pub(crate) fn push_quietly<M>(
         &self,
+        port: usize,
         message: M,
         pack: impl FnOnce(M) -> T,
     ) -> Result<Pushed<T>, (M, DeliveryError)> {
@@ -143,17 +165,41 @@ impl<T> BoundedQueue<T> {
             return Err((message, DeliveryError::Stopped));
         }
         let mut displaced = None;
-        if queue.queue.len() >= self.capacity {
-            match self.policy {
-                WhenFull::DropOldest => displaced = queue.queue.pop_front(),
+        let (capacity, policy) = self.bounds[port];
+        if queue.waiting[port] >= capacity {
+            match policy {
+                WhenFull::DropOldest => {
+                    let oldest = queue.queue.iter().position(|(of, _)| *of == port);
+                    displaced = oldest.and_then(|oldest| queue.remove(oldest));
+                }
                 // No incarnation takes from it now: the reason is the death, not the load.
                 _ if queue.owner.is_none() => return Err((message, DeliveryError::Restarting)),
                 _ => return Err((message, DeliveryError::Full)),
             }
         }
-        queue.queue.push_back(pack(message));
+        queue.queue.push_back((port, pack(message)));
+        queue.waiting[port] += 1;
         self.length.store(queue.depth(), Relaxed);
         Ok(Pushed { displaced, parked: queue.parked.take() })
+    }
+
+    /// Takes out those of the oldest messages that are over, where there may be no room.
+    pub(crate) fn purge(&self, port: usize, is_over: impl Fn(&T) -> bool) -> Vec<T> {
+        let mut over = Vec::new();
+        if self.depth() < self.bounds[port].0 {
+            return over;
+        }
+        let mut queue = self.lock();
+        let mut at = 0;
+        while let Some((_, item)) = queue.queue.get(at).filter(|_| at < PURGED) {
+            if is_over(item) {
+                over.extend(queue.remove(at));
+            } else {
+                at += 1;
+            }
+        }
+        self.length.store(queue.depth(), Relaxed);
+        over
     }
 
     /// Puts a notice for the incarnation `owner` before all that waits, whether there is room or
@@ -183,10 +229,10 @@ impl<T> BoundedQueue<T> {
         replaced
     }
 
-    /// Completes when there may be capacity. The caller then tries again; a claim that is dropped
-    /// is passed on to the next.
-    pub(crate) fn space(&self) -> impl Future<Output = ()> + '_ {
-        let mut claim = SpaceWaiter { queue: self, ticket: None };
+    /// Completes when there may be capacity at this port. The caller then tries again; a claim that
+    /// is dropped is passed on to the next.
+    pub(crate) fn space(&self, port: usize) -> impl Future<Output = ()> + '_ {
+        let mut claim = SpaceWaiter { queue: self, port, ticket: None };
         poll_fn(move |cx| claim.poll(cx.waker()))
     }
 
@@ -205,14 +251,15 @@ impl<T> BoundedQueue<T> {
             self.length.store(queue.depth(), Relaxed);
             return Popped::Got(notice);
         }
-        let Some(item) = queue.queue.pop_front() else {
+        let Some((port, item)) = queue.queue.pop_front() else {
             queue.parked = Some(waker.clone());
             return Popped::Empty;
         };
+        queue.waiting[port] -= 1;
         self.length.store(queue.depth(), Relaxed);
-        let next = queue.space.as_mut().and_then(|space| space.waiting.pop_front());
+        let next = queue.space.as_mut().and_then(|space| space.next(port));
         drop(queue);
-        if let Some((_, waker)) = next {
+        if let Some(waker) = next {
             waker.wake();
         }
         Popped::Got(item)
@@ -308,12 +355,12 @@ impl<T> BoundedQueue<T> {
 
     /// Looks at the oldest message.
     pub(crate) fn with_oldest<R>(&self, look: impl FnOnce(&T) -> R) -> Option<R> {
-        self.lock().queue.front().map(look)
+        self.lock().queue.front().map(|(_, oldest)| look(oldest))
     }
 
     /// Whether this is true of what came last of all that waits.
     pub(crate) fn newest_is(&self, is_true: impl FnOnce(&T) -> bool) -> bool {
-        self.lock().queue.back().is_some_and(is_true)
+        self.lock().queue.back().is_some_and(|(_, newest)| is_true(newest))
     }
 
     /// A copy of everything that waits.
@@ -321,7 +368,7 @@ impl<T> BoundedQueue<T> {
     where
         T: Clone,
     {
-        self.lock().queue.iter().cloned().collect()
+        self.lock().queue.iter().map(|(_, item)| item.clone()).collect()
     }
 
     /// Closes the queue until it has an owner again, and returns what was never served.
@@ -343,17 +390,24 @@ impl<T> BoundedQueue<T> {
         let notices = self.change_owner(&mut queue, None);
         let parked = queue.parked.take();
         let space = queue.space.as_mut().map(|space| std::mem::take(&mut space.waiting));
-        let left = std::mem::take(&mut queue.queue);
+        let left = std::mem::take(&mut queue.queue).into_iter().map(|(_, item)| item).collect();
+        queue.waiting.fill(0);
         self.length.store(0, Relaxed);
         drop(queue);
         drop(notices);
-        let space = space.into_iter().flatten().map(|(_, waker)| waker);
+        let space = space.into_iter().flatten().map(|(.., waker)| waker);
         parked.into_iter().chain(space).for_each(Waker::wake);
         left
     }
 }
 
 impl<T> Inner<T> {
+    fn remove(&mut self, at: usize) -> Option<T> {
+        let (port, item) = self.queue.remove(at)?;
+        self.waiting[port] -= 1;
+        Some(item)
+    }
+
     /// How many wait to be taken.
     fn depth(&self) -> usize {
         self.notices.as_ref().map_or(0, |notices| notices.len()) + self.queue.len()
@@ -363,6 +417,7 @@ impl<T> Inner<T> {
 /// One sender's place among those that wait for room.
 struct SpaceWaiter<'a, T> {
     queue: &'a BoundedQueue<T>,
+    port: usize,
     ticket: Option<u64>,
 }
 
@@ -371,21 +426,21 @@ impl<T> SpaceWaiter<'_, T> {
         let mut queue = self.queue.lock();
         if let Some(ticket) = self.ticket {
             let space = queue.space.get_or_insert_default();
-            let mine = space.waiting.iter_mut().find(|(of, _)| *of == ticket);
-            let Some((_, kept)) = mine else {
+            let mine = space.waiting.iter_mut().find(|(of, ..)| *of == ticket);
+            let Some((.., kept)) = mine else {
                 self.ticket = None; // Capacity was freed, and this waiter was woken.
                 return Poll::Ready(());
             };
             kept.clone_from(waker);
             return Poll::Pending;
         }
-        if queue.stopped || queue.queue.len() < self.queue.capacity {
+        if queue.stopped || queue.waiting[self.port] < self.queue.bounds[self.port].0 {
             return Poll::Ready(());
         }
         let space = queue.space.get_or_insert_default();
         let ticket = space.next_ticket;
         space.next_ticket += 1;
-        space.waiting.push_back((ticket, waker.clone()));
+        space.waiting.push_back((ticket, self.port, waker.clone()));
         self.ticket = Some(ticket);
         Poll::Pending
     }
@@ -397,11 +452,11 @@ impl<T> Drop for SpaceWaiter<'_, T> {
         let mut queue = self.queue.lock();
         let Some(space) = &mut queue.space else { return };
         let before = space.waiting.len();
-        space.waiting.retain(|(of, _)| *of != ticket);
+        space.waiting.retain(|(of, ..)| *of != ticket);
         // It was called and never came: the room it was called for goes to the next.
-        let next = if space.waiting.len() == before { space.waiting.pop_front() } else { None };
+        let next = if space.waiting.len() == before { space.next(self.port) } else { None };
         drop(queue);
-        if let Some((_, waker)) = next {
+        if let Some(waker) = next {
             waker.wake();
         }
     }
@@ -433,7 +488,7 @@ mod tests {
     }
 
     fn push(queue: &BoundedQueue<u32>, n: u32) -> Result<Option<u32>, (u32, DeliveryError)> {
-        queue.push_with(n, |n| n)
+        queue.push_with(0, n, |n| n)
     }
 
     fn take(queue: &BoundedQueue<u32>) -> Option<u32> {
@@ -518,8 +573,8 @@ mod tests {
         push(&queue, 1).unwrap();
         let (first, second) = (Arc::new(Count::default()), Arc::new(Count::default()));
         let (one, two) = (Waker::from(first.clone()), Waker::from(second.clone()));
-        let mut claim_one = Box::pin(queue.space());
-        let mut claim_two = pin!(queue.space());
+        let mut claim_one = Box::pin(queue.space(0));
+        let mut claim_two = pin!(queue.space(0));
         assert!(claim_one.as_mut().poll(&mut Context::from_waker(&one)).is_pending());
         assert!(claim_two.as_mut().poll(&mut Context::from_waker(&two)).is_pending());
 
@@ -573,12 +628,50 @@ mod tests {
         assert_eq!(owner.0.load(Relaxed), 1);
         push(&queue, 2).unwrap();
         let of_sender = Waker::from(sender.clone());
-        let mut space = pin!(queue.space());
+        let mut space = pin!(queue.space(0));
         assert!(space.as_mut().poll(&mut Context::from_waker(&of_sender)).is_pending());
 
         assert_eq!(take(&queue), Some(1));
         assert_eq!(sender.0.load(Relaxed), 0);
         assert_eq!(take(&queue), Some(2));
         assert_eq!(sender.0.load(Relaxed), 1);
+    }
+
+    #[test]
+    fn ports_fill_and_drop_apart_and_are_served_in_the_order_of_arrival() {
+        let bounds = [(1, WhenFull::Refuse), (2, WhenFull::DropOldest)];
+        let queue = BoundedQueue::with_ports(bounds.into());
+        queue.begin(LIFE);
+        let to = |port, n| queue.push_with(port, n, |n| n);
+
+        assert_eq!(to(1, 10), Ok(None));
+        assert_eq!(to(1, 11), Ok(None));
+        assert_eq!(to(0, 1), Ok(None), "a flood at another port leaves room");
+        assert_eq!(to(1, 12), Ok(Some(10)));
+        assert_eq!(to(0, 2), Err((2, DeliveryError::Full)));
+        let mut space = pin!(queue.space(0));
+        let sender = Arc::new(Count::default());
+        let waker = Waker::from(sender.clone());
+        assert!(space.as_mut().poll(&mut Context::from_waker(&waker)).is_pending());
+
+        assert_eq!(take(&queue), Some(11));
+        assert_eq!(sender.0.load(Relaxed), 0, "room at another port");
+        assert_eq!((take(&queue), take(&queue), take(&queue)), (Some(1), Some(12), None));
+        assert_eq!(sender.0.load(Relaxed), 1);
+    }
+
+    #[test]
+    fn what_is_over_leaves_its_place_where_there_is_no_room() {
+        let queue = queue(3, WhenFull::Refuse);
+        for n in 1..=2 {
+            push(&queue, n).unwrap();
+        }
+        assert_eq!(queue.purge(0, |n| n % 2 == 1), [0; 0], "there is room");
+        push(&queue, 3).unwrap();
+
+        assert_eq!(queue.purge(0, |n| n % 2 == 1), [1, 3]);
+
+        push(&queue, 4).unwrap();
+        assert_eq!((take(&queue), take(&queue), take(&queue)), (Some(2), Some(4), None));
     }
 }

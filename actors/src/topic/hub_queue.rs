@@ -66,7 +66,7 @@ impl<E> HubQueue<E> {
     /// Hands an event over; a hub drops its oldest one where it has no room.
     #[inline]
     pub(super) fn push(&self, event: E, at: Times, number: u64) -> Pushed<Posted<E>> {
-        let pushed = self.queue.push_quietly(event, |event| Posted { event, at, number });
+        let pushed = self.queue.push_quietly(0, event, |event| Posted { event, at, number });
         // Refused only where the hub has retired, which publishers no longer know.
         pushed.unwrap_or(Pushed { displaced: None, parked: None })
     }

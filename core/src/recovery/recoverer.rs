@@ -47,11 +47,9 @@ enum Progress {
 
 #[derive(Clone, Debug)]
 struct Case {
-    /// Never empty, at most [`FAULTS_LIMIT`].
+    /// Never empty, at most [`FAULTS_LIMIT`]. The first one has opened the case: its ladder is
+    /// climbed while it stands.
     faults: Vec<Noted>,
-    /// The kind of the fault that opened the case: its ladder is climbed to the end, also when that
-    /// fault clears and others of the place remain.
-    kind: FaultKind,
     ladder: Ladder,
     rung: usize,
     attempt: u32,
@@ -180,21 +178,12 @@ impl Recoverer {
             self.release_symptoms(&[id], now);
         }
         let Some(case) = self.cases.get_mut(location) else { return };
-        if let Progress::Waiting { .. } = case.progress {
-            let before = case.faults.len();
-            case.faults.retain(|noted| noted.fault.id != id);
-            let was_known = case.faults.len() < before;
-            if case.faults.is_empty() {
-                self.cases.remove(location);
-            }
-            if was_known {
-                self.release_symptoms(&[id], now);
-            }
-            return;
-        }
-        // What is under way is not interrupted: it may be what has helped.
         for noted in case.faults.iter_mut().filter(|noted| noted.fault.id == id) {
             noted.over = true;
+        }
+        // What is under way is not interrupted: it may be what has helped.
+        if let Progress::Waiting { .. } = case.progress {
+            self.drop_over(location, now);
         }
     }
 
@@ -266,7 +255,6 @@ impl Recoverer {
             }
         }
         let case = Case {
-            kind: fault.kind.clone(),
             faults: vec![Noted { fault, since, over: false }],
             ladder,
             rung,
@@ -279,15 +267,27 @@ impl Recoverer {
         self.approach(&location, "it came back after it had been recovered".into(), now);
     }
 
+    /// Forgets the faults of a case that have gone by themselves. Where its first one has, the case
+    /// is closed, and each other fault begins at its own first attempt. Says whether it goes on.
+    fn drop_over(&mut self, location: &FaultLocation, now: Instant) -> bool {
+        let case = self.cases.get_mut(location).expect("a case that is looked through is open");
+        let goes_on = !case.faults[0].over;
+        let over = case.faults.extract_if(.., |noted| noted.over);
+        let over: Vec<FaultId> = over.map(|noted| noted.fault.id).collect();
+        self.release_symptoms(&over, now);
+        let others = if goes_on { None } else { self.cases.remove(location) };
+        for noted in others.into_iter().flat_map(|case| case.faults) {
+            self.treat(noted.fault, now);
+        }
+        goes_on
+    }
+
     /// The attempt did not help: the next one, or the next rung.
     fn climb(&mut self, location: &FaultLocation, reason: String, now: Instant) {
-        let case = self.cases.get_mut(location).expect("a case that climbs is open");
-        if case.faults.iter().all(|noted| noted.over) {
-            // The answer was late, or lost; what it was about has gone.
-            let case = self.cases.remove(location).expect("it was just looked at");
-            let faults: Vec<Fault> = case.faults.into_iter().map(|noted| noted.fault).collect();
-            return self.release_symptoms(&ids(&faults), now);
+        if !self.drop_over(location, now) {
+            return;
         }
+        let case = self.cases.get_mut(location).expect("it still has its first fault");
         let action = case.ladder.steps()[case.rung].action.clone();
         case.attempt += 1;
         if case.attempt > case.ladder.steps()[case.rung].attempts {
@@ -386,6 +386,7 @@ impl Recoverer {
         now: Instant,
     ) {
         let case = self.cases.remove(location).expect("a case that is settled is open");
+        let kind = case.faults[0].fault.kind.clone();
         let known = case.faults.iter().filter(|noted| noted.since < case.order);
         let faulty = known.map(|noted| noted.fault.incarnation).max();
         // Isolation leaves an incarnation alone that has followed the struck one.
@@ -418,7 +419,7 @@ impl Recoverer {
         }
         // Whether restarts go on is for the supervisor to say, and a route for the network.
         if !contained && !restarted && !is_late && *action != RecoveryAction::Reroute {
-            self.remember((location.clone(), case.kind), case.rung, case.attempt, now);
+            self.remember((location.clone(), kind), case.rung, case.attempt, now);
         }
         self.release_symptoms(&[ids(&cured), over].concat(), now);
         for noted in left {

@@ -36,7 +36,7 @@ fn queue(capacity: usize) -> Arc<BoundedQueue<u32>> {
 }
 
 fn push(queue: &BoundedQueue<u32>, n: u32) -> Result<Option<u32>, (u32, DeliveryError)> {
-    queue.push_with(n, |n| n)
+    queue.push_with(0, n, |n| n)
 }
 
 /// Takes so many, sleeping in between; fewer where the queue has changed hands.
@@ -61,7 +61,7 @@ fn take(
 fn deliver(queue: &BoundedQueue<u32>, n: u32) {
     let (bell, waker) = bell();
     while push(queue, n).is_err() {
-        let mut space = pin!(queue.space());
+        let mut space = pin!(queue.space(0));
         while space.as_mut().poll(&mut Context::from_waker(&waker)).is_pending() {
             bell.0.wait();
         }
@@ -166,7 +166,7 @@ fn space_given_up() {
     let impatient = {
         let queue = queue.clone();
         thread::spawn(move || {
-            let mut space = Box::pin(queue.space());
+            let mut space = Box::pin(queue.space(0));
             let _ = space.as_mut().poll(&mut Context::from_waker(Waker::noop()));
         })
     };

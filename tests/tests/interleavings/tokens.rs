@@ -21,7 +21,7 @@ fn told_of_the_end() {
         let (token, reports) = (token.clone(), reports.clone());
         thread::spawn(move || {
             token.end();
-            reports.push_with(1, |n| n).expect("there is room");
+            reports.push_with(0, 1, |n| n).expect("there is room");
         })
     };
 
@@ -63,7 +63,7 @@ fn an_end_is_final() {
 fn fenced_before_the_successor() {
     let token = Arc::new(IncarnationToken::default());
     let (queue, out) = (queue(), queue());
-    queue.push_with(7, |n| n).expect("there is room");
+    queue.push_with(0, 7, |n| n).expect("there is room");
     let supervisor = {
         let (token, queue, out) = (token.clone(), queue.clone(), out.clone());
         thread::spawn(move || {
@@ -72,7 +72,7 @@ fn fenced_before_the_successor() {
             token.end();
             queue.begin(Incarnation(2));
             if let Popped::Got(n) = queue.take(Incarnation(2), std::task::Waker::noop()) {
-                out.push_with(n, |n| n).expect("there is room");
+                out.push_with(0, n, |n| n).expect("there is room");
             }
         })
     };

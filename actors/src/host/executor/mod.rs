@@ -341,7 +341,7 @@ impl<C: Component> ComponentExecutor<C> {
     #[inline]
     fn open(&mut self, mut envelope: BoxedEnvelope<C>, cx: &mut task::Context<'_>) -> Progress {
         let header = envelope.header();
-        if header.max_age.is_some_and(|limit| platform::now() - header.captured_at > limit) {
+        if header.is_expired() {
             self.slot.activity.expire();
             self.cell.return_envelope(envelope, DeliveryError::Expired);
             return Progress::More;

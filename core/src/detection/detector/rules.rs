@@ -305,6 +305,8 @@ impl Detector {
                 };
                 self.end_all_at(scene, is_over, true);
             }
+            // The group has ended, and its restarts with it.
+            Lifecycle::Finalized if !self.ending => self.end_kind(scene, &FaultKind::RestartStorm),
             Lifecycle::Created | Lifecycle::Initialized | Lifecycle::Finalized => {}
         }
     }

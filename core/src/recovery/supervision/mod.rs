@@ -344,9 +344,7 @@ impl Supervisor {
         let incarnation = child.is_alive().then_some(child.incarnation);
         if isolated && !child.is_alive() && child.goal == ChildTarget::Run {
             // The start of an isolated child is not waited for.
-            child.goal = ChildTarget::Rest;
-            child.failed = None;
-            self.coming.remove(&key);
+            self.dismiss(key, ChildTarget::Rest, ReplacementCause::Died, now);
         }
         let child = name.clone();
         self.outputs.push_back(SupervisorOutput::Recovered { call, child, incarnation });

@@ -74,15 +74,8 @@ impl Supervisor {
                     self.outputs.push_back(SupervisorOutput::Waits { call, child, incarnation });
                 }
                 Some(Ok(incarnation)) => {
-                    if wish == Wish::Work && incarnation.is_none() {
-                        let child = child.clone();
-                        self.outputs.push_back(SupervisorOutput::Retire { child });
-                    }
-                    self.outputs.push_back(SupervisorOutput::Recovered {
-                        call,
-                        child,
-                        incarnation,
-                    });
+                    let recovered = SupervisorOutput::Recovered { call, child, incarnation };
+                    self.outputs.push_back(recovered);
                 }
                 Some(Err(why)) => self.answer_gave_up(call, child, why),
             }
@@ -116,7 +109,11 @@ impl Supervisor {
                     ChildTarget::Run => {}
                 }
                 if let Some(reason) = &child.failed {
-                    return Some(Err(GiveUpReason::StartFailed { reason: reason.clone() }));
+                    let failed = || GiveUpReason::StartFailed { reason: reason.clone() };
+                    // One that came to work has ended by another fault since.
+                    return Some(
+                        child.worked.then_some(Some(child.incarnation)).ok_or_else(failed),
+                    );
                 }
                 let whole = match self.rules.strategy {
                     Strategy::OneForOne => !self.going.contains(&key),
@@ -288,19 +285,17 @@ impl Supervisor {
         now: Instant,
     ) {
         let child = self.kept(key);
-        let is_stopped = matches!(child.state, ChildPhase::Stopping { .. });
         if child.state == ChildPhase::Down {
             return;
         }
         let may_end = child.may_end(in_order);
+        let is_stopped = matches!(child.state, ChildPhase::Stopping { .. });
         let expected = is_stopped || self.going.contains(&key);
         self.set_state(key, ChildPhase::Down);
         let child = self.kept(key);
         if !expected && child.goal == ChildTarget::Run {
             if may_end {
                 child.goal = ChildTarget::Finished;
-                let child = child.name.clone();
-                self.outputs.push_back(SupervisorOutput::Retire { child });
                 self.coming.remove(&key);
             } else if child.isolated && !child.worked {
                 // What kept it from work has been answered by isolation while it was ending.
@@ -309,10 +304,6 @@ impl Supervisor {
             } else {
                 child.failed = Some(reason);
             }
-        } else if child.goal == ChildTarget::Finished && !is_stopped {
-            // It has ended before it was told to stop, and gives back nothing that waits for it.
-            let child = child.name.clone();
-            self.outputs.push_back(SupervisorOutput::Retire { child });
         }
         self.after_end(key, now);
     }
@@ -336,7 +327,12 @@ impl Supervisor {
                     self.coming.insert(key);
                 }
             },
-            ChildTarget::Run | ChildTarget::Rest | ChildTarget::Finished => {}
+            ChildTarget::Run => {}
+            // However its last incarnation has ended, no other one serves what waits for it.
+            ChildTarget::Rest | ChildTarget::Finished => {
+                let child = child.name.clone();
+                self.outputs.push_back(SupervisorOutput::Retire { child });
+            }
         }
     }
 
@@ -355,13 +351,8 @@ impl Supervisor {
                 self.incarnation_ended(key, false, "its last hooks took too long".into(), now);
             }
             ChildPhase::Stopping { .. } => {
-                self.outputs.push_back(SupervisorOutput::CutOff { child: name.clone() });
+                self.outputs.push_back(SupervisorOutput::CutOff { child: name });
                 self.set_state(key, ChildPhase::Down);
-                let is_awaited = self.pending.iter().any(|pending| pending.key == key);
-                if self.kept(key).goal == ChildTarget::Finished && !is_awaited {
-                    // An incarnation that is given up cannot give back what waits for it.
-                    self.outputs.push_back(SupervisorOutput::Retire { child: name });
-                }
                 self.after_end(key, now);
             }
             ChildPhase::Resetting { call, .. } => {

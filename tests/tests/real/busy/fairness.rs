@@ -1,8 +1,9 @@
 //! A component that gets more than it can serve, beside one that has to keep its rounds.
 
+use super::burn;
 use blastema::prelude::*;
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Step {
@@ -24,10 +25,7 @@ impl Component for Busy {
 }
 impl Handle<Load> for Busy {
     async fn handle(&mut self, _: Load, _: &mut Context<Self>) {
-        let start = Instant::now();
-        while start.elapsed() < Duration::from_millis(30) {
-            std::hint::spin_loop();
-        }
+        burn(Duration::from_millis(30));
         self.0.lock().unwrap().push(Step::Work);
     }
 }

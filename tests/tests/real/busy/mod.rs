@@ -1,4 +1,44 @@
 //! Nodes on real threads whose handlers burn time, judged by counts and order, never by speed.
 
 mod fairness;
+mod groups;
 mod shutdown;
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::Relaxed;
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+/// As long as anything here may take on a busy machine.
+const LONG: Duration = Duration::from_secs(60);
+
+/// Keeps its thread for so long.
+fn burn(span: Duration) {
+    let start = Instant::now();
+    while start.elapsed() < span {
+        std::hint::spin_loop();
+    }
+}
+
+/// Two threads that keep two processors until this is dropped.
+struct BusyThreads {
+    stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl BusyThreads {
+    fn start() -> Self {
+        let stop = Arc::<AtomicBool>::default();
+        let busy = |stop: Arc<AtomicBool>| move || while !stop.load(Relaxed) {};
+        let threads = (0..2).map(|_| thread::spawn(busy(stop.clone()))).collect();
+        BusyThreads { stop, threads }
+    }
+}
+
+impl Drop for BusyThreads {
+    fn drop(&mut self) {
+        self.stop.store(true, Relaxed);
+        self.threads.drain(..).for_each(|thread| thread.join().expect("it only spins"));
+    }
+}

@@ -1,12 +1,10 @@
 //! A node that is shut down while a handler keeps its thread.
 
+use super::LONG;
 use blastema::prelude::*;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
-
-/// As long as anything here may take on a busy machine.
-const LONG: Duration = Duration::from_secs(60);
 
 #[derive(Clone, Event)]
 struct Work;

@@ -5,6 +5,7 @@ use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::core::detection::{Liveness, Opinion, Pull};
 use blastema::prelude::*;
 use blastema_testkit::{TestNode, now};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// A component with a queue of four that is busy for a second.
@@ -152,4 +153,137 @@ async fn a_flood_harms_no_neighbour() {
 
     assert!(hall.queued() > 90_000, "the neighbour did not have to wait for all of it");
     strings.diary();
+}
+
+/// Of no worth after 100 ms.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "test/scan", max_age = "100ms")]
+struct Scan(u32);
+
+#[derive(Clone, Debug, Event)]
+#[contract(name = "test/mode", latched)]
+struct Mode(u32);
+
+#[derive(Clone, Debug, Event)]
+#[contract(name = "test/halt")]
+struct Halt;
+
+/// Takes a second to initialize, and writes down what it serves.
+struct Base {
+    served: Arc<Mutex<Vec<String>>>,
+    with_own_queue: bool,
+}
+
+impl Base {
+    fn spec(served: &Arc<Mutex<Vec<String>>>, with_own_queue: bool) -> ChildSpec<Base> {
+        let served = served.clone();
+        let spec = ChildSpec::new("base", move || Base { served: served.clone(), with_own_queue });
+        let own = move |ports: &mut Ports<Base>| {
+            if with_own_queue {
+                ports.queue::<Scan>(4, WhenFull::DropOldest);
+            }
+        };
+        spec.queue(8, WhenFull::Refuse).with_ports(own)
+    }
+
+    fn write(&self, line: String) {
+        self.served.lock().unwrap().push(line);
+    }
+}
+
+impl Component for Base {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Scan>().accept::<Halt>();
+        ports.listen::<Mode>();
+    }
+
+    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        Ok(())
+    }
+}
+
+impl Handle<Scan> for Base {
+    async fn handle(&mut self, Scan(n): Scan, _: &mut Context<Self>) {
+        self.write(format!("scan {n}"));
+        assert!(n != 13 || self.with_own_queue, "an unlucky number");
+    }
+}
+
+impl Handle<Mode> for Base {
+    async fn handle(&mut self, Mode(n): Mode, _: &mut Context<Self>) {
+        self.write(format!("mode {n}"));
+    }
+}
+
+impl Handle<Halt> for Base {
+    async fn handle(&mut self, _: Halt, _: &mut Context<Self>) {
+        self.write("halt".to_owned());
+        panic!("it halts");
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_latched_event_comes_to_each_incarnation_however_full_its_queue_is() {
+    for lasts in [Duration::from_millis(500), Duration::ZERO] {
+        let served = Arc::<Mutex<Vec<String>>>::default();
+        let builder = Node::builder("module1").child(Base::spec(&served, false));
+        let node = TestNode::start(builder).await;
+        let scan = node.sender::<Scan>("base").unwrap();
+        node.publisher::<Mode>("test/mode").unwrap().publish(Mode(1)).unwrap();
+        node.settle().await;
+
+        scan.tell(Scan(13)).unwrap();
+        node.settle().await;
+        (1..=8).for_each(|n| scan.tell(Scan(n)).unwrap());
+        // They expire, or not.
+        node.advance(lasts).await;
+        node.publisher::<Mode>("test/mode").unwrap().publish(Mode(2)).unwrap();
+        node.advance(Duration::from_secs(3)).await;
+
+        let served = served.lock().unwrap();
+        let newest = served.iter().rfind(|line| line.starts_with("mode"));
+        assert_eq!(newest.map(String::as_str), Some("mode 2"), "{lasts:?}: {served:?}");
+    }
+}
+
+#[blastema_testkit::test]
+async fn what_has_expired_keeps_no_place_in_a_queue() {
+    let served = Arc::<Mutex<Vec<String>>>::default();
+    let builder = Node::builder("module1").child(Base::spec(&served, false));
+    let node = TestNode::start(builder).await;
+    let (scan, halt) = (node.sender::<Scan>("base").unwrap(), node.sender::<Halt>("base").unwrap());
+    scan.tell(Scan(13)).unwrap();
+    node.settle().await;
+    (1..=8).for_each(|n| scan.tell(Scan(n)).unwrap());
+    assert_eq!(halt.tell(Halt).unwrap_err().kind, DeliveryError::Full);
+
+    node.advance(Duration::from_millis(200)).await;
+
+    halt.tell(Halt).expect("what it would wait behind is worth nothing any more");
+    let base = "base".parse().unwrap();
+    assert_eq!(node.dead_letters().count(&base, DeadReason::Expired), 8);
+    node.advance(Duration::from_secs(2)).await;
+    assert_eq!(*served.lock().unwrap(), ["scan 13", "halt"]);
+}
+
+#[blastema_testkit::test]
+async fn a_flood_at_a_port_with_a_queue_of_its_own_refuses_nothing_at_another() {
+    let served = Arc::<Mutex<Vec<String>>>::default();
+    let builder = Node::builder("module1").child(Base::spec(&served, true));
+    let node = TestNode::start(builder).await;
+    let (scan, halt) = (node.sender::<Scan>("base").unwrap(), node.sender::<Halt>("base").unwrap());
+    halt.tell(Halt).unwrap();
+    node.settle().await;
+
+    (1..=1000).for_each(|n| scan.tell(Scan(n)).unwrap());
+    halt.tell(Halt).expect("a stop has a place");
+    scan.tell(Scan(1001)).unwrap();
+    node.advance(Duration::from_millis(1001)).await;
+
+    let base = "base".parse().unwrap();
+    assert_eq!(node.dead_letters().count(&base, DeadReason::Full), 997);
+    let expired = node.dead_letters().count(&base, DeadReason::Expired);
+    assert_eq!(expired, 3, "the last scan came after the stop, and waits behind it");
+    assert_eq!(*served.lock().unwrap(), ["halt", "halt"]);
 }

@@ -3,6 +3,7 @@
 use crate::scenarios::puppet::{Deed, Do, Pull, Strings, ask, incarnation, strike};
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
+use blastema::{FaultStatus, NodeBuilder};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 
@@ -196,6 +197,115 @@ async fn a_temporary_member_is_stopped_with_its_group_and_does_not_return() {
         let tree = node.tree().await.unwrap();
         let group = tree.children[0].below.as_ref().expect("the group answers");
         assert_eq!(group.children[1].state, ChildState::Finished, "{group:?}");
+    }
+}
+
+/// A node whose members `struck`, one after the other, panic six times, each right after it has
+/// answered, while others of the seed's choice are slow to start.
+async fn struck_after_each_answer(
+    strings: &Strings,
+    builder: NodeBuilder,
+    members: &[&'static str],
+    struck: &[&'static str],
+    seed: usize,
+) -> TestNode {
+    let node = TestNode::start(builder).await;
+    for round in 0..6 {
+        for (at, member) in members.iter().enumerate() {
+            let takes = Duration::from_millis((seed * 7 + round * 5 + at * 11) as u64 % 24);
+            strings.pull(member, "on_initialize", Pull::Wait(takes));
+        }
+        let target = node.sender::<Do>(struck[(seed + round) % struck.len()]).unwrap();
+        let limit = Duration::from_secs(30);
+        target.ask_within(Do(Deed::Nothing), limit).await.expect("it is at work");
+        target.ask(Do(Deed::Panic("struck".into()))).await.expect_err("it dies");
+    }
+    node.advance(Duration::from_secs(3)).await;
+    node
+}
+
+fn often(spec: SupervisorSpec) -> SupervisorSpec {
+    spec.intensity(1000, Duration::from_secs(10))
+}
+
+/// Every fault is over, and was treated by one attempt.
+async fn expect_one_attempt_each(node: &TestNode, told: &str) {
+    for entry in node.faults().await.entries {
+        let decided = entry.decided.as_ref().map_or("", |(_, action)| action.as_str());
+        assert!(!decided.contains("attempt"), "{told}: {entry:?}");
+        assert_eq!(entry.status(), FaultStatus::Closed, "{told}: {entry:?}");
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_member_that_dies_after_each_recovery_is_recovered_by_a_first_attempt_each_time() {
+    for seed in 0..32 {
+        for strategy in [Strategy::OneForAll, Strategy::RestForOne] {
+            let (strings, told) = (Strings::default(), format!("{seed} {strategy:?}"));
+            let group = often(SupervisorSpec::new("group", strategy))
+                .child(strings.spec("a"))
+                .child(strings.spec("b"));
+            let builder = Node::builder("module1").supervisor(group);
+            let node = struck_after_each_answer(&strings, builder, &["a", "b"], &["a"], seed).await;
+
+            expect_one_attempt_each(&node, &told).await;
+            assert_eq!(incarnation(&node, "a").await, 7, "{told}");
+        }
+    }
+}
+
+#[blastema_testkit::test]
+async fn three_levels_of_groups_lose_no_member_whose_faults_are_recovered() {
+    let members = ["x", "y", "a", "b", "z"];
+    let strategies = [Strategy::OneForOne, Strategy::OneForAll, Strategy::RestForOne];
+    for seed in 0..32 {
+        let (outer, middle) = (strategies[seed % 3], strategies[seed / 3 % 3]);
+        let (strings, told) = (Strings::default(), format!("{seed} {outer:?} {middle:?}"));
+        let inner = often(SupervisorSpec::new("inner", Strategy::OneForAll))
+            .child(strings.spec("a"))
+            .child(strings.spec("b"));
+        let middle =
+            often(SupervisorSpec::new("middle", middle)).child(strings.spec("y")).supervisor(inner);
+        let outer = often(SupervisorSpec::new("outer", outer))
+            .child(strings.spec("x"))
+            .supervisor(middle)
+            .child(strings.spec("z"));
+        let builder = Node::builder("module1").supervisor(outer);
+        let node = struck_after_each_answer(&strings, builder, &members, &members, seed).await;
+
+        expect_one_attempt_each(&node, &told).await;
+        for member in members {
+            ask(&node, member, Deed::Nothing).await.expect("it is at work");
+        }
+    }
+}
+
+#[blastema_testkit::test]
+async fn the_fault_of_a_restart_storm_ends_with_the_group_that_it_has_ended() {
+    for strategy in [Strategy::OneForAll, Strategy::RestForOne] {
+        let strings = Strings::default();
+        let group = SupervisorSpec::new("group", strategy)
+            .child(strings.spec("a"))
+            .child(strings.spec("b"));
+        let builder = Node::builder("module1").supervisor(group);
+        let node = struck_after_each_answer(&strings, builder, &["a", "b"], &["a"], 0).await;
+
+        expect_one_attempt_each(&node, "by default").await;
+        let storms = node.faults().await.entries.into_iter();
+        let storms = storms.filter(|entry| entry.fault.kind == FaultKind::RestartStorm);
+        assert_eq!(storms.count(), 1, "three restarts of six were within the intensity");
+        assert_eq!(incarnation(&node, "a").await, 7);
+
+        for _ in 0..20 {
+            // In the end the group is not worth another restart, and none serves.
+            let _ = ask(&node, "a", Deed::Panic("struck".into())).await;
+        }
+        node.advance(Duration::from_secs(3)).await;
+        assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Resting);
+        for entry in node.faults().await.entries {
+            let is_storm = entry.fault.kind == FaultKind::RestartStorm;
+            assert!(!is_storm || entry.status() == FaultStatus::Closed, "{entry:?}");
+        }
     }
 }
 

@@ -4,6 +4,7 @@ use blastema::prelude::*;
 use blastema::{NodeBuilder, ParameterError, ParameterValue, SpecError};
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 #[derive(Clone, Debug, PartialEq, Parameters)]
 #[contract(name = "arm/parameters")]
@@ -36,6 +37,34 @@ impl Component for Arm {
 impl Handle<ArmParameters> for Arm {
     async fn handle(&mut self, parameters: ArmParameters, _: &mut Context<Self>) {
         self.0.lock().unwrap().push(parameters);
+    }
+}
+
+/// The same, but that it takes a second to initialize.
+struct SlowArm(Seen);
+
+impl Component for SlowArm {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.parameters::<ArmParameters>();
+        ports.accept::<Blow>();
+    }
+
+    async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.0.lock().unwrap().push(cx.parameters()?);
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        Ok(())
+    }
+}
+
+impl Handle<ArmParameters> for SlowArm {
+    async fn handle(&mut self, parameters: ArmParameters, _: &mut Context<Self>) {
+        self.0.lock().unwrap().push(parameters);
+    }
+}
+
+impl Handle<Blow> for SlowArm {
+    async fn handle(&mut self, _: Blow, _: &mut Context<Self>) {
+        panic!("a blow");
     }
 }
 
@@ -91,6 +120,29 @@ async fn a_parameter_that_is_set_is_told_to_its_component_and_outlives_it() {
     node.sender("arm").unwrap().tell(Blow).unwrap();
     node.await_recovered(FaultKind::Panic, "arm").await;
     assert_eq!(speeds(&seen), [0.5, 1.5, 1.5]);
+}
+
+/// Set one after the other while the next incarnation begins, which reads one of the first.
+#[blastema_testkit::test]
+async fn a_component_runs_with_the_newest_parameters_however_many_are_set_during_its_restart() {
+    let seen = Seen::default();
+    let kept = seen.clone();
+    let spec = ChildSpec::new("arm", move || SlowArm(kept.clone()));
+    let spec = spec.queue(8, WhenFull::Refuse);
+    let mut node = TestNode::start(Node::builder("module1").child(spec)).await;
+    let parameters = node.variable::<ArmParameters>("arm").unwrap();
+
+    node.sender("arm").unwrap().tell(Blow).unwrap();
+    for tenths in 0..20 {
+        parameters.set("max_speed", ParameterValue::Float(f64::from(tenths) / 10.0)).await.unwrap();
+        node.advance(Duration::from_millis(10)).await;
+    }
+    node.await_recovered(FaultKind::Panic, "arm").await;
+    node.advance(Duration::from_secs(1)).await;
+
+    assert_eq!(parameters.read().await.unwrap().value.max_speed, 1.9);
+    assert_eq!(speeds(&seen).last(), Some(&1.9), "{:?}", speeds(&seen));
+    assert_eq!(node.dead_letters().total(), 1, "the blow");
 }
 
 #[blastema_testkit::test]

@@ -1,11 +1,12 @@
 //! A node in the safe state: what goes on, who is told, and how it is brought back.
 
-use crate::scenarios::puppet::{Deed, Do, Pull, Strings, ask, incarnation, strike};
+use crate::scenarios::puppet::{Deed, Do, Note, Pull, Strings, ask, incarnation, strike};
+use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::core::recovery::{Ladder, Plan, RecoveryAction};
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Fault, FaultTransition, Link, MemoryMedium, Network, NodeBuilder, RestartError,
-    RestartedChild,
+    ActuatorSpec, Fault, FaultTransition, Link, MemoryMedium, Network, NodeBuilder, Outcome,
+    RestartError, RestartedChild,
 };
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
@@ -201,6 +202,49 @@ async fn a_component_that_was_brought_to_rest_comes_back_when_it_is_asked_for() 
     let unknown = node.restart_child("mtors").await;
     let nearest = Some("motors".parse().unwrap());
     assert_eq!(unknown, Err(RestartError::Unknown { name: "mtors".into(), nearest }));
+}
+
+#[blastema_testkit::test]
+async fn what_waits_for_a_component_that_is_given_up_because_it_hangs_is_refused_at_once() {
+    let strings = Strings::default();
+    let arm = strings.spec("arm").max_wait(Duration::from_secs(2)).queue(64, WhenFull::Refuse);
+    let builder = Node::builder("module1").intensity(1, Duration::from_secs(60)).child(arm);
+    let mut node = TestNode::start(builder).await;
+    let (arm, note) = (node.sender::<Do>("arm").unwrap(), node.sender::<Note>("arm").unwrap());
+    let ask_all = || {
+        let request = |arm: Sender<Do>| async move {
+            arm.ask_within(Do(Deed::Nothing), Duration::from_secs(3600)).await
+        };
+        (0..3).map(|_| tokio::task::spawn_local(request(arm.clone()))).collect::<Vec<_>>()
+    };
+
+    // While restarts last, the successor takes the queue.
+    arm.tell(Do(Deed::Await(3_600_000))).unwrap();
+    node.settle().await;
+    let waiting = ask_all();
+    node.await_recovered(FaultKind::Hang, "arm").await;
+    for request in waiting {
+        assert_eq!(request.await.unwrap().expect("it is served"), 2);
+    }
+    arm.tell(Do(Deed::Await(3_600_000))).unwrap();
+    node.settle().await;
+    let waiting = ask_all();
+    (0..20).for_each(|n| note.tell(Note(n)).unwrap());
+    node.await_given_up(FaultKind::Hang, "arm").await;
+    node.settle().await;
+
+    let isolated = DeliveryError::Isolated { object: "arm".into() };
+    for request in waiting {
+        assert!(request.is_finished(), "it waits for its deadline");
+        let error = request.await.unwrap().expect_err("none serves it");
+        assert_eq!((error.outcome(), error.kind), (Outcome::NotTaken, isolated.clone()));
+    }
+    let arm = "arm".parse().unwrap();
+    assert_eq!(node.dead_letters().count(&arm, DeadReason::Isolated), 23);
+    strings.diary();
+    node.restart_child("arm").await.unwrap();
+    assert_eq!(incarnation(&node, "arm").await, 3);
+    assert_eq!(strings.lines("note"), [""; 0], "it serves what is new");
 }
 
 #[blastema_testkit::test]

@@ -393,3 +393,16 @@ fn a_hook_that_fails_in_error_is_counted_with_that_error() {
     assert_eq!(bench.outputs(), ["Repeated 1"]);
     assert_eq!((bench.fault(1).count, &*bench.fault(1).detail), (2, "on_aborting failed: jammed"));
 }
+
+#[test]
+fn a_restart_storm_is_over_when_its_group_is() {
+    let storm = || Finding::Declared { kind: FaultKind::RestartStorm, detail: "often".into() };
+    let mut bench = Bench::new();
+    bench.see("group", ONE, state(Lifecycle::Active));
+    bench.see("group", ONE, storm());
+    bench.outputs();
+
+    bench.see("group", ONE, state(Lifecycle::Finalized));
+
+    assert_eq!(bench.outputs()[0], "Cleared 1");
+}

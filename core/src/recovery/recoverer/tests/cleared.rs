@@ -41,23 +41,43 @@ fn a_restart_cures_no_fault_of_an_incarnation_that_it_finds_replaced() {
 }
 
 #[test]
-fn what_helped_is_remembered_of_the_fault_whose_ladder_was_climbed() {
+fn a_fault_that_outlives_the_one_before_it_begins_at_its_own_first_attempt() {
     let homing = RecoveryAction::Custom("homing".into());
-    let ladder = Ladder::first(RecoveryAction::Restart).then(homing).times(2);
-    let plan = Plan::default()
-        .on(FaultKind::CheckFailed, ladder)
-        .on(FaultKind::ErrorState, Ladder::first(RecoveryAction::Reset));
-    let mut rig = Rig::with(plan, RecovererLimits::default());
-    rig.find(fault(1, FaultKind::CheckFailed, at("arm"), 1));
-    rig.find(fault(2, FaultKind::ErrorState, at("arm"), 1));
-    assert_eq!(rig.outcome(1, fails()), ["#2 homing here:arm against check failed, 1"]);
-    assert_eq!(rig.outcome(2, fails()), [""; 0]);
+    let plan = Plan::default().on(FaultKind::CheckFailed, Ladder::first(homing).times(3));
+    for clears_while_waiting in [true, false] {
+        let mut rig = Rig::with(plan.clone(), RecovererLimits::default());
+        rig.find(fault(1, FaultKind::CheckFailed, at("arm"), 1));
+        rig.find(fault(2, FaultKind::ErrorState, at("arm"), 1));
+        let treated = if clears_while_waiting {
+            assert_eq!(rig.outcome(1, fails()), [""; 0]);
+            rig.stand_down(1, "arm")
+        } else {
+            assert_eq!(rig.stand_down(1, "arm"), [""; 0]);
+            rig.outcome(1, fails())
+        };
 
-    // The fault that the ladder belongs to clears before the next attempt.
-    rig.stand_down(1, "arm");
-    assert_eq!(rig.pass_to_due(), ["#3 homing here:arm against error state, 2"]);
-    assert_eq!(rig.outcome(3, works(1)), ["2 recovered #1"]);
+        assert_eq!(treated, ["#2 reset here:arm against error state, 1"]);
+        assert_eq!(rig.outcome(2, works(1)), ["2 recovered #1"]);
+    }
+}
 
-    let again = fault(3, FaultKind::ErrorState, at("arm"), 1);
-    assert_eq!(rig.find(again), ["#4 reset here:arm against error state, 1"]);
+/// Each incarnation comes to work, which clears the panic before it, and dies before its group is
+/// whole.
+#[test]
+fn a_panic_after_each_recovery_is_answered_by_a_first_attempt_each_time() {
+    let mut rig = Rig::new();
+    for number in 1..=20 {
+        let panicked = rig.find(panic_of(number, "arm", number));
+        let answered = match number {
+            1 => panicked,
+            _ => {
+                assert_eq!(rig.stand_down(number - 1, "arm"), [""; 0]);
+                // The restart has been at work, or was given up because the group is late.
+                let outcome = if number % 2 == 0 { works(number) } else { fails() };
+                rig.outcome(number - 1, outcome)
+            }
+        };
+        let restart = format!("#{number} restart here:arm against panic, 1");
+        assert_eq!(answered.last(), Some(&restart));
+    }
 }

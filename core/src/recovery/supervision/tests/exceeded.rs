@@ -30,7 +30,7 @@ fn each_child_has_a_count_of_its_own() {
     assert_eq!(rig.restart("a", ReplacementCause::Died, 2), [refused]);
 
     assert_eq!((rig.state("a"), rig.state("b")), (ChildState::Failed, ChildState::Running));
-    assert_eq!(rig.rest("a", ReplacementCause::Faulty), ["isolate a", "4 let a go"]);
+    assert_eq!(rig.rest("a", ReplacementCause::Faulty), ["isolate a", "retire a", "4 let a go"]);
     assert_eq!(rig.state("a"), ChildState::Resting);
 }
 
@@ -53,7 +53,7 @@ fn a_stuck_child_without_restarts_left_goes_to_the_next_action() {
     assert_eq!(refused.len(), 1, "it may move again before that: {refused:?}");
     assert_eq!(rig.state("a"), ChildState::Running);
     let rest = rig.rest("a", ReplacementCause::Stuck);
-    assert_eq!(rest, ["isolate a", "abandon a", "2 let a go"]);
+    assert_eq!(rest, ["isolate a", "abandon a", "retire a", "2 let a go"]);
 }
 
 #[test]
@@ -110,13 +110,13 @@ fn an_essential_child_takes_its_supervisor_along() {
         ["isolate a", "stop a", "stop b"],
         "for a fault"
     );
-    assert_eq!(rig.stopped("a", 1), ["1 let a go"]);
+    assert_eq!(rig.stopped("a", 1), ["retire a", "1 let a go"]);
     let escalates = ["escalate: a is essential, and was put into the safe state"];
     assert_eq!(rig.stopped("b", 1), escalates);
 
     let mut rig = apart(3, &[("a", essential()), ("b", permanent())]);
     rig.rest("a", ReplacementCause::Asked);
-    assert_eq!(rig.stopped("a", 1), ["1 let a go"], "as a person wished");
+    assert_eq!(rig.stopped("a", 1), ["retire a", "1 let a go"], "as a person wished");
     assert_eq!(rig.state("b"), ChildState::Running);
 }
 
@@ -143,8 +143,8 @@ fn a_shared_restart_count_escalates_for_a_child_that_cannot_start() {
         let mut rig = Rig::of(rules, &children);
         rig.begin();
         rig.start_failed("a", 1);
-        let escalates = ["isolate a", "escalate: a could not be started"];
-        assert_eq!(rig.rest("a", ReplacementCause::Faulty)[..2], escalates, "as it starts");
+        let escalates = ["isolate a", "retire a", "escalate: a could not be started"];
+        assert_eq!(rig.rest("a", ReplacementCause::Faulty)[..3], escalates, "as it starts");
 
         let mut rig = Rig::of(rules, &children);
         rig.begin();
@@ -153,7 +153,7 @@ fn a_shared_restart_count_escalates_for_a_child_that_cannot_start() {
         rig.died("b", 1);
         rig.restart("b", ReplacementCause::Died, 1);
         rig.start_failed("b", 2);
-        assert_eq!(rig.rest("b", ReplacementCause::Died)[..2], ["isolate b", "stop a"]);
+        assert_eq!(rig.rest("b", ReplacementCause::Died)[..3], ["isolate b", "retire b", "stop a"]);
         assert!(rig.stopped("a", 1).contains(&"escalate: b could not be started".to_owned()));
 
         let mut rig = Rig::of(rules, &children);
@@ -170,7 +170,7 @@ fn a_shared_restart_count_escalates_for_a_child_that_cannot_start() {
     rig.died("a", 1);
     rig.restart("a", ReplacementCause::Died, 1);
     rig.start_failed("a", 2);
-    let without = ["isolate a", "2 let a go"];
+    let without = ["isolate a", "retire a", "2 let a go"];
     assert_eq!(rig.rest("a", ReplacementCause::Faulty), without, "they do without each other");
 }
 

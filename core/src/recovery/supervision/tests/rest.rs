@@ -7,7 +7,7 @@ fn a_child_in_safe_rest_stays_there_until_a_person_brings_it_back() {
     let mut rig = Rig::serving(Strategy::OneForAll);
 
     assert_eq!(rig.rest("b", ReplacementCause::Faulty), ["isolate b", "stop b"]);
-    assert_eq!(rig.stopped("b", 1), ["1 let b go"]);
+    assert_eq!(rig.stopped("b", 1), ["retire b", "1 let b go"]);
     assert_eq!(
         rig.restart("b", ReplacementCause::Stuck, 1),
         ["2 gave b up: it is in the safe state"]
@@ -44,9 +44,27 @@ fn a_requested_restart_is_not_counted_and_needs_a_serving_supervisor() {
 fn a_stuck_child_is_put_to_rest_without_being_asked() {
     let mut rig = Rig::serving(Strategy::OneForOne);
 
-    assert_eq!(rig.rest("b", ReplacementCause::Stuck), ["isolate b", "abandon b", "1 let b go"]);
+    let rests = ["isolate b", "abandon b", "retire b", "1 let b go"];
+    assert_eq!(rig.rest("b", ReplacementCause::Stuck), rests);
     assert_eq!(rig.state("b"), ChildState::Resting);
     assert_eq!(rig.isolate("x", true), ["2 gave x up: no such child"]);
+}
+
+#[test]
+fn what_waits_for_a_child_is_given_back_however_it_comes_to_rest() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+    rig.rest("a", ReplacementCause::Faulty);
+    assert_eq!(rig.pass(5), ["cut off a", "retire a", "1 let a go"], "it does not stop");
+    // It is to make way for its next incarnation when it is put to rest.
+    assert_eq!(rig.restart("b", ReplacementCause::Faulty, 1), ["stop b"]);
+    assert_eq!(
+        rig.rest("b", ReplacementCause::Faulty),
+        ["isolate b", "2 gave b up: it is in the safe state"]
+    );
+    assert_eq!(rig.stopped("b", 1), ["retire b", "3 let b go"]);
+    rig.died("c", 1);
+    let dead = ["isolate c", "retire c", "4 let c go"];
+    assert_eq!(rig.rest("c", ReplacementCause::Died), dead);
 }
 
 #[test]
@@ -56,7 +74,7 @@ fn an_isolated_child_without_an_incarnation_is_not_waited_for() {
     rig.begin();
     rig.start_failed("a", 1);
 
-    assert_eq!(rig.isolate("a", true), ["isolate a", "1 let a go", "start b #1"]);
+    assert_eq!(rig.isolate("a", true), ["isolate a", "retire a", "1 let a go", "start b #1"]);
 }
 
 #[test]
@@ -66,7 +84,7 @@ fn a_child_that_is_isolated_while_its_failed_start_ends_is_not_waited_for() {
     rig.begin();
 
     assert_eq!(rig.isolate("a", true), ["isolate a", "1 recovered a #1"], "it runs its last hooks");
-    assert_eq!(rig.start_failed("a", 1), ["start b #1"]);
+    assert_eq!(rig.start_failed("a", 1), ["retire a", "start b #1"]);
 
     assert_eq!(rig.state("a"), ChildState::Resting);
     assert_eq!(rig.started("b", 1), ["all started"]);

@@ -16,7 +16,7 @@ fn children_come_and_go_while_it_is_at_work() {
     assert_eq!(rig.remove("b"), ["stop b"]);
     assert_eq!(
         rig.restart("b", ReplacementCause::Died, 1),
-        ["left b", "1 let b go", "retire b", "2 let b go"],
+        ["left b", "1 let b go", "2 let b go"],
         "its stop is not waited for"
     );
     assert_eq!(rig.stopped("b", 1), [""; 0]);

@@ -163,6 +163,21 @@ fn who_is_at_work_does_not_wait_for_a_sibling_that_failed_in_turn() {
 }
 
 #[test]
+fn a_member_that_dies_at_work_before_its_group_is_whole_was_restarted_all_the_same() {
+    for strategy in [Strategy::OneForAll, Strategy::RestForOne] {
+        let mut rig = Rig::serving(strategy);
+        rig.restart("a", ReplacementCause::Died, 1);
+        rig.stopped("c", 1);
+        rig.stopped("b", 1);
+        assert_eq!(rig.started("a", 2), ["start b #2"]);
+
+        assert_eq!(rig.died("a", 2), ["1 recovered a #2"]);
+
+        assert_eq!(rig.restart("a", ReplacementCause::Died, 2), ["stop b"]);
+    }
+}
+
+#[test]
 fn a_temporary_member_ends_with_its_group_and_does_not_return() {
     for strategy in [Strategy::OneForAll, Strategy::RestForOne] {
         let guest = kept(Restart::Temporary);
