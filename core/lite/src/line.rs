@@ -138,8 +138,9 @@ impl HostLine {
         for step in 1..=hosts.len() {
             let at = (self.turn + step) % hosts.len();
             let value = |port, value: &mut [u8]| values(at, port, value);
-            // A request behind other frames waits for its answer from when it leaves.
-            let start = self.free.max(now);
+            // A request behind other frames waits for its answer from when it leaves. A line that
+            // carries less than is sent does not delay the detection of silence without a bound.
+            let start = self.free.min(now + hosts[at].config().interval).max(now);
             if let Some(packet) = hosts[at].poll_packet(start, value, &mut bytes) {
                 let frame = cobs::encode(packet, frame);
                 self.turn = at;

@@ -1,7 +1,7 @@
 //! What every device side must do, on every medium.
 
 use crate::bench::{
-    COUNT, DEVICE_TYPE, DRIVE, DRIVEN, FAILING, LIMIT, Medium, NUMBER, PORTS, STEER,
+    COUNT, DEVICE_TYPE, DRIVE, DRIVEN, FAILING, LIMIT, Medium, NUMBER, PORTS, RustSide, STEER,
 };
 use crate::c_side::CSide;
 use crate::channel::Random;
@@ -294,6 +294,25 @@ fn silence_is_noticed_within_the_bound_and_ends_the_command() {
         robot.advance(500);
         assert!(robot.events.is_empty(), "lost is reported once: {:?}", robot.events);
     }
+}
+
+#[test]
+fn more_values_than_the_line_carries_do_not_delay_the_detection_of_silence() {
+    // A line that is faster than its byte time says, or a driver that buffers without a bound.
+    let config = HostConfig { byte_time: ms(1), ..config(Medium::Serial) };
+    let mut robot = Robot::new(Box::new(RustSide::new(Medium::Serial)), Medium::Serial, config);
+    robot.advance(1);
+    let mut publish = |robot: &mut Robot| {
+        let _ = robot.host.handle_publish(DRIVE);
+        robot.advance(1);
+    };
+    (0..1_000).for_each(|_| publish(&mut robot));
+    assert!(robot.host.is_serving());
+
+    robot.out.loss = 1.0;
+    (0..300).for_each(|_| publish(&mut robot));
+
+    robot.expect(HostEvent::Lost);
 }
 
 #[test]
