@@ -90,7 +90,7 @@ enum RestartOrder {
 /// [`poll_event`](Self::poll_event), and calls [`handle_timeout`](Self::handle_timeout) at
 /// [`poll_timeout`](Self::poll_timeout). On serial lines, a [`HostLine`](crate::HostLine) does this
 /// for all hosts of the line. Nothing is sent that is not polled: when the driver hangs, the device
-/// falls to its dead-man.
+/// is stopped by its dead-man.
 #[derive(Clone, Debug)]
 pub struct Host<P> {
     config: HostConfig<P>,
@@ -121,7 +121,7 @@ pub struct Host<P> {
 
 /// A command is abandoned after so many times the tries that declare a silent device lost: a device
 /// that answers pings but not the command is faulty.
-const COMMAND_PATIENCE: u32 = 4;
+const COMMAND_ROUNDS: u32 = 4;
 
 /// A device of a multi-drop line that is lost is asked in every tenth round, so that it does not
 /// cost the others its slot each time.
@@ -272,7 +272,7 @@ impl<P: AsRef<[Port]>> Host<P> {
         if self.misses >= self.loss.tries().into() && now.saturating_sub(self.received) >= silence {
             self.lose();
         } else if exchange == Exchange::Command
-            && self.command.miss() >= COMMAND_PATIENCE * u32::from(self.loss.tries())
+            && self.command.miss() >= COMMAND_ROUNDS * u32::from(self.loss.tries())
         {
             self.greet(low(self.session));
         }
@@ -333,7 +333,7 @@ impl<P: AsRef<[Port]>> Host<P> {
             return Some(Exchange::Restart);
         }
         let silent = self.command.is_taken() && self.misses % 3 == 2;
-        // A POLL holds the dead-man off, which a refused device must fall to.
+        // A POLL restarts the dead-man, which must stop a refused device.
         if self.waiting && self.phase == Phase::Serving && !silent {
             return Some(Exchange::Poll);
         }
