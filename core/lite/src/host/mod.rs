@@ -35,7 +35,7 @@ pub use matching::Mismatch;
 pub use tries::Tries;
 
 use crate::message::{self, DeviceState, Status};
-use crate::packet::{DATA_MAX, DevicePacket, PACKET_MAX};
+use crate::packet::{DATA_MAX, DevicePacket, OBJECTS_MAX, PACKET_MAX};
 use crate::port::{Port, PortKind, PortSet};
 use command::CommandSlot;
 use core::time::Duration;
@@ -370,7 +370,12 @@ impl<P: AsRef<[Port]>> Host<P> {
                 let deadman_ms = self.config.deadman.as_millis().min(u16::MAX.into()) as u16;
                 data[..2].copy_from_slice(&self.session.to_le_bytes());
                 data[2..4].copy_from_slice(&deadman_ms.to_le_bytes());
-                (message::HELLO, 4, 10 + usize::from(self.config.objects()))
+                // A device may have more objects than have ports here: their states come too late
+                // for a first HELLO, and on a multi-drop line outside of the turn.
+                let identity = self.mirror.identity();
+                let last = identity.map_or(self.config.objects(), |device| device.objects);
+                let objects = if self.lost { OBJECTS_MAX } else { last.into() };
+                (message::HELLO, 4, 10 + objects)
             }
             Exchange::Describe => {
                 let Phase::Matching(matching) = self.phase else { return None };

@@ -460,3 +460,20 @@ fn an_order_to_restart_outlives_a_new_session_but_no_reset() {
         assert_eq!(stage.host.restart == RestartOrder::None, reset);
     }
 }
+
+#[test]
+fn a_device_with_more_objects_than_have_ports_gets_the_time_to_list_them() {
+    let mut stage = Stage::new(Tries::Fixed(3));
+    stage.host.config.byte_time = Duration::from_millis(1);
+    let mut longest = Duration::ZERO;
+    for _ in 0..20 {
+        match stage.sent() {
+            ping @ Some((None, LINK, PING, _)) => stage.pong_of(ping, 0, 0),
+            Some(_) => longest = longest.max(stage.host.poll_timeout() - stage.now),
+            None => stage.wait(),
+        }
+        stage.events();
+    }
+    let reply = 10 + OBJECTS_MAX;
+    assert_eq!(longest, stage.host.config.exchange_time(4, reply));
+}
