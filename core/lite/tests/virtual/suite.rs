@@ -302,7 +302,7 @@ fn more_values_than_the_line_carries_do_not_delay_the_detection_of_silence() {
     let config = HostConfig { byte_time: ms(1), ..config(Medium::Serial) };
     let mut robot = Robot::new(Box::new(RustSide::new(Medium::Serial)), Medium::Serial, config);
     robot.advance(1);
-    let mut publish = |robot: &mut Robot| {
+    let publish = |robot: &mut Robot| {
         let _ = robot.host.handle_publish(DRIVE);
         robot.advance(1);
     };
