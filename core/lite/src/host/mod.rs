@@ -15,7 +15,9 @@
 //! Between two HELLOs a command is therefore carried out at most once, and exactly once if its
 //! reply arrives. A reset erases the device's memory. Exactly once over crashes is then impossible
 //! (Fekete, Lynch, Mansour, Spinelli, J. ACM 40(5), 1993): the command ends as
-//! [`Unknown`](CommandOutcome::Unknown).
+//! [`Unknown`](CommandOutcome::Unknown). The medium may lose, repeat and reorder packets. It must
+//! not delay one by 7 further commands, or past the next HELLO: a late HELLO opens its session again,
+//! in which a late copy of a command is carried out a second time.
 //!
 //! **One exchange.** At most one request waits for its answer. After two unanswered commands a PING
 //! follows: a device that was reset answers nothing else.
