@@ -9,7 +9,7 @@ enum { LIFECYCLE = 0x10, START = 0x14, STOP = 0x15, RATE = 0x16, STATE = 0x20, T
 enum { GET = 0xE0, GET_BIT = 0x20, PING_PROBE = 0x80, UNKNOWN = 0xFF };
 /* bits of the header and of a PONG's flags */
 enum { PLAIN_TEXT = 0x40, FROM_DEVICE = 0x20, COMMAND = 0x10, WIDE = 8, SEQUENCE = 7 };
-enum { HAS_SESSION = 1, DEADMAN_STRUCK = 2, WAITING = 4, ONE_FAULT = 0x10 };
+enum { HAS_SESSION = 1, DEADMAN_EXPIRED = 2, WAITING = 4, ONE_FAULT = 0x10 };
 
 #ifdef BL_ADDRESS
 #define HEAD 1u                         /* where the header stands */
@@ -277,7 +277,7 @@ static uint8_t hello(uint8_t *data) {
         s.session = session;
         s.last = 0;
         s.tx_length = 0;
-        s.flags = (uint8_t)(s.flags & ~DEADMAN_STRUCK);
+        s.flags = (uint8_t)(s.flags & ~DEADMAN_EXPIRED);
     }
     s.deadman = u16(&data[2]);
     s.deadman = s.deadman == 0u ? BL_DEADMAN_MAX_MS : within(s.deadman, BL_DEADMAN_MAX_MS);
@@ -352,7 +352,7 @@ static void take(uint8_t n) {
     if (s.rx[n] != (uint8_t)(sum >> 8) || (wide != 0u && s.rx[n + 1u] != (uint8_t)sum)) return;
     n = (uint8_t)(n - DATA);
     message = p[2];
-    /* a host that does not serve this device must not hold the dead-man off */
+    /* a host that does not serve this device must not restart the dead-man */
     if (wide != 0u || n == 0u || p[3] < PING_PROBE) {
         s.received = bl_millis();
         s.silent = 0;
@@ -419,7 +419,7 @@ void bl_poll(void) {
     uint8_t i, why;
     if (s.session != 0u && s.silent == 0u && (uint16_t)(now - s.received) >= s.deadman) {
         s.silent = 1;
-        s.flags = (uint8_t)(s.flags | DEADMAN_STRUCK);
+        s.flags = (uint8_t)(s.flags | DEADMAN_EXPIRED);
         for (i = 0; i < BL_OBJECTS; i++)
             if (s.state[i] == BL_ACTIVE) abort_object(i, BL_DEADMAN);
     }

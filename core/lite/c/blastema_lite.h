@@ -72,7 +72,7 @@
  * BL_DATAGRAM: packets are datagrams, without COBS; see bl_receive_packet. */
 
 #if BL_DEADMAN_MAX_MS < 1
-#error "a dead-man of 0 strikes at once"
+#error "a dead-man of 0 expires at once"
 #endif
 #if BL_MAX_DATA > 240 || BL_OBJECTS + BL_PORTS > 255 || BL_DEADMAN_MAX_MS > 60000
 #error "a size of this device is larger than the protocol allows"

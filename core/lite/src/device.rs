@@ -1,4 +1,4 @@
-//! The device's side: executes each command once, keeps the life cycle, strikes the dead-man.
+//! The device's side: executes each command once, keeps the life cycle, watches the host.
 //!
 //! The C library in `c/` is the same machine for chips on which no Rust runs. This one is its
 //! reference in tests, the device of simulations, and firmware.
@@ -33,7 +33,7 @@ pub struct DeviceConfig<'a> {
     pub boot: u16,
     /// Why it started this time.
     pub cause: ResetCause,
-    /// The longest silence of the host before the dead-man strikes. The host may ask for less.
+    /// The longest silence of the host before the dead-man expires. The host may ask for less.
     pub deadman_max: Duration,
 }
 
@@ -91,7 +91,7 @@ pub struct Device<'a, const OBJECTS: usize, const PORTS: usize> {
     faults: u8,
     published: PortSet,
     deadman: Duration,
-    deadman_struck: bool,
+    deadman_expired: bool,
     /// When the last packet was accepted.
     received: Duration,
     silent: bool,
@@ -126,7 +126,7 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
             faults: 0,
             published: PortSet::default(),
             deadman: config.deadman_max,
-            deadman_struck: false,
+            deadman_expired: false,
             received: now,
             silent: false,
             running: true,
@@ -197,7 +197,7 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
     pub fn handle_timeout(&mut self, now: Duration, firmware: &mut impl Firmware) {
         if self.session != 0 && !self.silent && now.saturating_sub(self.received) >= self.deadman {
             self.silent = true;
-            self.deadman_struck = true;
+            self.deadman_expired = true;
             for object in 1..=OBJECTS as u8 {
                 if self.state(object) == DeviceState::Active {
                     self.abort(object, message::CODE_DEADMAN, firmware);
@@ -244,8 +244,8 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
         let watched = (0..PORTS)
             .filter(|&port| self.state(self.config.ports[port].object()) == DeviceState::Active);
         let deadlines = watched.filter_map(|port| Some(self.written[port] + self.deadline(port)?));
-        let strike = (!self.silent).then_some(self.received + self.deadman);
-        deadlines.chain(strike).chain(self.running.then_some(self.next_execution)).min()
+        let expiry = (!self.silent).then_some(self.received + self.deadman);
+        deadlines.chain(expiry).chain(self.running.then_some(self.next_execution)).min()
     }
 
     /// Writes the next packet into `bytes` and returns it; `None` when there is none to send.
@@ -315,7 +315,7 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
             self.session = session;
             self.last = 0;
             self.kept = None;
-            self.deadman_struck = false;
+            self.deadman_expired = false;
         }
         let asked = Duration::from_millis(deadman_ms.into());
         let asked = if asked.is_zero() { self.config.deadman_max } else { asked };
@@ -500,7 +500,7 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
                 let waits = self.config.address.is_some() && self.is_waiting();
                 let flag = |set, flag| if set { flag } else { 0 };
                 let flags = flag(has_session, message::FLAG_SESSION)
-                    | flag(self.deadman_struck, message::FLAG_DEADMAN)
+                    | flag(self.deadman_expired, message::FLAG_DEADMAN)
                     | flag(waits, message::FLAG_WAITING)
                     | (self.faults << 4);
                 let [boot, _] = self.config.boot.to_le_bytes();

@@ -22,34 +22,35 @@ use core::time::Duration;
 ///
 /// # Examples
 ///
-/// The whole driver of a line. `read` waits for a millisecond at most.
+/// The whole driver of a line. `read` waits for a millisecond at most. `clock` is monotonic.
 ///
 /// ```no_run
 /// use blastema_lite::{CommandOutcome, DeviceCommand, FRAME_MAX, Host, HostEvent, HostLine, Port};
 /// use std::io::{Read, Write};
+/// use std::time::Duration;
 ///
 /// /// `values` are the newest structs of in ports, by host and port.
 /// fn drive(
 ///     hosts: &mut [Host<Vec<Port>>],
 ///     values: &[Vec<Vec<u8>>],
 ///     mut serial: impl Read + Write,
+///     clock: impl Fn() -> Duration,
 /// ) -> std::io::Result<()> {
-///     let (start, mut line) = (std::time::Instant::now(), HostLine::default());
-///     let (mut buffer, mut frame) = ([0; 256], [0; FRAME_MAX]);
+///     let (mut line, mut buffer, mut frame) = (HostLine::default(), [0; 256], [0; FRAME_MAX]);
 ///     loop {
 ///         let count = serial.read(&mut buffer)?;
 ///         let mut bytes = &buffer[..count];
 ///         while !bytes.is_empty() {
-///             line.handle_bytes(hosts, &mut bytes, start.elapsed());
+///             line.handle_bytes(hosts, &mut bytes, clock());
 ///             take_events(&mut line, hosts);
 ///         }
-///         line.handle_timeout(hosts, start.elapsed());
+///         line.handle_timeout(hosts, clock());
 ///         take_events(&mut line, hosts);
 ///         // Here the application gives commands, and announces values by `handle_publish`.
 ///         let value = |host: usize, port: usize, value: &mut [u8]| {
 ///             value.copy_from_slice(&values[host][port]);
 ///         };
-///         while let Some(frame) = line.poll_frame(hosts, start.elapsed(), value, &mut frame) {
+///         while let Some(frame) = line.poll_frame(hosts, clock(), value, &mut frame) {
 ///             serial.write_all(frame)?;
 ///         }
 ///     }
@@ -138,8 +139,9 @@ impl HostLine {
         for step in 1..=hosts.len() {
             let at = (self.turn + step) % hosts.len();
             let value = |port, value: &mut [u8]| values(at, port, value);
-            // A request behind other frames waits for its answer from when it leaves.
-            let start = self.free.max(now);
+            // A request behind other frames waits for its answer from when it leaves. A line that
+            // carries less than is sent does not delay the detection of silence without a bound.
+            let start = self.free.min(now + hosts[at].config().interval).max(now);
             if let Some(packet) = hosts[at].poll_packet(start, value, &mut bytes) {
                 let frame = cobs::encode(packet, frame);
                 self.turn = at;

@@ -66,13 +66,14 @@ pub const GET_BIT: u8 = 0x20;
 /// The most bytes of the text of a code.
 pub const TEXT_MAX: usize = 32;
 
-/// Bit of a PING's number: the host does not serve this device. Such a probe does not hold the
-/// dead-man off, so that a device whose answers do not arrive, or that is refused, becomes safe.
+/// Bit of a PING's number: the host does not serve this device. Such a probe does not
+/// restart the dead-man, so that a device whose answers do not arrive, or that is refused, is made
+/// safe.
 pub const PING_PROBE: u8 = 0x80;
 
 /// Flag of a PONG: the device has a session.
 pub const FLAG_SESSION: u8 = 1;
-/// Flag of a PONG: the dead-man struck in this session.
+/// Flag of a PONG: the dead-man has expired in this session.
 pub const FLAG_DEADMAN: u8 = 2;
 /// Flag of a PONG on a multi-drop line: frames wait for a POLL.
 pub const FLAG_WAITING: u8 = 4;

@@ -249,17 +249,17 @@ fn packets_to_others_are_ignored_and_packets_to_all_are_not_answered() {
 }
 
 #[test]
-fn the_dead_man_strikes_at_the_hosts_limit_or_at_the_devices_own() {
+fn the_dead_man_expires_at_the_hosts_limit_or_at_the_devices_own() {
     #[track_caller]
-    fn check(asked: [u8; 2], strikes_ms: u64) {
+    fn check(asked: [u8; 2], expires_ms: u64) {
         let mut chip = Chip::in_session(None);
         chip.ask(None, LINK, HELLO, &[0x34, 0x12, asked[0], asked[1]]).expect("an answer");
         chip.ask(Some(1), 1, 0x10, &[]).expect("an answer");
         let ms = Duration::from_millis;
-        chip.device.handle_timeout(ms(strikes_ms - 1), &mut chip.firmware);
+        chip.device.handle_timeout(ms(expires_ms - 1), &mut chip.firmware);
         assert_eq!(chip.device.state(1), DeviceState::Active);
 
-        chip.device.handle_timeout(ms(strikes_ms), &mut chip.firmware);
+        chip.device.handle_timeout(ms(expires_ms), &mut chip.firmware);
 
         assert_eq!(chip.device.state(1), DeviceState::Error);
         assert_eq!(chip.firmware.aborted, message::CODE_DEADMAN);

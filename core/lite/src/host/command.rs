@@ -72,7 +72,7 @@ struct Outstanding {
     length: usize,
     /// The fewest and most bytes of the reply's payload if all is well.
     reply: (usize, usize),
-    /// How often it was sent in vain.
+    /// How often it was sent without a reply.
     misses: u32,
     sent: bool,
 }

@@ -14,9 +14,8 @@ pub struct HostConfig<P> {
     pub address: Option<u8>,
     /// The type that the device must have.
     pub device_type: u32,
-    /// The ports and variables that the device must have, at most 255. A device may have more. On a
-    /// multi-drop line the time for answers is that of as many objects as have ports here: the last
-    /// object of the device has one.
+    /// The ports and variables that the device must have, at most 255. A device may have more. One
+    /// of a slow multi-drop line whose last objects have no ports is found at the second attempt.
     pub ports: P,
     /// A random number. The sessions are numbered from here, so that a new host's session differs
     /// from those of its predecessors.

@@ -23,7 +23,7 @@ pub enum HostEvent {
     State {
         /// The object, from 1.
         object: u8,
-        /// Its new state.
+        /// Its new state; on a multi-drop line that of now, which a RESET may have changed.
         state: DeviceState,
         /// The firmware's code, or one of the `CODE_` constants of [`message`](crate::message).
         code: u8,
@@ -74,7 +74,7 @@ pub struct DeviceIdentity {
     pub objects: u8,
     /// Whether the chip was reset since this host knew it: it is a new incarnation.
     pub reset: bool,
-    /// Whether the dead-man struck since the last session: objects that were Active are in Error.
+    /// Whether the dead-man has expired since the last session: objects that were Active are in Error.
     /// Their [`State`](HostEvent::State) events are lost, unless they waited for a POLL.
     pub deadman: bool,
 }

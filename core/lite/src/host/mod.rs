@@ -15,7 +15,9 @@
 //! Between two HELLOs a command is therefore carried out at most once, and exactly once if its
 //! reply arrives. A reset erases the device's memory. Exactly once over crashes is then impossible
 //! (Fekete, Lynch, Mansour, Spinelli, J. ACM 40(5), 1993): the command ends as
-//! [`Unknown`](CommandOutcome::Unknown).
+//! [`Unknown`](CommandOutcome::Unknown). The medium may lose, repeat and reorder packets. It must
+//! not delay one by 7 further commands, or past the next HELLO: a late HELLO opens its session again,
+//! in which a late copy of a command is carried out a second time.
 //!
 //! **One exchange.** At most one request waits for its answer. After two unanswered commands a PING
 //! follows: a device that was reset answers nothing else.
@@ -35,7 +37,7 @@ pub use matching::Mismatch;
 pub use tries::Tries;
 
 use crate::message::{self, DeviceState, Status};
-use crate::packet::{DATA_MAX, DevicePacket, PACKET_MAX};
+use crate::packet::{DATA_MAX, DevicePacket, OBJECTS_MAX, PACKET_MAX};
 use crate::port::{Port, PortKind, PortSet};
 use command::CommandSlot;
 use core::time::Duration;
@@ -90,7 +92,7 @@ enum RestartOrder {
 /// [`poll_event`](Self::poll_event), and calls [`handle_timeout`](Self::handle_timeout) at
 /// [`poll_timeout`](Self::poll_timeout). On serial lines, a [`HostLine`](crate::HostLine) does this
 /// for all hosts of the line. Nothing is sent that is not polled: when the driver hangs, the device
-/// falls to its dead-man.
+/// is stopped by its dead-man.
 #[derive(Clone, Debug)]
 pub struct Host<P> {
     config: HostConfig<P>,
@@ -121,7 +123,7 @@ pub struct Host<P> {
 
 /// A command is abandoned after so many times the tries that declare a silent device lost: a device
 /// that answers pings but not the command is faulty.
-const COMMAND_PATIENCE: u32 = 4;
+const COMMAND_ROUNDS: u32 = 4;
 
 /// A device of a multi-drop line that is lost is asked in every tenth round, so that it does not
 /// cost the others its slot each time.
@@ -272,7 +274,7 @@ impl<P: AsRef<[Port]>> Host<P> {
         if self.misses >= self.loss.tries().into() && now.saturating_sub(self.received) >= silence {
             self.lose();
         } else if exchange == Exchange::Command
-            && self.command.miss() >= COMMAND_PATIENCE * u32::from(self.loss.tries())
+            && self.command.miss() >= COMMAND_ROUNDS * u32::from(self.loss.tries())
         {
             self.greet(low(self.session));
         }
@@ -333,7 +335,7 @@ impl<P: AsRef<[Port]>> Host<P> {
             return Some(Exchange::Restart);
         }
         let silent = self.command.is_taken() && self.misses % 3 == 2;
-        // A POLL holds the dead-man off, which a refused device must fall to.
+        // A POLL restarts the dead-man, which must stop a refused device.
         if self.waiting && self.phase == Phase::Serving && !silent {
             return Some(Exchange::Poll);
         }
@@ -370,7 +372,12 @@ impl<P: AsRef<[Port]>> Host<P> {
                 let deadman_ms = self.config.deadman.as_millis().min(u16::MAX.into()) as u16;
                 data[..2].copy_from_slice(&self.session.to_le_bytes());
                 data[2..4].copy_from_slice(&deadman_ms.to_le_bytes());
-                (message::HELLO, 4, 10 + usize::from(self.config.objects()))
+                // A device may have more objects than have ports here: their states come too late
+                // for a first HELLO, and on a multi-drop line outside of the turn.
+                let identity = self.mirror.identity();
+                let last = identity.map_or(self.config.objects(), |device| device.objects);
+                let objects = if self.lost { OBJECTS_MAX } else { last.into() };
+                (message::HELLO, 4, 10 + objects)
             }
             Exchange::Describe => {
                 let Phase::Matching(matching) = self.phase else { return None };

@@ -250,7 +250,7 @@ fn two_unanswered_commands_are_followed_by_a_ping() {
 }
 
 #[test]
-fn a_command_that_a_living_device_never_answers_is_abandoned() {
+fn a_command_that_a_device_never_answers_although_it_answers_pings_is_abandoned() {
     let mut stage = Stage::serving();
     stage.host.handle_command(CALL).expect("it serves");
     let mut sent_in_vain = 0;
@@ -306,7 +306,7 @@ fn a_pong_with_another_number_is_no_answer() {
 }
 
 #[test]
-fn only_pings_of_a_host_that_serves_the_device_hold_its_dead_man_off() {
+fn only_pings_of_a_host_that_serves_the_device_restart_its_dead_man() {
     let mut stage = Stage::serving();
     let number = stage.pong_after_pause();
     assert!(number < PING_PROBE);
@@ -408,7 +408,7 @@ fn a_restart_is_ordered_once_until_a_pong_shows_that_it_was_lost() {
 }
 
 #[test]
-fn a_refused_device_gets_no_data_through_and_falls_to_its_dead_man() {
+fn a_refused_device_gets_no_data_through_and_is_stopped_by_its_dead_man() {
     let mut stage = Stage::new(Tries::Fixed(3));
     stage.open(0);
     stage.sent();
@@ -459,4 +459,21 @@ fn an_order_to_restart_outlives_a_new_session_but_no_reset() {
         assert_eq!(stage.sent().map(|sent| sent.2), Some(expected));
         assert_eq!(stage.host.restart == RestartOrder::None, reset);
     }
+}
+
+#[test]
+fn a_device_with_more_objects_than_have_ports_gets_the_time_to_list_them() {
+    let mut stage = Stage::new(Tries::Fixed(3));
+    stage.host.config.byte_time = Duration::from_millis(1);
+    let mut longest = Duration::ZERO;
+    for _ in 0..20 {
+        match stage.sent() {
+            ping @ Some((None, LINK, PING, _)) => stage.pong_of(ping, 0, 0),
+            Some(_) => longest = longest.max(stage.host.poll_timeout() - stage.now),
+            None => stage.wait(),
+        }
+        stage.events();
+    }
+    let reply = 10 + OBJECTS_MAX;
+    assert_eq!(longest, stage.host.config.exchange_time(4, reply));
 }
