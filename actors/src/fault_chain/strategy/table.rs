@@ -1,12 +1,7 @@
 //! How to make each strategy when it is needed.
 
+use super::builtin::{BUILT_IN, BuiltIn};
 use super::host::{StrategyHost, StrategyThread};
-use super::isolate::IsolateStrategy;
-use super::move_to_own_thread::MoveToOwnThread;
-use super::reroute::RerouteStrategy;
-use super::reset::ResetStrategy;
-use super::restart::RestartStrategy;
-use super::safe_stop::SafeStopStrategy;
 use super::{RecoveryStrategy, StrategyContext};
 use crate::platform::own_arbiter;
 use crate::runtime::callbacks::Callbacks;
@@ -73,12 +68,7 @@ pub(crate) struct StrategyTable(SortedMap<RecoveryAction, Make>);
 impl Default for StrategyTable {
     fn default() -> Self {
         let mut table = StrategyTable(SortedMap::new());
-        table.insert(RecoveryAction::Reset, || ResetStrategy);
-        table.insert(RecoveryAction::Restart, || RestartStrategy);
-        table.insert(RecoveryAction::MoveToOwnThread, || MoveToOwnThread);
-        table.insert(RecoveryAction::Reroute, || RerouteStrategy);
-        table.insert(RecoveryAction::Isolate, || IsolateStrategy);
-        table.insert(RecoveryAction::SafeStop, || SafeStopStrategy);
+        BUILT_IN.into_iter().for_each(|action| table.insert(action, || BuiltIn));
         table
     }
 }
