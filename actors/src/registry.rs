@@ -42,6 +42,8 @@ pub(crate) struct MessageMetadata {
     pub(crate) id: Option<MessageId>,
     /// How long it has been on its way.
     pub(crate) age: Duration,
+    /// It is a safe command: it comes before all that waits, and needs no room.
+    pub(crate) is_first: bool,
     /// A request is not to be begun after this.
     pub(crate) until: Option<Instant>,
     /// The node that it comes from, if it is another.

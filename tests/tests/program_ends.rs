@@ -291,6 +291,7 @@ fn a_program_that_shuts_its_node_down_has_nothing_more_to_make_safe() {
     assert_eq!(code, Some(0), "{errors}");
     assert!(!lines.iter().any(|line| line == "safe outputs"), "{lines:?}");
     assert_eq!(errors, "", "an orderly end prints no error");
+    assert!(lines.contains(&"drive 0".to_owned()), "the wheels are stopped: {lines:?}");
 }
 
 /// Its safe outputs panic when they are called.

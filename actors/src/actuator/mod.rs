@@ -19,9 +19,11 @@ use crate::platform;
 use crate::registry::Registry;
 use crate::settings::LEASE;
 use blastema_core::contract::codec;
+use blastema_core::lease::StopBy;
 use blastema_core::{
     Contract, ContractIdentity, DeliveryError, Incarnation, Instant, PeerIdentity,
 };
+use bytes::Bytes;
 use command::{ActuatorCommand, CommandKind, CommandReply};
 use std::fmt;
 use std::future::Future;
@@ -42,6 +44,10 @@ const CLAIM_AGAIN: RangeInclusive<Duration> =
 pub struct ActuatorSpec<M: Contract> {
     safe: M,
     span: Duration,
+    /// The command that stops it, where it is not the safe one.
+    stop: Option<M>,
+    stop_by: StopBy,
+    settle_within: Duration,
     cut_off: Option<table::SafeOutputFn>,
 }
 
@@ -49,7 +55,14 @@ impl<M: Contract> ActuatorSpec<M> {
     /// An actuator that `safe` brings to rest: zero speed, brakes on. The component gets this
     /// command like any other when its commander has gone.
     pub fn new(safe: M) -> Self {
-        ActuatorSpec { safe, span: LEASE.default, cut_off: None }
+        ActuatorSpec {
+            safe,
+            span: LEASE.default,
+            stop: None,
+            stop_by: StopBy::SafeCommand,
+            settle_within: Duration::ZERO,
+            cut_off: None,
+        }
     }
 
     /// Sets how long a commander may be silent: 200 ms by default, 20 ms to 1 min. A shorter lease
@@ -60,8 +73,39 @@ impl<M: Contract> ActuatorSpec<M> {
         self
     }
 
-    /// Sets a function that sets the outputs to their safe value. It is called when a lease ends,
-    /// in addition to the component's hook, so that a hang of the component does not prevent it.
+    /// Sets another command than the safe one to stop the actuator when its component leaves work
+    /// in order: a drone whose safe command is to hover lands. See [stopping in
+    /// order](crate::manual::commanding#stopping-in-order).
+    #[must_use]
+    pub fn on_stop(mut self, command: M) -> Self {
+        (self.stop, self.stop_by) = (Some(command), StopBy::StopCommand);
+        self
+    }
+
+    /// Gives the actuator no command when its component leaves work in order: the component stops
+    /// it in `on_deactivated`. Where that hook fails, or does not end in time, the
+    /// [cut-off](Self::cut_off) is called.
+    #[must_use]
+    pub fn on_stop_by_hook(mut self) -> Self {
+        (self.stop, self.stop_by) = (None, StopBy::Hook);
+        self
+    }
+
+    /// Sets how long the component goes on, with its rounds, timers and messages, after its stop
+    /// command, unless it calls [`cx.settled()`](crate::Context::settled) before; zero unless set,
+    /// at most its [`shutdown_within`](crate::ChildSpec::shutdown_within). A longer time lets a
+    /// slower machine come to rest under control, and delays each orderly stop of one that never
+    /// says that it has settled.
+    #[must_use]
+    pub fn settle_within(mut self, span: Duration) -> Self {
+        self.settle_within = span;
+        self
+    }
+
+    /// Sets a function that sets the outputs to their safe value. It is called when a lease ends
+    /// other than by an orderly stop of the component, in addition to the safe command, so that a
+    /// hang of the component does not prevent it; and where a stop command fails or is not carried
+    /// out within `shutdown_within`.
     /// The cut-offs and [safe outputs](crate::NodeBuilder::safe_outputs) of a node are called one
     /// after the other on a thread of their own. One that blocks it for longer than
     /// [`callback_limit`](crate::NodeBuilder::callback_limit) is a fault of the component, and the
@@ -73,13 +117,19 @@ impl<M: Contract> ActuatorSpec<M> {
     }
 
     pub(crate) fn declared(self) -> DeclaredActuator {
-        let mut bytes = Vec::new();
-        let safe = match codec::encode(&self.safe, &mut bytes) {
-            Ok(()) => Ok(bytes.into()),
-            Err(_) => Err(DeliveryError::TooLarge { limit: M::MAX_SIZE }),
-        };
+        let ActuatorSpec { safe, span, stop, stop_by, settle_within, cut_off } = self;
         let identity = ContractIdentity::of::<M>();
-        DeclaredActuator { identity, span: self.span, safe, cut_off: self.cut_off }
+        let stop = encoded(stop.as_ref().unwrap_or(&safe)).map(Bytes::from);
+        let safe = encoded(&safe).map(Bytes::from);
+        DeclaredActuator { identity, span, safe, stop_by, stop, settle_within, cut_off }
+    }
+}
+
+fn encoded<M: Contract>(command: &M) -> Result<Vec<u8>, DeliveryError> {
+    let mut bytes = Vec::new();
+    match codec::encode(command, &mut bytes) {
+        Ok(()) => Ok(bytes),
+        Err(_) => Err(DeliveryError::TooLarge { limit: M::MAX_SIZE }),
     }
 }
 
@@ -295,10 +345,8 @@ impl<M: Contract> Commander<M> {
             .held()
             .filter(|held| now < held.until)
             .ok_or_else(|| DeliveryError::LeaseEnded { actuator: self.0.actuator.clone() })?;
-        let mut bytes = Vec::new();
-        codec::encode(&message, &mut bytes)
-            .map_err(|_| DeliveryError::TooLarge { limit: M::MAX_SIZE })?;
-        let done = self.0.send_command(CommandKind::Command { epoch, message: bytes }, span).await;
+        let command = CommandKind::Command { epoch, message: encoded(&message)? };
+        let done = self.0.send_command(command, span).await;
         let noted = done.as_ref().map(|_| ()).map_err(Clone::clone);
         self.0.take_note(epoch, now, noted);
         match done? {

@@ -11,10 +11,12 @@ use crate::component::ports::{PortConstructor, Ports};
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
 use crate::registry::ContractPort;
-use crate::settings::LEASE;
+use crate::settings::{LEASE, SHUTDOWN_WITHIN};
+use blastema_core::lease::Lease;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Contract, DeliveryError, ObjectName};
 use std::sync::Arc;
+use std::time::Duration;
 
 impl Extension for ActuatorTable {}
 
@@ -34,13 +36,33 @@ impl<C: Component> Default for ActuatorPorts<C> {
     }
 }
 
-/// Withdraws the actuators of a component with it.
+/// Tells the actuators of a component what becomes of it, and withdraws them with it.
 struct Withdrawal {
     table: ActuatorTable,
     owner: ObjectName,
 }
 
 impl CellListener for Withdrawal {
+    fn activated(&self) {
+        self.table.handle_work(&self.owner, Lease::handle_at_work);
+    }
+
+    fn leaves_work(&self) -> Duration {
+        self.table.handle_work(&self.owner, Lease::handle_leaving)
+    }
+
+    fn stop_failed(&self) {
+        self.table.handle_work(&self.owner, Lease::handle_stop_failed);
+    }
+
+    fn left_work(&self, hook_done: bool) {
+        self.table.handle_work(&self.owner, |lease| lease.handle_left(hook_done));
+    }
+
+    fn deactivated(&self) {
+        self.left_work(false);
+    }
+
     fn removed(&self) {
         self.table.withdraw(&self.owner);
     }
@@ -74,6 +96,13 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
     fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
         let (name, environment) = (&cell.record.name, &cell.record.environment);
         let table = environment.actuators();
+        let within = cell.record.limits.shutdown_within;
+        let settle_within = self.0.iter().map(|(actuator, _)| actuator.settle_within).max();
+        if let Some(longer) = settle_within.filter(|span| *span > within) {
+            let value = format!("{within:?} with a settle_within of {longer:?}");
+            let error = SHUTDOWN_WITHIN.refuse(value, "write at least the settle_within");
+            return Err(SpecError::setting(name.as_str(), error));
+        }
         cell.record.listen(Withdrawal { table: table.clone(), owner: name.clone() });
         let declared = self.0.into_iter();
         let declared = declared.map(|(declared, open)| (declared, open(cell).into_skeleton()));

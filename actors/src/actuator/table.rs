@@ -14,7 +14,7 @@ use crate::runtime::callbacks::{CallKind, CallOutcome, Callbacks};
 use crate::runtime::guardian::{Guardian, answers_the_monitor};
 use actix::prelude::*;
 use blastema_contract::reports::AreYouAlive;
-use blastema_core::lease::{CommanderId, Lease, LeaseEnd, LeaseOutput, LeaseStatus};
+use blastema_core::lease::{CommanderId, Lease, LeaseOutput, LeaseStatus, RestCause, StopBy};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{
     ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant, Machine,
@@ -36,6 +36,10 @@ pub(crate) struct DeclaredActuator {
     pub(crate) span: Duration,
     /// The command that brings it to rest, encoded.
     pub(crate) safe: Result<Bytes, DeliveryError>,
+    pub(crate) stop_by: StopBy,
+    /// The command that stops it, encoded.
+    pub(crate) stop: Result<Bytes, DeliveryError>,
+    pub(crate) settle_within: Duration,
     pub(crate) cut_off: Option<SafeOutputFn>,
 }
 
@@ -58,6 +62,9 @@ struct Actuator {
     /// Where the commander is that holds the lease.
     claimed_from: Mutex<MessageOrigin>,
     safe: Bytes,
+    /// `None` where the component's hook stops it.
+    stop: Option<Bytes>,
+    settle_within: Duration,
     cut_off: Option<SafeOutputFn>,
     skeleton: Arc<dyn Skeleton>,
     /// Its commander is gone, and no other has claimed it since.
@@ -112,15 +119,20 @@ impl ActuatorTable {
         declared: Vec<(DeclaredActuator, Arc<dyn Skeleton>)>,
         access: AccessControl,
     ) -> Result<ContractPort, DeliveryError> {
-        for (DeclaredActuator { identity, span, safe, cut_off }, skeleton) in declared {
+        for (declared, skeleton) in declared {
+            let DeclaredActuator { identity, span, safe, stop_by, stop, settle_within, cut_off } =
+                declared;
             // Above every epoch of any earlier process of this node.
-            let lease = Lease::new(object.clone(), span, platform::node_incarnation().0 << 20);
+            let last_epoch = platform::node_incarnation().0 << 20;
+            let lease = Lease::new(object.clone(), span, stop_by, last_epoch);
             let actuator = Actuator {
                 object: object.clone(),
                 identity: identity.clone(),
                 lease: Mutex::new(lease),
                 claimed_from: Mutex::default(),
                 safe: safe?,
+                stop: (stop_by != StopBy::Hook).then_some(stop?),
+                settle_within,
                 cut_off,
                 skeleton,
                 lost: AtomicBool::default(),
@@ -148,6 +160,23 @@ impl ActuatorTable {
         drop(gone);
     }
 
+    /// Something becomes of the component's work. Returns how long it may go on until it has
+    /// settled, where it leaves work.
+    pub(crate) fn handle_work(&self, object: &ObjectName, handle: impl Fn(&mut Lease)) -> Duration {
+        let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
+        let mut settle_within = Duration::ZERO;
+        for actuator in all.iter().filter(|actuator| actuator.object == *object) {
+            let mut lease = lock(&actuator.lease);
+            handle(&mut lease);
+            if lease.is_stopping() {
+                settle_within = settle_within.max(actuator.settle_within);
+            }
+            drop(lease);
+            self.carry_out(actuator);
+        }
+        settle_within
+    }
+
     /// The node enters the safe state: every lease ends now, and none is granted before it goes to
     /// work again.
     pub(crate) fn rest(&self) {
@@ -162,7 +191,6 @@ impl ActuatorTable {
             drop(lease);
             self.carry_out(&actuator);
         }
-        self.look();
     }
 
     /// Whether there are none.
@@ -261,10 +289,7 @@ impl ActuatorTable {
                 Ok(CommandReply::Done(Vec::new()))
             }
             CommandKind::Command { epoch, message } => match lease.handle_renewal(epoch, now) {
-                Ok(()) => {
-                    drop(lease);
-                    return actuator.command(message, answer);
-                }
+                Ok(()) => return actuator.command(message, &mut lease, answer),
                 Err(why) => Err(why),
             },
         };
@@ -310,37 +335,53 @@ impl ActuatorTable {
     }
 
     fn carry_out(&self, actuator: &Arc<Actuator>) {
+        let object = &actuator.object;
         loop {
             let output = lock(&actuator.lease).poll_output();
-            let Some(output) = output else { return };
-            let LeaseOutput::ApplySafeOutputs { commander, epoch, end, again } = output;
+            let (commander, epoch, cause, again) = match output {
+                Some(LeaseOutput::Apply { commander, epoch, cause, again }) => {
+                    (commander, epoch, cause, again)
+                }
+                Some(LeaseOutput::CutOff { cause }) => {
+                    if cause == RestCause::Stopped {
+                        warn!(%object, "the actuator was not stopped in order: it is cut off");
+                    }
+                    self.cut_off(actuator);
+                    continue;
+                }
+                None => return,
+            };
             if !again {
-                let (object, who, incarnation) =
-                    (&actuator.object, &commander.name, commander.incarnation);
-                match end {
-                    LeaseEnd::Released => {
+                let (who, incarnation) = (&commander.name, commander.incarnation);
+                match cause {
+                    RestCause::Released => {
                         info!(%object, who, %incarnation, epoch, "lease released")
                     }
-                    LeaseEnd::Expired => {
+                    RestCause::Stopped => {
+                        info!(%object, who, %incarnation, epoch, "the actuator is stopped in order")
+                    }
+                    RestCause::Expired => {
                         warn!(%object, who, %incarnation, epoch, "commander gone: safe outputs applied");
                         let detail = format!("its commander {who}{incarnation} has gone");
                         actuator.skeleton.declare(FaultKind::CommanderGone, detail);
                         actuator.lost.store(true, Relaxed);
                     }
                 }
-                self.cut_off(actuator);
             }
+            let command = match cause {
+                RestCause::Stopped => actuator.stop.as_ref(),
+                RestCause::Expired | RestCause::Released => Some(&actuator.safe),
+            };
+            // Where there is none, the component's hook stops the actuator.
+            let Some(command) = command else { continue };
             let (table, applied_at) = (self.clone(), actuator.clone());
             let applied: ReplyTo = Box::new(move |result: Result<GatherBuffer, DeliveryError>| {
-                lock(&applied_at.lease).handle_applied(result.is_ok(), platform::now());
-                table.look();
+                lock(&applied_at.lease).handle_applied(cause, result.is_ok());
+                table.carry_out(&applied_at);
             });
+            let metadata = MessageMetadata { is_first: true, ..MessageMetadata::default() };
             // What came of it is told to the closure in every case.
-            let _ = actuator.skeleton.deliver(
-                &actuator.safe,
-                MessageMetadata::default(),
-                Some(applied),
-            );
+            let _ = actuator.skeleton.deliver(command, metadata, Some(applied));
         }
     }
 
@@ -399,11 +440,13 @@ impl Actuator {
     }
 
     /// Hands a command over. One at a time: what waits behind a component that is stuck would be
-    /// carried out after its lease has ended.
-    fn command(&self, message: Vec<u8>, answer: Responder<ActuatorCommand>) {
+    /// carried out after its lease has ended. It is handed over under the lease's lock, so that a
+    /// safe command finds it where it waits.
+    fn command(&self, message: Vec<u8>, lease: &mut Lease, answer: Responder<ActuatorCommand>) {
         if self.busy.swap(true, Relaxed) {
             return answer.give(CommandReply::refused(&DeliveryError::Full));
         }
+        lease.handle_command();
         let busy = self.busy.clone();
         let reply_to: ReplyTo = Box::new(move |result: Result<GatherBuffer, DeliveryError>| {
             busy.store(false, Relaxed);
@@ -512,6 +555,9 @@ mod tests {
             identity: ContractIdentity::of::<ActuatorCommand>(),
             span: Duration::from_secs(60),
             safe: Ok(Bytes::new()),
+            stop_by: StopBy::SafeCommand,
+            stop: Ok(Bytes::new()),
+            settle_within: Duration::ZERO,
             cut_off: None,
         };
         let port = table.declare(&wheels, vec![(declared, skeleton)], AccessControl::default());

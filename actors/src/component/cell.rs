@@ -33,6 +33,8 @@ use blastema_core::detection::hang::QueueReading;
 use blastema_core::{
     Contract, DeliveryError, FaultKind, Incarnation, Instant, Lifecycle, MessageId, ObjectName,
 };
+use std::any::TypeId;
+use std::cell::Cell;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
@@ -163,6 +165,13 @@ impl CellCore {
         if let Some(cold) = self.cold_if_used() {
             cold.announce(what);
         }
+    }
+
+    /// An incarnation leaves work in order. Returns how long it may go on until it has settled.
+    pub(crate) fn leave_work(&self) -> Duration {
+        let within = Cell::new(Duration::ZERO);
+        self.announce(|listener| within.set(within.get().max(listener.leaves_work())));
+        within.get()
     }
 
     pub(crate) fn incarnation(&self) -> Incarnation {
@@ -418,6 +427,27 @@ impl<C: Component> ComponentCell<C> {
         };
         let notice = seal_message::<C, Down>(down, None, None, heartbeat::coarse_now());
         drop(self.queue.notify(watcher, &about, notice));
+    }
+
+    /// Puts a safe command before all that waits, whether there is room or not. It ends with the
+    /// present incarnation. Commands of its contract that still wait are not begun any more.
+    pub(crate) fn post_first<M: Contract>(&self, command: M, answer: Responder<M>)
+    where
+        C: Handle<M>,
+    {
+        let Some(owner) = self.queue.owner() else {
+            return answer.refuse(DeliveryError::Restarting, None);
+        };
+        let is_command = |envelope: &BoxedEnvelope<C>| {
+            (envelope.header().contract == TypeId::of::<M>()).then(|| envelope.revocable())
+        };
+        for waiting in self.queue.select(is_command).into_iter().flatten() {
+            waiting.cancel(DeliveryError::Expired);
+        }
+        // No name of an object contains a blank.
+        let about = format!("command {}", M::NAME);
+        let command = seal_message::<C, M>(command, Some(answer), None, enqueue_time::<M>());
+        drop(self.queue.notify(owner, &about, command));
     }
 
     /// An event for a component that is busy, or has just been.

@@ -32,7 +32,7 @@ impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
     fn hand_over(
         &self,
         message: M,
-        MessageMetadata { id, age, until, .. }: MessageMetadata,
+        MessageMetadata { id, age, is_first, until, .. }: MessageMetadata,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), DeliveryError> {
         match reply_to {
@@ -60,6 +60,10 @@ impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
                     reply_to(result.and_then(converted));
                 };
                 let answer = Responder::called_back(Box::new(callback), until);
+                if is_first {
+                    self.cell.post_first(message, answer);
+                    return Ok(());
+                }
                 self.cell.post(message, answer, id).map_err(|error| error.kind)
             }
         }

@@ -90,6 +90,9 @@ impl<C: Component> ComponentChild<C> {
             control.wake();
         }
         self.cell.set_control(None);
+        if is_overdue {
+            record.leave_work();
+        }
         record.announce(|listener| listener.deactivated());
         let (object, ending) = (record.name.clone(), DownReason::Abandoned);
         record.tell_watchers(|| Down { object, node: None, incarnation, ending });
@@ -157,6 +160,7 @@ impl<C: Component> Child for ComponentChild<C> {
         if self.is_alive() {
             return self.order(HostCommand::Stop);
         }
+        self.cell.record.leave_work();
         self.cell.end();
         self.tell(self.cell.record.incarnation(), ChildEvent::Stopped);
     }

@@ -81,7 +81,7 @@ pub enum DeliveryError {
         /// The object, or the node.
         object: String,
     },
-    /// The message was older than its contract allows.
+    /// The message was older than its contract allows, or a command that a safe command has replaced.
     #[error("the message is older than its contract allows")]
     Expired,
     /// No object of this name is known.

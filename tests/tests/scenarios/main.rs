@@ -1,8 +1,8 @@
 //! Whole nodes and what strikes them, through the public interface and the whole fault chain.
 //!
-//! Everything but `hangs` and `starving` runs in virtual time on one thread. Each scenario says
-//! what was done to the robot, and what its record of faults, its table and its tree show
-//! afterwards.
+//! Everything but `hangs`, `starving` and `stops_under_load` runs in virtual time on one thread.
+//! Each scenario says what was done to the robot, and what its record of faults, its table and its
+//! tree show afterwards.
 
 mod chain;
 mod chaos;
@@ -33,6 +33,8 @@ mod sending;
 mod services;
 mod silence;
 mod starving;
+mod stops;
+mod stops_under_load;
 mod strategies;
 mod throwers;
 mod topics;

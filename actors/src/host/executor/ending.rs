@@ -166,6 +166,10 @@ impl<C: Component> ComponentExecutor<C> {
     pub(super) fn end(&mut self, end: EndReason) {
         let incarnation = self.state.incarnation;
         self.over = true;
+        if end != EndReason::Fatal {
+            // Those that it had no time to stop are cut off.
+            self.cell.record.leave_work();
+        }
         self.state.token.end();
         self.dispose_of_all(if end == EndReason::Fatal { Blame::Log } else { Blame::Fault });
         if self.cell.queue.owner() != Some(incarnation) {

@@ -308,7 +308,11 @@ impl<C: Component> ComponentExecutor<C> {
                     self.begin_hook(hook);
                     return self.advance(cx);
                 }
-                LifecycleStep::Serve => {}
+                LifecycleStep::Settle if self.is_settled() => {
+                    self.lifecycle.handle_settled();
+                    return Progress::More;
+                }
+                LifecycleStep::Settle | LifecycleStep::Serve => {}
                 LifecycleStep::Rest => return Progress::Wait,
                 LifecycleStep::End(end) => {
                     self.end(end);
@@ -496,6 +500,7 @@ impl<C: Component> ComponentExecutor<C> {
             self.lifecycle.handle_rate_changed();
         }
         if let Some(failure) = wishes.failure {
+            self.cell.record.announce(|listener| listener.stop_failed());
             self.lifecycle.handle_failure(failure);
         }
         if wishes.stop {
@@ -528,7 +533,9 @@ impl<C: Component> ComponentExecutor<C> {
                 }
                 Progress::More
             }
-            DueWork::ReadyLimit | DueWork::StopLimit | DueWork::Retry => Progress::More,
+            DueWork::ReadyLimit | DueWork::StopLimit | DueWork::SettleLimit | DueWork::Retry => {
+                Progress::More
+            }
         }
     }
 
@@ -541,6 +548,9 @@ impl<C: Component> ComponentExecutor<C> {
             let within = self.cell.record.limits.ready_within;
             self.lifecycle.handle_fatal(format!("it was not ready within {within:?}"));
             self.pass_reports();
+        }
+        if self.schedule.take_limit(DueWork::SettleLimit) {
+            self.state.settled.set(Some(true));
         }
         if self.schedule.take_limit(DueWork::StopLimit)
             && let Some(end) = self.lifecycle.end_reason()
