@@ -68,6 +68,11 @@ pub(crate) trait Skeleton: Send + Sync {
         reply_to: Option<ReplyTo>,
     ) -> Result<(), DeliveryError>;
 
+    /// The number of what the object serves, odd while it serves something.
+    fn turn(&self) -> u64 {
+        0
+    }
+
     /// Completes when there may be room for a message that was refused; `None` where nothing waits.
     fn space(&self) -> Option<CapacityFuture> {
         None

@@ -13,6 +13,9 @@
 //! Every claim that is granted has a greater epoch than any before; what comes under an older one
 //! is refused.
 //!
+//! A command counts for the command timeout. Then the safe command is given once. The commander
+//! keeps its lease, which being alive renews, and its next command counts again.
+//!
 //! While the component leaves work in order, claims are refused, and an actuator that has carried
 //! out a command gets its stop command. The cut-off is called only where that fails or comes too
 //! late.
@@ -20,6 +23,9 @@
 use crate::{DeliveryError, Incarnation, Instant, Machine, ObjectName};
 use std::collections::VecDeque;
 use std::time::Duration;
+
+/// How long a component has to begin its safe command before it is looked at: one beat.
+const BEAT: Duration = Duration::from_millis(10);
 
 /// The identity of a commander.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -42,6 +48,8 @@ pub struct LeaseGrant {
 /// Why an actuator is brought to rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RestCause {
+    /// The last command has counted for as long as it may. The commander keeps its lease.
+    CommandTimeout,
     /// The commander was silent for too long.
     Expired,
     /// The commander gave it back.
@@ -60,6 +68,17 @@ pub enum StopBy {
     StopCommand,
     /// The component's hook `on_deactivated`.
     Hook,
+}
+
+/// What an actuator's lease goes by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LeaseRules {
+    /// How long a lease holds unless it is renewed.
+    pub span: Duration,
+    /// How long a command counts; `None` for ever.
+    pub command_timeout: Option<Duration>,
+    /// What stops the actuator in order.
+    pub stop_by: StopBy,
 }
 
 /// The status of a lease, for display.
@@ -98,6 +117,9 @@ pub enum LeaseOutput {
         /// It has been tried before.
         again: bool,
     },
+    /// The safe command of a command timeout has not been carried out yet: tell
+    /// [`Lease::handle_check`] whether the component still serves what it served before.
+    CheckTaken,
     /// Call the cut-off, and tell [`Lease::handle_cut_off_returned`] when it has returned, or at
     /// once where the actuator has none.
     CutOff {
@@ -110,14 +132,17 @@ pub enum LeaseOutput {
 #[derive(Debug)]
 pub struct Lease {
     actuator: ObjectName,
-    span: Duration,
-    stop_by: StopBy,
+    rules: LeaseRules,
     last_epoch: u64,
     /// The last one.
     commander: CommanderId,
     state: State,
     /// A command was carried out, and since then none that stops the actuator.
     moves: bool,
+    /// Until when the last command counts; `None` where none does, or for ever.
+    counts_until: Option<Instant>,
+    /// When to look whether the component has begun the safe command of a command timeout.
+    check_at: Option<Instant>,
     /// What was given and has not been carried out.
     given: Option<RestCause>,
     /// Cut-offs that are still to be called, or run: they would stop the actuator under its next
@@ -147,25 +172,21 @@ enum Work {
 impl Lease {
     /// A lease of `actuator` without a holder. Epochs are above `last_epoch`; let it rise with
     /// every incarnation of the node, so that commands from before are known as such.
-    pub fn new(actuator: ObjectName, span: Duration, stop_by: StopBy, last_epoch: u64) -> Self {
+    pub fn new(actuator: ObjectName, rules: LeaseRules, last_epoch: u64) -> Self {
         Lease {
             actuator,
-            span,
-            stop_by,
+            rules,
             last_epoch,
             commander: CommanderId { name: String::new(), incarnation: Incarnation(0) },
             state: State::Free,
             moves: false,
+            counts_until: None,
+            check_at: None,
             given: None,
             cut_offs: 0,
             work: Work::Goes,
             outputs: VecDeque::new(),
         }
-    }
-
-    /// Returns the holder of the lease and its epoch.
-    pub fn holder(&self) -> Option<(&CommanderId, u64)> {
-        matches!(self.state, State::Held { .. }).then_some((&self.commander, self.last_epoch))
     }
 
     /// How it stands at `now`.
@@ -189,7 +210,7 @@ impl Lease {
         commander: CommanderId,
         now: Instant,
     ) -> Result<LeaseGrant, DeliveryError> {
-        self.handle_timeout(now);
+        self.expire(now);
         let holder = &self.commander;
         match &self.state {
             _ if self.work != Work::Goes => return Err(DeliveryError::Restarting),
@@ -205,8 +226,8 @@ impl Lease {
         }
         self.last_epoch += 1;
         self.commander = commander;
-        self.state = State::Held { due: now + self.span };
-        Ok(LeaseGrant { epoch: self.last_epoch, span: self.span })
+        self.state = State::Held { due: now + self.rules.span };
+        Ok(LeaseGrant { epoch: self.last_epoch, span: self.rules.span })
     }
 
     /// The commander renews the lease: its time starts again.
@@ -215,8 +236,8 @@ impl Lease {
     /// [`DeliveryError::Superseded`] where another claim holds, [`DeliveryError::LeaseEnded`] where
     /// none does.
     pub fn handle_renewal(&mut self, epoch: u64, now: Instant) -> Result<(), DeliveryError> {
-        self.handle_timeout(now);
-        let span = self.span;
+        self.expire(now);
+        let span = self.rules.span;
         match &mut self.state {
             State::Held { due } if epoch == self.last_epoch => {
                 *due = now + span;
@@ -229,9 +250,17 @@ impl Lease {
         }
     }
 
-    /// The commander's command is handed to the component.
-    pub fn handle_command(&mut self) {
-        self.moves = true;
+    /// The commander's command is handed to the component, and counts from now on.
+    pub fn handle_command(&mut self, now: Instant) {
+        (self.moves, self.given, self.check_at) = (true, None, None);
+        self.counts_until = self.rules.command_timeout.map(|timeout| now + timeout);
+    }
+
+    /// Whether the component has begun the safe command of a command timeout, or could have.
+    pub fn handle_check(&mut self, is_taken: bool) {
+        if self.check_at.take().is_some() && !is_taken {
+            self.cut_off(RestCause::CommandTimeout);
+        }
     }
 
     /// The commander gives the lease back.
@@ -249,10 +278,12 @@ impl Lease {
         }
         match applied {
             true => {
-                self.moves &= cause != RestCause::Stopped && self.stop_by == StopBy::StopCommand;
+                self.moves &=
+                    cause != RestCause::Stopped && self.rules.stop_by == StopBy::StopCommand;
                 self.handle_stopped();
             }
             false if cause == RestCause::Stopped => self.handle_stop_failed(),
+            false if cause == RestCause::CommandTimeout => self.handle_check(false),
             // It is given again when the component is at work again.
             false => {}
         }
@@ -301,7 +332,7 @@ impl Lease {
 
     /// The component has left work: its hook has, or has not, ended well.
     pub fn handle_left(&mut self, hook_done: bool) {
-        let is_stopped = match self.stop_by {
+        let is_stopped = match self.rules.stop_by {
             StopBy::Hook => hook_done,
             StopBy::SafeCommand | StopBy::StopCommand => !self.moves,
         };
@@ -315,7 +346,7 @@ impl Lease {
     }
 
     fn handle_stopped(&mut self) {
-        self.given = None;
+        (self.given, self.check_at) = (None, None);
         self.free_once_settled();
     }
 
@@ -333,13 +364,21 @@ impl Lease {
         }
     }
 
+    fn expire(&mut self, now: Instant) {
+        if let State::Held { due } = self.state
+            && now >= due
+        {
+            self.end(RestCause::Expired);
+        }
+    }
+
     fn cut_off(&mut self, cause: RestCause) {
         self.cut_offs += 1;
         self.outputs.push_back(LeaseOutput::CutOff { cause });
     }
 
     fn give(&mut self, cause: RestCause, again: bool) {
-        self.given = Some(cause);
+        (self.given, self.counts_until) = (Some(cause), None);
         let (commander, epoch) = (self.commander.clone(), self.last_epoch);
         self.outputs.push_back(LeaseOutput::Apply { commander, epoch, cause, again });
     }
@@ -354,15 +393,23 @@ impl Machine for Lease {
 
     fn poll_timeout(&self) -> Option<Instant> {
         match self.state {
-            State::Held { due } => Some(due),
+            State::Held { due } => {
+                [Some(due), self.counts_until, self.check_at].into_iter().flatten().min()
+            }
             State::Free | State::Settling => None,
         }
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        match self.state {
-            State::Held { due } if now >= due => self.end(RestCause::Expired),
-            State::Free | State::Held { .. } | State::Settling => {}
+        self.expire(now);
+        if !matches!(self.state, State::Held { .. }) {
+            return;
+        }
+        if self.counts_until.is_some_and(|until| now >= until) {
+            self.check_at = Some(now + BEAT);
+            self.give(RestCause::CommandTimeout, false);
+        } else if self.check_at.is_some_and(|at| now >= at) {
+            self.outputs.push_back(LeaseOutput::CheckTaken);
         }
     }
 }
@@ -386,7 +433,11 @@ mod tests {
     }
 
     fn held_by_planner(stop_by: StopBy) -> (Lease, u64) {
-        let mut lease = Lease::new(ObjectName::new("wheel").unwrap(), SPAN, stop_by, 7);
+        held_under(LeaseRules { span: SPAN, command_timeout: None, stop_by })
+    }
+
+    fn held_under(rules: LeaseRules) -> (Lease, u64) {
+        let mut lease = Lease::new(ObjectName::new("wheel").unwrap(), rules, 7);
         let grant = lease.handle_claim(who("planner", 1), ms(0)).unwrap();
         assert_eq!(grant, LeaseGrant { epoch: 8, span: SPAN });
         (lease, grant.epoch)
@@ -404,7 +455,7 @@ mod tests {
     fn applied(lease: &mut Lease) -> Option<(RestCause, bool)> {
         match lease.poll_output()? {
             LeaseOutput::Apply { cause, again, .. } => Some((cause, again)),
-            LeaseOutput::CutOff { .. } => applied(lease),
+            LeaseOutput::CutOff { .. } | LeaseOutput::CheckTaken => applied(lease),
         }
     }
 
@@ -412,6 +463,7 @@ mod tests {
     fn outputs(lease: &mut Lease) -> Vec<&'static str> {
         let name = |output| match output {
             LeaseOutput::CutOff { .. } => "cut-off",
+            LeaseOutput::CheckTaken => "check",
             LeaseOutput::Apply { cause: RestCause::Stopped, .. } => "stop",
             LeaseOutput::Apply { .. } => "safe",
         };
@@ -443,7 +495,6 @@ mod tests {
         lease.handle_timeout(ms(160));
 
         assert_eq!(applied(&mut lease), Some((RestCause::Expired, false)));
-        assert_eq!(lease.holder(), None);
         assert_eq!(lease.handle_renewal(epoch, ms(161)), ended());
     }
 
@@ -473,7 +524,7 @@ mod tests {
             Err(DeliveryError::Superseded { epoch: grant.epoch })
         );
         lease.handle_release(epoch);
-        assert_eq!(lease.holder(), Some((&who("console", 1), grant.epoch)));
+        assert_eq!(lease.handle_renewal(grant.epoch, ms(104)), Ok(()), "it is not the holder's");
     }
 
     #[test]
@@ -535,7 +586,7 @@ mod tests {
         lease.handle_at_work();
 
         lease.handle_claim(who("planner", 1), ms(2)).unwrap();
-        lease.handle_command();
+        lease.handle_command(ms(1));
         lease.handle_leaving();
         lease.handle_leaving();
         assert_eq!((outputs(&mut lease), lease.is_stopping()), (vec!["stop"], true));
@@ -559,7 +610,7 @@ mod tests {
         };
         for step in [refused, too_late, fails] {
             let (mut lease, _) = held();
-            lease.handle_command();
+            lease.handle_command(ms(1));
             lease.handle_leaving();
             assert_eq!(outputs(&mut lease), ["stop"]);
             step(&mut lease);
@@ -578,7 +629,7 @@ mod tests {
     fn a_hook_that_stops_the_actuator_is_waited_for_and_cut_off_where_it_fails() {
         for (hook_done, then) in [(true, vec![]), (false, vec!["cut-off"])] {
             let (mut lease, _) = held_by_planner(StopBy::Hook);
-            lease.handle_command();
+            lease.handle_command(ms(1));
             lease.handle_leaving();
             outputs(&mut lease);
             lease.handle_left(hook_done);
@@ -589,7 +640,7 @@ mod tests {
     #[test]
     fn a_stop_command_of_its_own_follows_the_safe_command_too() {
         let (mut lease, epoch) = held_by_planner(StopBy::StopCommand);
-        lease.handle_command();
+        lease.handle_command(ms(1));
         lease.handle_release(epoch);
         assert_eq!(outputs(&mut lease), ["cut-off", "safe"]);
 
@@ -601,5 +652,79 @@ mod tests {
         lease.handle_applied(RestCause::Stopped, true);
         lease.handle_cut_off_returned();
         assert_eq!(lease.status(ms(2)), LeaseStatus::Free);
+    }
+
+    /// Commanded at 10 ms and renewed since, under a command timeout of 40 ms.
+    fn overdue() -> (Lease, u64) {
+        let command_timeout = Some(Duration::from_millis(40));
+        let stop_by = StopBy::SafeCommand;
+        let (mut lease, epoch) = held_under(LeaseRules { span: SPAN, command_timeout, stop_by });
+        lease.handle_command(ms(10));
+        lease.handle_renewal(epoch, ms(49)).unwrap();
+        lease.handle_timeout(ms(49));
+        assert_eq!((outputs(&mut lease), lease.poll_timeout()), (vec![], Some(ms(50))));
+        lease.handle_timeout(ms(50));
+        assert_eq!(outputs(&mut lease), ["safe"]);
+        (lease, epoch)
+    }
+
+    #[test]
+    fn a_command_counts_for_its_timeout_and_the_safe_command_is_given_once_within_the_lease() {
+        let (mut lease, epoch) = overdue();
+        lease.handle_applied(RestCause::CommandTimeout, true);
+        for now in 52..200 {
+            lease.handle_renewal(epoch, ms(now)).unwrap();
+            lease.handle_timeout(ms(now));
+        }
+        assert_eq!(outputs(&mut lease), [""; 0]);
+
+        lease.handle_command(ms(200));
+        lease.handle_command(ms(220));
+        lease.handle_renewal(epoch, ms(260)).unwrap();
+        assert_eq!(outputs(&mut lease), [""; 0], "a command that came now would count");
+        lease.handle_timeout(ms(260));
+        assert_eq!(outputs(&mut lease), ["safe"]);
+    }
+
+    #[test]
+    fn a_safe_command_that_the_component_does_not_begin_is_followed_by_the_cut_off_once() {
+        for (is_taken, then) in [(true, vec![]), (false, vec!["cut-off"])] {
+            let (mut lease, epoch) = overdue();
+            lease.handle_timeout(ms(59));
+            assert_eq!(outputs(&mut lease), [""; 0]);
+            lease.handle_timeout(ms(60));
+            assert_eq!(outputs(&mut lease), ["check"]);
+            lease.handle_check(is_taken);
+            lease.handle_check(false);
+            lease.handle_timeout(ms(90));
+            assert_eq!(outputs(&mut lease), then);
+
+            lease.handle_command(ms(91));
+            lease.handle_applied(RestCause::CommandTimeout, true);
+            lease.handle_renewal(epoch, ms(131)).unwrap();
+            lease.handle_timeout(ms(131));
+            assert_eq!(outputs(&mut lease), ["safe"], "the command of 91 counted to 131");
+        }
+    }
+
+    #[test]
+    fn a_safe_command_that_is_refused_cuts_off_and_is_given_when_the_component_is_at_work_again() {
+        let (mut lease, _) = overdue();
+        lease.handle_applied(RestCause::CommandTimeout, false);
+        assert_eq!(outputs(&mut lease), ["cut-off"]);
+        lease.handle_at_work();
+        assert_eq!(outputs(&mut lease), ["safe"]);
+    }
+
+    #[test]
+    fn a_lease_that_ends_while_the_safe_command_is_carried_out_ends_as_any() {
+        let (mut lease, epoch) = overdue();
+        lease.handle_release(epoch);
+        assert_eq!(outputs(&mut lease), ["cut-off", "safe"]);
+        lease.handle_applied(RestCause::CommandTimeout, true);
+        lease.handle_cut_off_returned();
+        assert!(lease.handle_claim(who("console", 1), ms(53)).is_err(), "its own is awaited");
+        lease.handle_applied(RestCause::Released, true);
+        assert!(lease.handle_claim(who("console", 1), ms(55)).is_ok());
     }
 }

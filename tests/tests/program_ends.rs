@@ -3,7 +3,7 @@
 #![allow(clippy::print_stdout, reason = "the processes tell the test what they do")]
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, NodeBuilder};
+use blastema::{ActuatorSpec, Hold, NodeBuilder};
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::net::UnixDatagram;
@@ -49,7 +49,7 @@ struct Wheels;
 
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(Duration::from_secs(10)));
+        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold).lease(Duration::from_secs(10)));
     }
 }
 

@@ -444,9 +444,9 @@ impl<C: Component> ComponentCell<C> {
         for waiting in self.queue.select(is_command).into_iter().flatten() {
             waiting.cancel(DeliveryError::Expired);
         }
-        // No name of an object contains a blank.
-        let about = format!("command {}", M::NAME);
-        let command = seal_message::<C, M>(command, Some(answer), None, enqueue_time::<M>());
+        // No name of an object contains a blank, and no safe command grows old.
+        let (about, never) = (format!("command {}", M::NAME), Instant::from_nanos(u64::MAX));
+        let command = seal_message::<C, M>(command, Some(answer), None, never);
         drop(self.queue.notify(owner, &about, command));
     }
 
@@ -528,7 +528,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
         _: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>> {
         let (answer, reply) = Responder::awaited();
-        match self.post(message, answer, id) {
+        match self.post(message, answer, id, enqueue_time::<M>()) {
             Ok(()) => Ok(reply),
             Err(error) => Err(error.into()),
         }
@@ -588,6 +588,7 @@ impl<C: Component> ComponentCell<C> {
         message: M,
         answer: Responder<M>,
         id: Option<MessageId>,
+        posted_at: Instant,
     ) -> Result<(), SendError<M>>
     where
         C: Handle<M>,
@@ -596,7 +597,7 @@ impl<C: Component> ComponentCell<C> {
         let logged = self.record.log_sent(M::NAME);
         let posted = match self.admit(id) {
             Ok(()) => {
-                let times = Times { logged, ..enqueue_time::<M>().into() };
+                let times = Times { logged, ..posted_at.into() };
                 self.push(message, |m| seal_message::<C, M>(m, answer.take(), id, times))
             }
             Err(why) => Err((message, why)),

@@ -9,6 +9,7 @@ use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{Event, ObjectName, Request};
 use std::any::Any;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Makes the skeleton for one contract.
 pub(crate) type PortConstructor<C> = fn(&Arc<ComponentCell<C>>) -> ContractPort;
@@ -20,12 +21,15 @@ pub struct Ports<C: Component> {
     taken: Vec<&'static str>,
     /// What features add, each once.
     features: Vec<Box<dyn Declarations<C>>>,
+    /// How long handlers may await something, unless the child spec says so.
+    pub(crate) max_wait: Option<Duration>,
 }
 
 impl<C: Component> Ports<C> {
     /// What the component declares.
     pub(crate) fn of() -> Self {
-        let mut ports = Ports { open: Vec::new(), taken: Vec::new(), features: Vec::new() };
+        let mut ports =
+            Ports { open: Vec::new(), taken: Vec::new(), features: Vec::new(), max_wait: None };
         C::ports(&mut ports);
         ports
     }

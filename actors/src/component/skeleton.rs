@@ -64,7 +64,9 @@ impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
                     self.cell.post_first(message, answer);
                     return Ok(());
                 }
-                self.cell.post(message, answer, id).map_err(|error| error.kind)
+                self.cell
+                    .post(message, answer, id, arrived_posting_time::<M>(age))
+                    .map_err(|error| error.kind)
             }
         }
     }
@@ -95,6 +97,11 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
                 Err(why)
             }
         }
+    }
+
+    fn turn(&self) -> u64 {
+        let placement = self.cell.record.arbiter();
+        placement.map_or(0, |placement| placement.slot.activity.read().turn)
     }
 
     fn space(&self) -> Option<CapacityFuture> {

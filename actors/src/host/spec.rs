@@ -26,6 +26,7 @@ pub struct ChildSpec<C: Component> {
     queue: (usize, WhenFull),
     rate_hz: Option<f64>,
     limits: SharedLimits,
+    max_wait: Option<Duration>,
     depends_on: Vec<String>,
     essential: bool,
     more_ports: Vec<MorePorts<C>>,
@@ -52,6 +53,7 @@ impl<C: Component> ChildSpec<C> {
             queue: (QUEUE.default, WhenFull::Refuse),
             rate_hz: None,
             limits: SharedLimits::default(),
+            max_wait: None,
             depends_on: Vec::new(),
             essential: false,
             more_ports: Vec::new(),
@@ -97,9 +99,11 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// How long a handler may await something before it counts as hanging; at least 1 ms.
+    /// How long a handler or hook may await something before it counts as hanging; at least 1 ms.
+    /// Unless set, it is the shortest command timeout of the component's
+    /// [actuators](crate::ActuatorSpec::new), or 10 s where it has none.
     pub fn max_wait(mut self, span: Duration) -> Self {
-        self.limits.hang().max_wait = span;
+        self.max_wait = Some(span);
         self
     }
 
@@ -171,7 +175,6 @@ impl<C: Component> ChildSpec<C> {
         if let Some(interval) = self.interval().map_err(refused)? {
             limits.interval = Some(interval);
         }
-        limits.check().map_err(refused)?;
         QUEUE.check(self.queue.0).map_err(refused)?;
         let name = SpecError::check_name(ObjectName::new(&self.name)?)?;
         let more_ports = self.more_ports;
@@ -185,6 +188,10 @@ impl<C: Component> ChildSpec<C> {
         let ports =
             declared.map_err(|panicked| SpecError::Ports { name: name.clone(), panicked })?;
         ports.check(&name)?;
+        if let Some(span) = self.max_wait.or(ports.max_wait) {
+            limits.hang().max_wait = span;
+        }
+        limits.check().map_err(|error| SpecError::setting(&self.name, error))?;
         let record = CellCore::new(name.clone(), limits, environment.clone());
         let cell = Arc::new(ComponentCell::new(record, self.queue, self.factory));
         environment.registry.register(&name, ports.skeletons(&cell), cell.clone())?;

@@ -124,6 +124,11 @@ impl Node {
     /// Has SIGTERM, SIGINT and SIGHUP apply the safe outputs and close the journal, if this node
     /// has any.
     pub(super) fn apply_safe_outputs_on_signals(&self) -> io::Result<()> {
+        if !self.0.chain.safe_outputs.are_declared() {
+            for actuator in self.0.environment.actuators().without_cut_off() {
+                warn!(%actuator, "nothing stops this actuator if its component hangs: declare a cut_off, or safe_outputs of the node");
+            }
+        }
         if !self.0.has_outputs() && !self.0.chain.keeps_journal() {
             return Ok(());
         }

@@ -6,6 +6,7 @@
 
 mod chain;
 mod chaos;
+mod command_timeouts;
 mod commanders;
 mod death_watch;
 mod declared;

@@ -4,8 +4,8 @@ use crate::puppet::{Deed, Do, Pull, Strings, ask, incarnation, strike};
 use blastema::core::recovery::{Ladder, Plan, RecoveryAction};
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Fault, FaultTransition, Link, MemoryMedium, Network, NodeBuilder, RestartError,
-    RestartedChild,
+    ActuatorSpec, Fault, FaultTransition, Hold, Link, MemoryMedium, Network, NodeBuilder,
+    RestartError, RestartedChild,
 };
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
@@ -231,7 +231,7 @@ struct Wheels(Arc<Mutex<Vec<f32>>>);
 
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(Duration::from_secs(60)));
+        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold).lease(Duration::from_secs(60)));
     }
 }
 

@@ -1,7 +1,7 @@
 //! Actuators that are stopped in order, in virtual time: none keeps its last command.
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Commander, StartError};
+use blastema::{ActuatorSpec, Commander, Hold, StartError};
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -93,7 +93,7 @@ fn machine(log: &Log, spec: Spec) -> ChildSpec<Machine> {
         .shutdown_within(Duration::from_secs(1))
         .rate_hz(100.0)
         .with_ports(move |ports| {
-            let actuator = ActuatorSpec::new(SAFE).cut_off(move || cut.note("cut off"));
+            let actuator = ActuatorSpec::new(SAFE, Hold).cut_off(move || cut.note("cut off"));
             ports.actuator(spec(actuator));
         })
 }
