@@ -3,18 +3,8 @@
 use super::{RecoveryStrategy, StrategyContext};
 use blastema_core::recovery::{RecoveryAction, RecoveryDone, RecoveryFailed, RecoveryOrder};
 
-/// Carries out any of [`BUILT_IN`].
+/// Carries out each action that needs no strategy of the application.
 pub(super) struct BuiltIn;
-
-/// The actions that need no strategy of the application.
-pub(super) const BUILT_IN: [RecoveryAction; 6] = [
-    RecoveryAction::Reset,
-    RecoveryAction::Restart,
-    RecoveryAction::MoveToOwnThread,
-    RecoveryAction::Reroute,
-    RecoveryAction::Isolate,
-    RecoveryAction::SafeStop,
-];
 
 impl RecoveryStrategy for BuiltIn {
     async fn carry_out(
