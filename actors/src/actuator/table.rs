@@ -182,6 +182,7 @@ impl ActuatorTable {
             if let LeaseStatus::Held { epoch, .. } = lease.status(now) {
                 lease.handle_release(epoch);
             }
+            lease.handle_stop_failed();
             drop(lease);
             self.carry_out(&actuator);
         }
@@ -192,6 +193,11 @@ impl ActuatorTable {
         let actuators = lock(&self.actuators);
         let without = actuators.values().filter(|actuator| actuator.declared.cut_off.is_none());
         without.map(|actuator| actuator.object.clone()).collect()
+    }
+
+    /// Whether one is being stopped in order.
+    pub(crate) fn are_stopping(&self) -> bool {
+        lock(&self.actuators).values().any(|actuator| lock(&actuator.lease).is_stopping())
     }
 
     /// Whether there are none.

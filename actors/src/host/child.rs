@@ -14,6 +14,7 @@ use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
 use blastema_core::{DeliveryError, FaultKind, Incarnation, Lifecycle, ObjectName};
 use std::any::Any;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 
 /// A hosted component in the hands of its supervisor.
 pub(crate) struct ComponentChild<C: Component> {
@@ -53,6 +54,7 @@ impl<C: Component> ComponentChild<C> {
         let record = &self.cell.record;
         // At once: the guard may be about to pass the queue on to a replacement.
         let Some(incarnation) = self.cell.queue.evict() else { return false };
+        record.environment.cut_short.fetch_add(1, Relaxed);
         let mut keeps_thread = false;
         let placement = record.take_placement();
         if let Some(placement) = &placement {

@@ -16,6 +16,7 @@ use blastema_core::ObjectName;
 use blastema_core::detection::Liveness;
 use std::fmt;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 /// Describes a component: its name, its factory, and how it is run and monitored.
@@ -192,6 +193,8 @@ impl<C: Component> ChildSpec<C> {
             limits.hang().max_wait = span;
         }
         limits.check().map_err(|error| SpecError::setting(&self.name, error))?;
+        let longest = u64::try_from(limits.shutdown_within.as_millis()).unwrap_or(u64::MAX);
+        environment.longest_stop_ms.fetch_max(longest, Relaxed);
         let record = CellCore::new(name.clone(), limits, environment.clone());
         let cell = Arc::new(ComponentCell::new(record, self.queue, self.factory));
         environment.registry.register(&name, ports.skeletons(&cell), cell.clone())?;

@@ -44,6 +44,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 use std::task::{self, Poll, Waker};
 
 /// Messages per poll while they are quick; then neighbours and the control queue have their turn.
@@ -556,6 +557,7 @@ impl<C: Component> ComponentExecutor<C> {
             && let Some(end) = self.lifecycle.end_reason()
         {
             let within = self.cell.record.limits.shutdown_within;
+            self.cell.record.environment.cut_short.fetch_add(1, Relaxed);
             // A caller that gives it no time at all wants it cut off.
             if !within.is_zero() {
                 self.lifecycle.handle_cut_off(self.in_service(), within);
