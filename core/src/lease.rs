@@ -378,7 +378,7 @@ impl Lease {
     }
 
     fn give(&mut self, cause: RestCause, again: bool) {
-        (self.given, self.counts_until) = (Some(cause), None);
+        (self.given, self.counts_until, self.check_at) = (Some(cause), None, None);
         let (commander, epoch) = (self.commander.clone(), self.last_epoch);
         self.outputs.push_back(LeaseOutput::Apply { commander, epoch, cause, again });
     }
@@ -406,8 +406,8 @@ impl Machine for Lease {
             return;
         }
         if self.counts_until.is_some_and(|until| now >= until) {
-            self.check_at = Some(now + BEAT);
             self.give(RestCause::CommandTimeout, false);
+            self.check_at = Some(now + BEAT);
         } else if self.check_at.is_some_and(|at| now >= at) {
             self.outputs.push_back(LeaseOutput::CheckTaken);
         }

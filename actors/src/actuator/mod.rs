@@ -168,7 +168,7 @@ impl<M: Contract> fmt::Debug for ActuatorSpec<M> {
 }
 
 /// Commands an actuator, here or on another node. The lease is renewed by itself for as long as the
-/// component that commands incarnations and its thread turns; with the last clone it is given back.
+/// incarnation that commands lasts and its thread turns; with the last clone it is given back.
 pub struct Commander<M: Contract>(Arc<CommanderState>, PhantomData<fn(M)>);
 
 /// What all clones of a commander share.
