@@ -42,6 +42,8 @@ pub(crate) struct MessageMetadata {
     pub(crate) id: Option<MessageId>,
     /// How long it has been on its way.
     pub(crate) age: Duration,
+    /// It is a safe command: it comes before all that waits, and needs no room.
+    pub(crate) is_first: bool,
     /// A request is not to be begun after this.
     pub(crate) until: Option<Instant>,
     /// The node that it comes from, if it is another.
@@ -65,6 +67,11 @@ pub(crate) trait Skeleton: Send + Sync {
         metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), DeliveryError>;
+
+    /// The number of what the object serves, odd while it serves something.
+    fn turn(&self) -> u64 {
+        0
+    }
 
     /// Completes when there may be room for a message that was refused; `None` where nothing waits.
     fn space(&self) -> Option<CapacityFuture> {

@@ -206,3 +206,12 @@ pub(crate) const LEASE: Setting<Duration> = Setting {
     range: Duration::from_millis(20)..=MINUTE,
     cure: "write 20 ms to 60 s",
 };
+
+/// Three commands of a base that is commanded 30 times a second, or more. A beat is how often the
+/// node looks. What is to go on for longer without a further command is a goal.
+pub(crate) const COMMAND_TIMEOUT: Setting<Duration, ()> = Setting {
+    name: "the command timeout",
+    default: (),
+    range: Duration::from_millis(10)..=MINUTE,
+    cure: "write 10 ms to 60 s, or Hold for commands that run for long",
+};

@@ -1,24 +1,31 @@
 //! A commander's right to move an actuator, which ends by itself.
 //!
 //! ```text
-//!            claim              lease over, or released
-//!   Free ─────────────► Held ───────────────────────────► Settling
-//!    ▲                   │ ▲                                 │ safe outputs applied,
-//!    │                   └─┘ renewed, commanded              │ and cut-off returned
-//!    └───────────────────────────────────────────────────────┘
+//!            claim              lease over, released, or stopped
+//!   Free ─────────────► Held ───────────────────────────────────► Settling
+//!    ▲                   │ ▲                                         │ safe command carried out,
+//!    │                   └─┘ renewed, commanded                      │ and cut-off returned
+//!    └───────────────────────────────────────────────────────────────┘
 //! ```
 //!
 //! The lease is counted where the actuator is, on its clock alone: whatever becomes of the
 //! commander, its process or the cable, the safe outputs are applied there when the lease is over.
 //! Every claim that is granted has a greater epoch than any before; what comes under an older one
 //! is refused.
+//!
+//! A command counts for the command timeout. Then the safe command is given once. The commander
+//! keeps its lease, which being alive renews, and its next command counts again.
+//!
+//! While the component leaves work in order, claims are refused, and an actuator that has carried
+//! out a command gets its stop command. The cut-off is called only where that fails or comes too
+//! late.
 
 use crate::{DeliveryError, Incarnation, Instant, Machine, ObjectName};
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// How soon safe outputs that did not get through are applied again: one beat.
-const RETRY: Duration = Duration::from_millis(10);
+/// How long a component has to begin its safe command before it is looked at: one beat.
+const BEAT: Duration = Duration::from_millis(10);
 
 /// The identity of a commander.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -38,13 +45,40 @@ pub struct LeaseGrant {
     pub span: Duration,
 }
 
-/// Why a lease ended.
+/// Why an actuator is brought to rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LeaseEnd {
+pub enum RestCause {
+    /// The last command has counted for as long as it may. The commander keeps its lease.
+    CommandTimeout,
     /// The commander was silent for too long.
     Expired,
     /// The commander gave it back.
     Released,
+    /// The component leaves work in order.
+    Stopped,
+}
+
+/// What stops an actuator whose component leaves work in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StopBy {
+    /// The safe command.
+    SafeCommand,
+    /// A command of its own, which the safe command does not replace: a drone that hovers is to
+    /// land.
+    StopCommand,
+    /// The component's hook `on_deactivated`.
+    Hook,
+}
+
+/// What an actuator's lease goes by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LeaseRules {
+    /// How long a lease holds unless it is renewed.
+    pub span: Duration,
+    /// How long a command counts; `None` for ever.
+    pub command_timeout: Option<Duration>,
+    /// What stops the actuator in order.
+    pub stop_by: StopBy,
 }
 
 /// The status of a lease, for display.
@@ -61,7 +95,7 @@ pub enum LeaseStatus {
         /// How long the lease still holds unless it is renewed.
         left: Duration,
     },
-    /// The safe outputs are being applied.
+    /// The safe or the stop command is being carried out.
     Settling {
         /// Who commanded until then.
         commander: CommanderId,
@@ -71,18 +105,26 @@ pub enum LeaseStatus {
 /// An output of the lease's machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LeaseOutput {
-    /// Apply the safe outputs, and tell [`Lease::handle_applied`] what came of it. Where this is
-    /// not a retry, call the cut-off as well, and tell [`Lease::handle_cut_off_returned`] when it
-    /// has returned, or at once where the actuator has none.
-    ApplySafeOutputs {
+    /// Give the safe command, or the stop command where the cause is [`RestCause::Stopped`], and
+    /// tell [`Lease::handle_applied`] what came of it.
+    Apply {
         /// Who commanded until now.
         commander: CommanderId,
         /// Under which epoch.
         epoch: u64,
         /// Why no longer.
-        end: LeaseEnd,
+        cause: RestCause,
         /// It has been tried before.
         again: bool,
+    },
+    /// The safe command of a command timeout has not been carried out yet: tell
+    /// [`Lease::handle_check`] whether the component still serves what it served before.
+    CheckTaken,
+    /// Call the cut-off, and tell [`Lease::handle_cut_off_returned`] when it has returned, or at
+    /// once where the actuator has none.
+    CutOff {
+        /// Why it is called.
+        cause: RestCause,
     },
 }
 
@@ -90,54 +132,70 @@ pub enum LeaseOutput {
 #[derive(Debug)]
 pub struct Lease {
     actuator: ObjectName,
-    span: Duration,
+    rules: LeaseRules,
     last_epoch: u64,
+    /// The last one.
+    commander: CommanderId,
     state: State,
+    /// A command was carried out, and since then none that stops the actuator.
+    moves: bool,
+    /// Until when the last command counts; `None` where none does, or for ever.
+    counts_until: Option<Instant>,
+    /// When to look whether the component has begun the safe command of a command timeout.
+    check_at: Option<Instant>,
+    /// What was given and has not been carried out.
+    given: Option<RestCause>,
+    /// Cut-offs that are still to be called, or run: they would stop the actuator under its next
+    /// commander.
+    cut_offs: u32,
+    work: Work,
     outputs: VecDeque<LeaseOutput>,
 }
 
-#[derive(Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Free,
-    Held { commander: CommanderId, due: Instant },
-    Settling { commander: CommanderId, end: LeaseEnd, retry: Option<Instant>, awaited: Awaited },
+    Held { due: Instant },
+    Settling,
 }
 
-/// What the next claim waits for. A cut-off that is still to be called, or runs, would stop the
-/// actuator under its next commander.
-#[derive(Clone, Copy, Debug)]
-struct Awaited {
-    safe_outputs: bool,
-    cut_off: bool,
+/// Whether the component is at work, as far as its actuators know.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Work {
+    Goes,
+    /// It leaves work, or has left it. Whether how the actuator stops is still open.
+    Ends {
+        stops: bool,
+    },
 }
 
 impl Lease {
     /// A lease of `actuator` without a holder. Epochs are above `last_epoch`; let it rise with
     /// every incarnation of the node, so that commands from before are known as such.
-    pub fn new(actuator: ObjectName, span: Duration, last_epoch: u64) -> Self {
-        Lease { actuator, span, last_epoch, state: State::Free, outputs: VecDeque::new() }
-    }
-
-    /// Returns the holder of the lease and its epoch.
-    pub fn holder(&self) -> Option<(&CommanderId, u64)> {
-        match &self.state {
-            State::Held { commander, .. } => Some((commander, self.last_epoch)),
-            State::Free | State::Settling { .. } => None,
+    pub fn new(actuator: ObjectName, rules: LeaseRules, last_epoch: u64) -> Self {
+        Lease {
+            actuator,
+            rules,
+            last_epoch,
+            commander: CommanderId { name: String::new(), incarnation: Incarnation(0) },
+            state: State::Free,
+            moves: false,
+            counts_until: None,
+            check_at: None,
+            given: None,
+            cut_offs: 0,
+            work: Work::Goes,
+            outputs: VecDeque::new(),
         }
     }
 
     /// How it stands at `now`.
     pub fn status(&self, now: Instant) -> LeaseStatus {
+        let (commander, epoch) = (self.commander.clone(), self.last_epoch);
         match &self.state {
             State::Free => LeaseStatus::Free,
-            State::Held { commander, due } => LeaseStatus::Held {
-                commander: commander.clone(),
-                epoch: self.last_epoch,
-                left: *due - now,
-            },
-            State::Settling { commander, .. } => {
-                LeaseStatus::Settling { commander: commander.clone() }
-            }
+            State::Held { due } => LeaseStatus::Held { commander, epoch, left: *due - now },
+            State::Settling => LeaseStatus::Settling { commander },
         }
     }
 
@@ -145,17 +203,19 @@ impl Lease {
     ///
     /// # Errors
     /// [`DeliveryError::Held`] while another one does; a later incarnation of the same commander
-    /// takes over from the one before. [`DeliveryError::Restarting`] while safe outputs are being
-    /// applied, or the cut-off has not returned.
+    /// takes over from the one before. [`DeliveryError::Restarting`] while the safe command is
+    /// being carried out, the cut-off has not returned, or the component is not at work.
     pub fn handle_claim(
         &mut self,
         commander: CommanderId,
         now: Instant,
     ) -> Result<LeaseGrant, DeliveryError> {
-        self.handle_timeout(now);
+        self.expire(now);
+        let holder = &self.commander;
         match &self.state {
-            State::Settling { .. } => return Err(DeliveryError::Restarting),
-            State::Held { commander: holder, .. }
+            _ if self.work != Work::Goes => return Err(DeliveryError::Restarting),
+            State::Settling => return Err(DeliveryError::Restarting),
+            State::Held { .. }
                 if holder.name != commander.name || holder.incarnation > commander.incarnation =>
             {
                 let by = format!("{}{}", holder.name, holder.incarnation);
@@ -165,77 +225,162 @@ impl Lease {
             State::Free | State::Held { .. } => {}
         }
         self.last_epoch += 1;
-        self.state = State::Held { commander, due: now + self.span };
-        Ok(LeaseGrant { epoch: self.last_epoch, span: self.span })
+        self.commander = commander;
+        self.state = State::Held { due: now + self.rules.span };
+        Ok(LeaseGrant { epoch: self.last_epoch, span: self.rules.span })
     }
 
-    /// The commander renews the lease, or commands: the lease's time starts again.
+    /// The commander renews the lease: its time starts again.
     ///
     /// # Errors
     /// [`DeliveryError::Superseded`] where another claim holds, [`DeliveryError::LeaseEnded`] where
     /// none does.
     pub fn handle_renewal(&mut self, epoch: u64, now: Instant) -> Result<(), DeliveryError> {
-        self.handle_timeout(now);
-        let span = self.span;
+        self.expire(now);
+        let span = self.rules.span;
         match &mut self.state {
-            State::Held { due, .. } if epoch == self.last_epoch => {
+            State::Held { due } if epoch == self.last_epoch => {
                 *due = now + span;
                 Ok(())
             }
             State::Held { .. } => Err(DeliveryError::Superseded { epoch: self.last_epoch }),
-            State::Free | State::Settling { .. } => {
+            State::Free | State::Settling => {
                 Err(DeliveryError::LeaseEnded { actuator: self.actuator.to_string() })
             }
+        }
+    }
+
+    /// The commander's command is handed to the component, and counts from now on.
+    pub fn handle_command(&mut self, now: Instant) {
+        (self.moves, self.given, self.check_at) = (true, None, None);
+        self.counts_until = self.rules.command_timeout.map(|timeout| now + timeout);
+    }
+
+    /// Whether the component has begun the safe command of a command timeout, or could have.
+    pub fn handle_check(&mut self, is_taken: bool) {
+        if self.check_at.take().is_some() && !is_taken {
+            self.cut_off(RestCause::CommandTimeout);
         }
     }
 
     /// The commander gives the lease back.
     pub fn handle_release(&mut self, epoch: u64) {
         if epoch == self.last_epoch {
-            self.end(LeaseEnd::Released);
+            self.end(RestCause::Released);
         }
     }
 
-    /// The safe outputs were applied, or could not be.
-    pub fn handle_applied(&mut self, applied: bool, now: Instant) {
-        if let State::Settling { retry, awaited, .. } = &mut self.state {
-            match applied {
-                true => awaited.safe_outputs = false,
-                false => *retry = Some(now + RETRY),
-            }
+    /// The safe or the stop command that was given for this cause was carried out, or could not be.
+    pub fn handle_applied(&mut self, cause: RestCause, applied: bool) {
+        // Another one may have taken its place.
+        if self.given != Some(cause) {
+            return;
         }
-        self.free_once_settled();
+        match applied {
+            true => {
+                self.moves &=
+                    cause != RestCause::Stopped && self.rules.stop_by == StopBy::StopCommand;
+                self.handle_stopped();
+            }
+            false if cause == RestCause::Stopped => self.handle_stop_failed(),
+            false if cause == RestCause::CommandTimeout => self.handle_check(false),
+            // It is given again when the component is at work again.
+            false => {}
+        }
     }
 
     /// The cut-off has returned, panicked, or is absent.
     pub fn handle_cut_off_returned(&mut self) {
-        if let State::Settling { awaited, .. } = &mut self.state {
-            awaited.cut_off = false;
+        self.cut_offs = self.cut_offs.saturating_sub(1);
+        self.free_once_settled();
+    }
+
+    /// The component is at work, at first or again.
+    pub fn handle_at_work(&mut self) {
+        self.work = Work::Goes;
+        if let Some(cause) = self.given {
+            self.give(cause, true);
         }
+    }
+
+    /// The component leaves work in order: the lease ends, and none is granted before the component
+    /// is at work again.
+    pub fn handle_leaving(&mut self) {
+        if self.work == Work::Goes {
+            self.work = Work::Ends { stops: self.moves };
+            self.state = State::Settling;
+            match self.moves {
+                true => self.give(RestCause::Stopped, false),
+                false => self.handle_stopped(),
+            }
+        }
+    }
+
+    /// Whether the component leaves work, and this actuator is being stopped.
+    pub fn is_stopping(&self) -> bool {
+        self.work == Work::Ends { stops: true }
+    }
+
+    /// The stop command, or the work that follows it, has failed.
+    pub fn handle_stop_failed(&mut self) {
+        if self.is_stopping() {
+            self.work = Work::Ends { stops: false };
+            (self.state, self.moves, self.given) = (State::Settling, false, None);
+            self.cut_off(RestCause::Stopped);
+        }
+    }
+
+    /// The component has left work: its hook has, or has not, ended well.
+    pub fn handle_left(&mut self, hook_done: bool) {
+        let is_stopped = match self.rules.stop_by {
+            StopBy::Hook => hook_done,
+            StopBy::SafeCommand | StopBy::StopCommand => !self.moves,
+        };
+        if !is_stopped {
+            self.handle_stop_failed();
+        } else if self.is_stopping() {
+            self.work = Work::Ends { stops: false };
+            self.moves = false;
+            self.handle_stopped();
+        }
+    }
+
+    fn handle_stopped(&mut self) {
+        (self.given, self.check_at) = (None, None);
         self.free_once_settled();
     }
 
     fn free_once_settled(&mut self) {
-        if let State::Settling {
-            awaited: Awaited { safe_outputs: false, cut_off: false }, ..
-        } = self.state
-        {
+        if self.state == State::Settling && self.given.is_none() && self.cut_offs == 0 {
             self.state = State::Free;
         }
     }
 
-    fn end(&mut self, end: LeaseEnd) {
-        if let State::Held { commander, .. } = &self.state {
-            let commander = commander.clone();
-            self.apply(&commander, end, false);
-            let awaited = Awaited { safe_outputs: true, cut_off: true };
-            self.state = State::Settling { commander, end, retry: None, awaited };
+    fn end(&mut self, cause: RestCause) {
+        if let State::Held { .. } = self.state {
+            self.state = State::Settling;
+            self.cut_off(cause);
+            self.give(cause, false);
         }
     }
 
-    fn apply(&mut self, commander: &CommanderId, end: LeaseEnd, again: bool) {
-        let (commander, epoch) = (commander.clone(), self.last_epoch);
-        self.outputs.push_back(LeaseOutput::ApplySafeOutputs { commander, epoch, end, again });
+    fn expire(&mut self, now: Instant) {
+        if let State::Held { due } = self.state
+            && now >= due
+        {
+            self.end(RestCause::Expired);
+        }
+    }
+
+    fn cut_off(&mut self, cause: RestCause) {
+        self.cut_offs += 1;
+        self.outputs.push_back(LeaseOutput::CutOff { cause });
+    }
+
+    fn give(&mut self, cause: RestCause, again: bool) {
+        (self.given, self.counts_until, self.check_at) = (Some(cause), None, None);
+        let (commander, epoch) = (self.commander.clone(), self.last_epoch);
+        self.outputs.push_back(LeaseOutput::Apply { commander, epoch, cause, again });
     }
 }
 
@@ -247,24 +392,24 @@ impl Machine for Lease {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        match &self.state {
-            State::Free => None,
-            State::Held { due, .. } => Some(*due),
-            State::Settling { retry, .. } => *retry,
+        match self.state {
+            State::Held { due } => {
+                [Some(due), self.counts_until, self.check_at].into_iter().flatten().min()
+            }
+            State::Free | State::Settling => None,
         }
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        match &mut self.state {
-            State::Held { due, .. } if now >= *due => self.end(LeaseEnd::Expired),
-            State::Settling { commander, end, retry, .. }
-                if retry.is_some_and(|due| now >= due) =>
-            {
-                *retry = None;
-                let (commander, end) = (commander.clone(), *end);
-                self.apply(&commander, end, true);
-            }
-            State::Free | State::Held { .. } | State::Settling { .. } => {}
+        self.expire(now);
+        if !matches!(self.state, State::Held { .. }) {
+            return;
+        }
+        if self.counts_until.is_some_and(|until| now >= until) {
+            self.give(RestCause::CommandTimeout, false);
+            self.check_at = Some(now + BEAT);
+        } else if self.check_at.is_some_and(|at| now >= at) {
+            self.outputs.push_back(LeaseOutput::CheckTaken);
         }
     }
 }
@@ -284,7 +429,15 @@ mod tests {
     }
 
     fn held() -> (Lease, u64) {
-        let mut lease = Lease::new(ObjectName::new("wheel").unwrap(), SPAN, 7);
+        held_by_planner(StopBy::SafeCommand)
+    }
+
+    fn held_by_planner(stop_by: StopBy) -> (Lease, u64) {
+        held_under(LeaseRules { span: SPAN, command_timeout: None, stop_by })
+    }
+
+    fn held_under(rules: LeaseRules) -> (Lease, u64) {
+        let mut lease = Lease::new(ObjectName::new("wheel").unwrap(), rules, 7);
         let grant = lease.handle_claim(who("planner", 1), ms(0)).unwrap();
         assert_eq!(grant, LeaseGrant { epoch: 8, span: SPAN });
         (lease, grant.epoch)
@@ -298,9 +451,23 @@ mod tests {
         Err(DeliveryError::Held { actuator: "wheel".into(), by: commander.into() })
     }
 
-    fn applied(lease: &mut Lease) -> Option<(LeaseEnd, bool)> {
-        let LeaseOutput::ApplySafeOutputs { end, again, .. } = lease.poll_output()?;
-        Some((end, again))
+    /// What is given next, after the cut-off where that is called as well.
+    fn applied(lease: &mut Lease) -> Option<(RestCause, bool)> {
+        match lease.poll_output()? {
+            LeaseOutput::Apply { cause, again, .. } => Some((cause, again)),
+            LeaseOutput::CutOff { .. } | LeaseOutput::CheckTaken => applied(lease),
+        }
+    }
+
+    /// What is to be done, in order.
+    fn outputs(lease: &mut Lease) -> Vec<&'static str> {
+        let name = |output| match output {
+            LeaseOutput::CutOff { .. } => "cut-off",
+            LeaseOutput::CheckTaken => "check",
+            LeaseOutput::Apply { cause: RestCause::Stopped, .. } => "stop",
+            LeaseOutput::Apply { .. } => "safe",
+        };
+        std::iter::from_fn(|| lease.poll_output()).map(name).collect()
     }
 
     #[test]
@@ -312,7 +479,7 @@ mod tests {
         assert_eq!(lease.status(now), held);
         lease.handle_timeout(ms(100));
         assert_eq!(lease.status(ms(100)), LeaseStatus::Settling { commander });
-        lease.handle_applied(true, ms(101));
+        lease.handle_applied(RestCause::Expired, true);
         lease.handle_cut_off_returned();
         assert_eq!(lease.status(ms(102)), LeaseStatus::Free);
     }
@@ -327,8 +494,7 @@ mod tests {
         assert_eq!(lease.poll_timeout(), Some(ms(160)));
         lease.handle_timeout(ms(160));
 
-        assert_eq!(applied(&mut lease), Some((LeaseEnd::Expired, false)));
-        assert_eq!(lease.holder(), None);
+        assert_eq!(applied(&mut lease), Some((RestCause::Expired, false)));
         assert_eq!(lease.handle_renewal(epoch, ms(161)), ended());
     }
 
@@ -336,7 +502,7 @@ mod tests {
     fn a_late_command_ends_the_lease_itself_where_the_timer_was_later_still() {
         let (mut lease, epoch) = held();
         assert_eq!(lease.handle_renewal(epoch, ms(100)), ended());
-        assert_eq!(applied(&mut lease), Some((LeaseEnd::Expired, false)));
+        assert_eq!(applied(&mut lease), Some((RestCause::Expired, false)));
     }
 
     #[test]
@@ -347,8 +513,8 @@ mod tests {
 
         let settling = lease.handle_claim(who("console", 1), ms(100));
         assert_eq!(settling, Err(DeliveryError::Restarting));
-        assert_eq!(applied(&mut lease), Some((LeaseEnd::Expired, false)));
-        lease.handle_applied(true, ms(101));
+        assert_eq!(applied(&mut lease), Some((RestCause::Expired, false)));
+        lease.handle_applied(RestCause::Expired, true);
         lease.handle_cut_off_returned();
         let grant = lease.handle_claim(who("console", 1), ms(102)).unwrap();
 
@@ -358,7 +524,7 @@ mod tests {
             Err(DeliveryError::Superseded { epoch: grant.epoch })
         );
         lease.handle_release(epoch);
-        assert_eq!(lease.holder(), Some((&who("console", 1), grant.epoch)));
+        assert_eq!(lease.handle_renewal(grant.epoch, ms(104)), Ok(()), "it is not the holder's");
     }
 
     #[test]
@@ -367,7 +533,7 @@ mod tests {
         lease.handle_release(epoch);
         let claim = |lease: &mut Lease| lease.handle_claim(who("console", 1), ms(12));
 
-        lease.handle_applied(true, ms(11));
+        lease.handle_applied(RestCause::Released, true);
         assert_eq!(claim(&mut lease), Err(DeliveryError::Restarting));
         lease.handle_cut_off_returned();
         let epoch = claim(&mut lease).unwrap().epoch;
@@ -375,7 +541,7 @@ mod tests {
         lease.handle_release(epoch);
         lease.handle_cut_off_returned();
         assert_eq!(claim(&mut lease), Err(DeliveryError::Restarting));
-        lease.handle_applied(true, ms(13));
+        lease.handle_applied(RestCause::Released, true);
         assert!(claim(&mut lease).is_ok());
     }
 
@@ -393,18 +559,172 @@ mod tests {
     }
 
     #[test]
-    fn safe_outputs_that_did_not_get_through_are_applied_again_and_again() {
+    fn a_safe_command_that_did_not_get_through_is_given_whenever_the_component_is_at_work_again() {
         let (mut lease, epoch) = held();
         lease.handle_release(epoch);
-        assert_eq!(applied(&mut lease), Some((LeaseEnd::Released, false)));
-        for round in 1..100 {
-            lease.handle_applied(false, ms(10 * round));
-            lease.handle_timeout(ms(10 * round + 9));
+        assert_eq!(applied(&mut lease), Some((RestCause::Released, false)));
+        for _ in 1..100 {
+            lease.handle_applied(RestCause::Released, false);
             assert_eq!(applied(&mut lease), None);
-            lease.handle_timeout(ms(10 * round + 10));
-            assert_eq!(applied(&mut lease), Some((LeaseEnd::Released, true)));
+            lease.handle_at_work();
+            assert_eq!(applied(&mut lease), Some((RestCause::Released, true)));
         }
-        lease.handle_applied(true, ms(2000));
-        assert_eq!(lease.poll_timeout(), None);
+        lease.handle_applied(RestCause::Released, true);
+        lease.handle_at_work();
+        assert_eq!(applied(&mut lease), None);
+    }
+
+    #[test]
+    fn a_component_that_leaves_work_stops_what_moves_and_nothing_else() {
+        let (mut lease, epoch) = held();
+        lease.handle_leaving();
+        assert_eq!((outputs(&mut lease), lease.is_stopping()), (vec![], false));
+        assert_eq!(lease.handle_renewal(epoch, ms(1)), ended());
+        let refused = lease.handle_claim(who("planner", 1), ms(1));
+        assert_eq!(refused, Err(DeliveryError::Restarting));
+        lease.handle_left(true);
+        lease.handle_at_work();
+
+        lease.handle_claim(who("planner", 1), ms(2)).unwrap();
+        lease.handle_command(ms(1));
+        lease.handle_leaving();
+        lease.handle_leaving();
+        assert_eq!((outputs(&mut lease), lease.is_stopping()), (vec!["stop"], true));
+        lease.handle_applied(RestCause::Stopped, true);
+        assert_eq!(lease.status(ms(3)), LeaseStatus::Free);
+        assert!(lease.is_stopping(), "its work goes on until it has settled");
+        lease.handle_left(false);
+
+        assert_eq!(outputs(&mut lease), [""; 0], "it was stopped, whatever became of the hook");
+        assert!(lease.handle_claim(who("planner", 1), ms(4)).is_err(), "it is not at work");
+    }
+
+    #[test]
+    fn the_cut_off_is_called_once_where_the_stop_command_fails_or_comes_too_late() {
+        type Step = fn(&mut Lease);
+        let refused: Step = |lease| lease.handle_applied(RestCause::Stopped, false);
+        let too_late: Step = |lease| lease.handle_left(false);
+        let fails: Step = |lease| {
+            lease.handle_applied(RestCause::Stopped, true);
+            lease.handle_stop_failed();
+        };
+        for step in [refused, too_late, fails] {
+            let (mut lease, _) = held();
+            lease.handle_command(ms(1));
+            lease.handle_leaving();
+            assert_eq!(outputs(&mut lease), ["stop"]);
+            step(&mut lease);
+            assert_eq!(outputs(&mut lease), ["cut-off"]);
+            too_late(&mut lease);
+            refused(&mut lease);
+            assert_eq!(outputs(&mut lease), [""; 0]);
+            lease.handle_at_work();
+            assert!(lease.handle_claim(who("planner", 1), ms(3)).is_err(), "it is being cut off");
+            lease.handle_cut_off_returned();
+            assert!(lease.handle_claim(who("planner", 1), ms(3)).is_ok());
+        }
+    }
+
+    #[test]
+    fn a_hook_that_stops_the_actuator_is_waited_for_and_cut_off_where_it_fails() {
+        for (hook_done, then) in [(true, vec![]), (false, vec!["cut-off"])] {
+            let (mut lease, _) = held_by_planner(StopBy::Hook);
+            lease.handle_command(ms(1));
+            lease.handle_leaving();
+            outputs(&mut lease);
+            lease.handle_left(hook_done);
+            assert_eq!(outputs(&mut lease), then);
+        }
+    }
+
+    #[test]
+    fn a_stop_command_of_its_own_follows_the_safe_command_too() {
+        let (mut lease, epoch) = held_by_planner(StopBy::StopCommand);
+        lease.handle_command(ms(1));
+        lease.handle_release(epoch);
+        assert_eq!(outputs(&mut lease), ["cut-off", "safe"]);
+
+        lease.handle_leaving();
+        assert_eq!(outputs(&mut lease), ["stop"], "before the safe command was carried out");
+        let settling = LeaseStatus::Settling { commander: who("planner", 1) };
+        lease.handle_applied(RestCause::Released, true);
+        assert_eq!(lease.status(ms(1)), settling, "that one was replaced");
+        lease.handle_applied(RestCause::Stopped, true);
+        lease.handle_cut_off_returned();
+        assert_eq!(lease.status(ms(2)), LeaseStatus::Free);
+    }
+
+    /// Commanded at 10 ms and renewed since, under a command timeout of 40 ms.
+    fn overdue() -> (Lease, u64) {
+        let command_timeout = Some(Duration::from_millis(40));
+        let stop_by = StopBy::SafeCommand;
+        let (mut lease, epoch) = held_under(LeaseRules { span: SPAN, command_timeout, stop_by });
+        lease.handle_command(ms(10));
+        lease.handle_renewal(epoch, ms(49)).unwrap();
+        lease.handle_timeout(ms(49));
+        assert_eq!((outputs(&mut lease), lease.poll_timeout()), (vec![], Some(ms(50))));
+        lease.handle_timeout(ms(50));
+        assert_eq!(outputs(&mut lease), ["safe"]);
+        (lease, epoch)
+    }
+
+    #[test]
+    fn a_command_counts_for_its_timeout_and_the_safe_command_is_given_once_within_the_lease() {
+        let (mut lease, epoch) = overdue();
+        lease.handle_applied(RestCause::CommandTimeout, true);
+        for now in 52..200 {
+            lease.handle_renewal(epoch, ms(now)).unwrap();
+            lease.handle_timeout(ms(now));
+        }
+        assert_eq!(outputs(&mut lease), [""; 0]);
+
+        lease.handle_command(ms(200));
+        lease.handle_command(ms(220));
+        lease.handle_renewal(epoch, ms(260)).unwrap();
+        assert_eq!(outputs(&mut lease), [""; 0], "a command that came now would count");
+        lease.handle_timeout(ms(260));
+        assert_eq!(outputs(&mut lease), ["safe"]);
+    }
+
+    #[test]
+    fn a_safe_command_that_the_component_does_not_begin_is_followed_by_the_cut_off_once() {
+        for (is_taken, then) in [(true, vec![]), (false, vec!["cut-off"])] {
+            let (mut lease, epoch) = overdue();
+            lease.handle_timeout(ms(59));
+            assert_eq!(outputs(&mut lease), [""; 0]);
+            lease.handle_timeout(ms(60));
+            assert_eq!(outputs(&mut lease), ["check"]);
+            lease.handle_check(is_taken);
+            lease.handle_check(false);
+            lease.handle_timeout(ms(90));
+            assert_eq!(outputs(&mut lease), then);
+
+            lease.handle_command(ms(91));
+            lease.handle_applied(RestCause::CommandTimeout, true);
+            lease.handle_renewal(epoch, ms(131)).unwrap();
+            lease.handle_timeout(ms(131));
+            assert_eq!(outputs(&mut lease), ["safe"], "the command of 91 counted to 131");
+        }
+    }
+
+    #[test]
+    fn a_safe_command_that_is_refused_cuts_off_and_is_given_when_the_component_is_at_work_again() {
+        let (mut lease, _) = overdue();
+        lease.handle_applied(RestCause::CommandTimeout, false);
+        assert_eq!(outputs(&mut lease), ["cut-off"]);
+        lease.handle_at_work();
+        assert_eq!(outputs(&mut lease), ["safe"]);
+    }
+
+    #[test]
+    fn a_lease_that_ends_while_the_safe_command_is_carried_out_ends_as_any() {
+        let (mut lease, epoch) = overdue();
+        lease.handle_release(epoch);
+        assert_eq!(outputs(&mut lease), ["cut-off", "safe"]);
+        lease.handle_applied(RestCause::CommandTimeout, true);
+        lease.handle_cut_off_returned();
+        assert!(lease.handle_claim(who("console", 1), ms(53)).is_err(), "its own is awaited");
+        lease.handle_applied(RestCause::Released, true);
+        assert!(lease.handle_claim(who("console", 1), ms(55)).is_ok());
     }
 }

@@ -20,7 +20,9 @@ struct Wheels;
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
         let brakes = || println!("brakes on"); // without the component, should it hang
-        let spec = ActuatorSpec::new(Drive(0.0)).lease(Duration::from_secs(1)).cut_off(brakes);
+        let spec = ActuatorSpec::new(Drive(0.0), Duration::from_secs(10))
+            .lease(Duration::from_secs(1))
+            .cut_off(brakes);
         ports.actuator(spec);
     }
 }

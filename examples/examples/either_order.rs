@@ -3,8 +3,8 @@
 //! ended.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
-use blastema::ActuatorSpec;
 use blastema::prelude::*;
+use blastema::{ActuatorSpec, Hold};
 use std::time::Duration;
 
 /// Turns the wheels; answers how fast they turn now.
@@ -19,7 +19,7 @@ struct Motors;
 
 impl Component for Motors {
     fn ports(ports: &mut Ports<Self>) {
-        let spec = ActuatorSpec::new(Drive(0.0)).lease(Duration::from_millis(100));
+        let spec = ActuatorSpec::new(Drive(0.0), Hold).lease(Duration::from_millis(100));
         ports.actuator(spec).accept::<Overcurrent>();
     }
 }

@@ -9,7 +9,7 @@ use blastema_macros::{Request, Structure};
 #[contract(
     crate = "crate",
     name = "blastema/command",
-    version = 2,
+    version = 3,
     reply = CommandReply,
     max_size = 1024 * 1024
 )]
@@ -19,14 +19,15 @@ pub(crate) struct ActuatorCommand {
     pub(crate) wish: CommandKind,
 }
 
-/// Which.
+/// Which. A command says how old the data is that it was made from, and how long the way takes at
+/// most.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
 pub(crate) enum CommandKind {
     Claim { commander: String, incarnation: u64 },
     Renew { epoch: u64 },
     Release { epoch: u64 },
-    Command { epoch: u64, message: Vec<u8> },
+    Command { epoch: u64, age_us: u64, way_us: u64, message: Vec<u8> },
 }
 
 /// What came of it.

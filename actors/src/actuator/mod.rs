@@ -19,6 +19,7 @@ use crate::platform;
 use crate::registry::Registry;
 use crate::settings::LEASE;
 use blastema_core::contract::codec;
+use blastema_core::lease::{LeaseRules, StopBy};
 use blastema_core::{
     Contract, ContractIdentity, DeliveryError, Incarnation, Instant, PeerIdentity,
 };
@@ -38,30 +39,96 @@ const CLAIM_WITHIN: Duration = Duration::from_secs(1);
 const CLAIM_AGAIN: RangeInclusive<Duration> =
     Duration::from_millis(10)..=Duration::from_millis(160);
 
+/// How long a command of an actuator counts: the required argument of [`ActuatorSpec::new`].
+///
+/// A [`Duration`] is for commands that come again and again, such as a speed; `Hold` for those that
+/// run for long, such as a goal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CommandTimeout {
+    /// For so long after it was received, 10 ms to 1 min. Then the actuator gets its safe command,
+    /// unless another command has come.
+    After(Duration),
+    /// Until another one comes, or the lease ends.
+    Hold,
+}
+
+impl From<Duration> for CommandTimeout {
+    fn from(timeout: Duration) -> Self {
+        CommandTimeout::After(timeout)
+    }
+}
+
 /// How a component lets itself be commanded; given to [`Ports::actuator`](crate::Ports::actuator).
 pub struct ActuatorSpec<M: Contract> {
     safe: M,
-    span: Duration,
+    rules: LeaseRules,
+    /// The command that stops it, where it is not the safe one.
+    stop: Option<M>,
+    settle_within: Duration,
     cut_off: Option<table::SafeOutputFn>,
 }
 
 impl<M: Contract> ActuatorSpec<M> {
     /// An actuator that `safe` brings to rest: zero speed, brakes on. The component gets this
-    /// command like any other when its commander has gone.
-    pub fn new(safe: M) -> Self {
-        ActuatorSpec { safe, span: LEASE.default, cut_off: None }
+    /// command like any other when its commander has gone, and when no command has come for
+    /// `command_timeout`: a [`Duration`], or [`Hold`](CommandTimeout::Hold) for commands that run
+    /// for long. A shorter timeout stops the actuator sooner when the commands cease, and needs
+    /// commands that come more often: three of them in a timeout tolerate two late ones.
+    ///
+    /// The timeout is also the default of the component's [`max_wait`](crate::ChildSpec::max_wait).
+    /// Set that where its hooks await something for longer.
+    pub fn new(safe: M, command_timeout: impl Into<CommandTimeout>) -> Self {
+        let command_timeout = match command_timeout.into() {
+            CommandTimeout::After(timeout) => Some(timeout),
+            CommandTimeout::Hold => None,
+        };
+        let (span, stop_by) = (LEASE.default, StopBy::SafeCommand);
+        let rules = LeaseRules { span, command_timeout, stop_by };
+        ActuatorSpec { safe, rules, stop: None, settle_within: Duration::ZERO, cut_off: None }
     }
 
     /// Sets how long a commander may be silent: 200 ms by default, 20 ms to 1 min. A shorter lease
     /// stops the actuator sooner, also for a commander that is only late.
     #[must_use]
     pub fn lease(mut self, span: Duration) -> Self {
-        self.span = span;
+        self.rules.span = span;
         self
     }
 
-    /// Sets a function that sets the outputs to their safe value. It is called when a lease ends,
-    /// in addition to the component's hook, so that a hang of the component does not prevent it.
+    /// Sets another command than the safe one to stop the actuator when its component leaves work
+    /// in order: a drone whose safe command is to hover lands. See [stopping in
+    /// order](crate::manual::commanding#stopping-in-order).
+    #[must_use]
+    pub fn on_stop(mut self, command: M) -> Self {
+        (self.stop, self.rules.stop_by) = (Some(command), StopBy::StopCommand);
+        self
+    }
+
+    /// Gives the actuator no command when its component leaves work in order: the component stops
+    /// it in `on_deactivated`. Where that hook fails, or does not end in time, the
+    /// [cut-off](Self::cut_off) is called.
+    #[must_use]
+    pub fn on_stop_by_hook(mut self) -> Self {
+        (self.stop, self.rules.stop_by) = (None, StopBy::Hook);
+        self
+    }
+
+    /// Sets how long the component goes on, with its rounds, timers and messages, after its stop
+    /// command, unless it calls [`cx.settled()`](crate::Context::settled) before; zero unless set,
+    /// at most its [`shutdown_within`](crate::ChildSpec::shutdown_within). A longer time lets a
+    /// slower machine come to rest under control, and delays each orderly stop of one that never
+    /// says that it has settled.
+    #[must_use]
+    pub fn settle_within(mut self, span: Duration) -> Self {
+        self.settle_within = span;
+        self
+    }
+
+    /// Sets a function that sets the outputs to their safe value. It is called when a lease ends
+    /// other than by an orderly stop of the component, in addition to the safe command, so that a
+    /// hang of the component does not prevent it; where the component does not take the safe
+    /// command of a command timeout; and where a stop command fails or is not carried out within
+    /// `shutdown_within`.
     /// The cut-offs and [safe outputs](crate::NodeBuilder::safe_outputs) of a node are called one
     /// after the other on a thread of their own. One that blocks it for longer than
     /// [`callback_limit`](crate::NodeBuilder::callback_limit) is a fault of the component, and the
@@ -72,25 +139,36 @@ impl<M: Contract> ActuatorSpec<M> {
         self
     }
 
-    pub(crate) fn declared(self) -> DeclaredActuator {
-        let mut bytes = Vec::new();
-        let safe = match codec::encode(&self.safe, &mut bytes) {
-            Ok(()) => Ok(bytes.into()),
-            Err(_) => Err(DeliveryError::TooLarge { limit: M::MAX_SIZE }),
-        };
-        let identity = ContractIdentity::of::<M>();
-        DeclaredActuator { identity, span: self.span, safe, cut_off: self.cut_off }
+    pub(crate) fn declared(self) -> Result<DeclaredActuator, DeliveryError> {
+        let ActuatorSpec { safe, rules, stop, settle_within, cut_off } = self;
+        Ok(DeclaredActuator {
+            identity: ContractIdentity::of::<M>(),
+            rules,
+            max_age: M::MAX_AGE,
+            stop: encoded(stop.as_ref().unwrap_or(&safe))?.into(),
+            safe: encoded(&safe)?.into(),
+            settle_within,
+            cut_off,
+        })
+    }
+}
+
+fn encoded<M: Contract>(command: &M) -> Result<Vec<u8>, DeliveryError> {
+    let mut bytes = Vec::new();
+    match codec::encode(command, &mut bytes) {
+        Ok(()) => Ok(bytes),
+        Err(_) => Err(DeliveryError::TooLarge { limit: M::MAX_SIZE }),
     }
 }
 
 impl<M: Contract> fmt::Debug for ActuatorSpec<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ActuatorSpec of {}, lease {:?}", M::NAME, self.span)
+        write!(f, "ActuatorSpec of {}, {:?}", M::NAME, self.rules)
     }
 }
 
 /// Commands an actuator, here or on another node. The lease is renewed by itself for as long as the
-/// component that commands incarnations and its thread turns; with the last clone it is given back.
+/// incarnation that commands lasts and its thread turns; with the last clone it is given back.
 pub struct Commander<M: Contract>(Arc<CommanderState>, PhantomData<fn(M)>);
 
 /// What all clones of a commander share.
@@ -110,6 +188,9 @@ struct Held {
     span: Duration,
     /// By our own clock, counted from when we asked: never later than the actuator's node has it.
     until: Instant,
+    /// As long as the last claim or renewal took, with its answer: no message of them, and none that
+    /// is as fast, takes longer one way.
+    way: Duration,
 }
 
 impl<M: Contract> Clone for Commander<M> {
@@ -153,6 +234,9 @@ async fn renew_lease(state: Weak<CommanderState>) {
             Some(Held { epoch, span, .. }) => {
                 let asked = platform::now();
                 let renewed = present.send_command(CommandKind::Renew { epoch }, span).await;
+                if let (Ok(_), Some(own)) = (&renewed, &mut *present.lock()) {
+                    own.way = platform::now() - asked;
+                }
                 present.take_note(epoch, asked, renewed.map(|_| ()));
                 drop(present);
                 tokio::time::sleep(span / 4).await;
@@ -268,7 +352,8 @@ impl<M: Contract> Commander<M> {
         match self.0.send_command(wish, within).await? {
             CommandReply::Granted { epoch, span_us } => {
                 let span = Duration::from_micros(span_us);
-                *self.0.lock() = Some(Held { epoch, span, until: asked + span });
+                let (until, way) = (asked + span, platform::now() - asked);
+                *self.0.lock() = Some(Held { epoch, span, until, way });
                 self.0.claimed.notify_one();
                 Ok(epoch)
             }
@@ -287,18 +372,50 @@ impl<M: Contract> Commander<M> {
     /// # Errors
     /// [`DeliveryError::LeaseEnded`] where no lease holds any more, [`DeliveryError::Superseded`]
     /// where another commander's does: the command was not carried out. [`DeliveryError::Full`]
-    /// while an earlier command is in service. Others as for any [request](crate::Sender::ask).
+    /// while an earlier command is in service. [`DeliveryError::AgeUnknown`] where the contract has
+    /// a `max_age`: such commands are sent by [`command_from`](Self::command_from). Others as for
+    /// any [request](crate::Sender::ask).
     pub async fn command(&self, message: M) -> Result<M::Reply, DeliveryError> {
+        self.send(message, M::MAX_AGE.is_none().then_some(Duration::ZERO)).await
+    }
+
+    /// Sends a command that is made from data that was captured then, as
+    /// [`cx.captured_at()`](crate::Context::captured_at) tells it. Where the contract of the command
+    /// has a `max_age`, the actuator refuses one whose data is older, also if it has grown older on
+    /// the way or in the queue: so commands cease where the data does, though its forwarder lives.
+    ///
+    /// ```text
+    /// async fn handle(&mut self, goal: Goal, cx: &mut Context<Self>) {
+    ///     let _ = self.wheels.command_from(cx.captured_at(), Drive(goal.speed)).await;
+    /// }
+    /// ```
+    ///
+    /// # Errors
+    /// [`DeliveryError::Expired`] where the data is too old: the command was not carried out.
+    /// [`DeliveryError::AgeUnknown`] for `None` where the contract has a `max_age`. Others as
+    /// [`command`](Self::command).
+    pub async fn command_from(
+        &self,
+        captured_at: impl Into<Option<Instant>>,
+        message: M,
+    ) -> Result<M::Reply, DeliveryError> {
+        let captured_at = captured_at.into().or(M::MAX_AGE.is_none().then(platform::now));
+        self.send(message, captured_at.map(|at| platform::now() - at)).await
+    }
+
+    async fn send(&self, message: M, age: Option<Duration>) -> Result<M::Reply, DeliveryError> {
         let now = platform::now();
-        let Held { epoch, span, .. } = self
+        let age = age.ok_or_else(|| DeliveryError::AgeUnknown { contract: M::NAME.to_owned() })?;
+        let Held { epoch, span, way, .. } = self
             .0
             .held()
             .filter(|held| now < held.until)
             .ok_or_else(|| DeliveryError::LeaseEnded { actuator: self.0.actuator.clone() })?;
-        let mut bytes = Vec::new();
-        codec::encode(&message, &mut bytes)
-            .map_err(|_| DeliveryError::TooLarge { limit: M::MAX_SIZE })?;
-        let done = self.0.send_command(CommandKind::Command { epoch, message: bytes }, span).await;
+        let [age_us, way_us] =
+            [age, way].map(|span| u64::try_from(span.as_micros()).unwrap_or(u64::MAX));
+        let message = encoded(&message)?;
+        let command = CommandKind::Command { epoch, age_us, way_us, message };
+        let done = self.0.send_command(command, span).await;
         let noted = done.as_ref().map(|_| ()).map_err(Clone::clone);
         self.0.take_note(epoch, now, noted);
         match done? {

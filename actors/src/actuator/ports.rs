@@ -11,10 +11,12 @@ use crate::component::ports::{PortConstructor, Ports};
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
 use crate::registry::ContractPort;
-use crate::settings::LEASE;
+use crate::settings::{COMMAND_TIMEOUT, LEASE, SHUTDOWN_WITHIN};
+use blastema_core::lease::Lease;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Contract, DeliveryError, ObjectName};
 use std::sync::Arc;
+use std::time::Duration;
 
 impl Extension for ActuatorTable {}
 
@@ -26,7 +28,9 @@ impl ComponentEnvironment {
 }
 
 /// The actuators that a component declares.
-struct ActuatorPorts<C: Component>(Vec<(DeclaredActuator, PortConstructor<C>)>);
+struct ActuatorPorts<C: Component>(
+    Vec<(Result<DeclaredActuator, DeliveryError>, PortConstructor<C>)>,
+);
 
 impl<C: Component> Default for ActuatorPorts<C> {
     fn default() -> Self {
@@ -34,13 +38,33 @@ impl<C: Component> Default for ActuatorPorts<C> {
     }
 }
 
-/// Withdraws the actuators of a component with it.
+/// Tells the actuators of a component what becomes of it, and withdraws them with it.
 struct Withdrawal {
     table: ActuatorTable,
     owner: ObjectName,
 }
 
 impl CellListener for Withdrawal {
+    fn activated(&self) {
+        self.table.handle_work(&self.owner, Lease::handle_at_work);
+    }
+
+    fn leaves_work(&self) -> Duration {
+        self.table.handle_work(&self.owner, Lease::handle_leaving)
+    }
+
+    fn stop_failed(&self) {
+        self.table.handle_work(&self.owner, Lease::handle_stop_failed);
+    }
+
+    fn left_work(&self, hook_done: bool) {
+        self.table.handle_work(&self.owner, |lease| lease.handle_left(hook_done));
+    }
+
+    fn deactivated(&self) {
+        self.left_work(false);
+    }
+
     fn removed(&self) {
         self.table.withdraw(&self.owner);
     }
@@ -57,9 +81,14 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
         };
         let mut commanded = SortedSet::new();
         for (actuator, _) in &self.0 {
+            let actuator = actuator
+                .as_ref()
+                .map_err(|why| SpecError::Actuator { name: component.clone(), why: why.clone() })?;
             let contract = actuator.identity.name;
             let refused = |error| SpecError::setting(component.as_str(), error);
-            LEASE.check(actuator.span).map_err(refused)?;
+            LEASE.check(actuator.rules.span).map_err(refused)?;
+            let timeout = actuator.rules.command_timeout;
+            timeout.map_or(Ok(()), |span| COMMAND_TIMEOUT.check(span)).map_err(refused)?;
             // A message that needs no lease would move the actuator.
             if served.contains(contract) {
                 return twice(contract, "one for every sender and one for the commander");
@@ -74,12 +103,20 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
     fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
         let (name, environment) = (&cell.record.name, &cell.record.environment);
         let table = environment.actuators();
+        // Those that could not be encoded were refused by the check.
+        let declared =
+            self.0.into_iter().filter_map(|(declared, open)| Some((declared.ok()?, open)));
+        let declared: Vec<_> =
+            declared.map(|(declared, open)| (declared, open(cell).into_skeleton())).collect();
+        let within = cell.record.limits.shutdown_within;
+        let settle_within = declared.iter().map(|(actuator, _)| actuator.settle_within).max();
+        if let Some(longer) = settle_within.filter(|span| *span > within) {
+            let value = format!("{within:?} with a settle_within of {longer:?}");
+            let error = SHUTDOWN_WITHIN.refuse(value, "write at least the settle_within");
+            return Err(SpecError::setting(name.as_str(), error));
+        }
         cell.record.listen(Withdrawal { table: table.clone(), owner: name.clone() });
-        let declared = self.0.into_iter();
-        let declared = declared.map(|(declared, open)| (declared, open(cell).into_skeleton()));
-        let refused = |why| SpecError::Actuator { name: name.clone(), why };
-        let access = environment.registry.access();
-        let port = table.declare(name, declared.collect(), access).map_err(refused)?;
+        let port = table.declare(name, declared, environment.registry.access());
         environment.registry.open(name, port);
         Ok(())
     }
@@ -92,6 +129,7 @@ impl<C: Component> Ports<C> {
     where
         C: Handle<M>,
     {
+        self.max_wait = self.max_wait.into_iter().chain(spec.rules.command_timeout).min();
         self.feature::<ActuatorPorts<C>>().0.push((spec.declared(), ContractPort::open::<C, M>));
         self
     }

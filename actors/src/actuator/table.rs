@@ -14,15 +14,17 @@ use crate::runtime::callbacks::{CallKind, CallOutcome, Callbacks};
 use crate::runtime::guardian::{Guardian, answers_the_monitor};
 use actix::prelude::*;
 use blastema_contract::reports::AreYouAlive;
-use blastema_core::lease::{CommanderId, Lease, LeaseEnd, LeaseOutput, LeaseStatus};
+use blastema_core::lease::{
+    CommanderId, Lease, LeaseOutput, LeaseRules, LeaseStatus, RestCause, StopBy,
+};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{
     ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant, Machine,
     ObjectName, PeerIdentity,
 };
 use bytes::Bytes;
-use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::{Relaxed, SeqCst};
+use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 use tracing::{error, info, warn};
@@ -33,9 +35,14 @@ pub(crate) type SafeOutputFn = Arc<dyn Fn() + Send + Sync>;
 /// An actuator as its component declares it.
 pub(crate) struct DeclaredActuator {
     pub(crate) identity: ContractIdentity,
-    pub(crate) span: Duration,
+    pub(crate) rules: LeaseRules,
+    /// How old the data may be that a command is made from.
+    pub(crate) max_age: Option<Duration>,
     /// The command that brings it to rest, encoded.
-    pub(crate) safe: Result<Bytes, DeliveryError>,
+    pub(crate) safe: Bytes,
+    /// The command that stops it, encoded.
+    pub(crate) stop: Bytes,
+    pub(crate) settle_within: Duration,
     pub(crate) cut_off: Option<SafeOutputFn>,
 }
 
@@ -53,15 +60,15 @@ pub struct ActuatorRow {
 /// One actuator: one contract of commands to one component.
 struct Actuator {
     object: ObjectName,
-    identity: ContractIdentity,
+    declared: DeclaredActuator,
     lease: Mutex<Lease>,
     /// Where the commander is that holds the lease.
     claimed_from: Mutex<MessageOrigin>,
-    safe: Bytes,
-    cut_off: Option<SafeOutputFn>,
     skeleton: Arc<dyn Skeleton>,
     /// Its commander is gone, and no other has claimed it since.
     lost: AtomicBool,
+    /// What the component served when it got the safe command of a command timeout.
+    turn: AtomicU64,
     /// A command has been handed over and not been answered.
     busy: Arc<AtomicBool>,
 }
@@ -111,22 +118,21 @@ impl ActuatorTable {
         object: &ObjectName,
         declared: Vec<(DeclaredActuator, Arc<dyn Skeleton>)>,
         access: AccessControl,
-    ) -> Result<ContractPort, DeliveryError> {
-        for (DeclaredActuator { identity, span, safe, cut_off }, skeleton) in declared {
+    ) -> ContractPort {
+        for (declared, skeleton) in declared {
             // Above every epoch of any earlier process of this node.
-            let lease = Lease::new(object.clone(), span, platform::node_incarnation().0 << 20);
+            let last_epoch = platform::node_incarnation().0 << 20;
+            let key = (object.clone(), declared.identity.name);
             let actuator = Actuator {
                 object: object.clone(),
-                identity: identity.clone(),
-                lease: Mutex::new(lease),
+                lease: Mutex::new(Lease::new(object.clone(), declared.rules, last_epoch)),
+                declared,
                 claimed_from: Mutex::default(),
-                safe: safe?,
-                cut_off,
                 skeleton,
                 lost: AtomicBool::default(),
+                turn: AtomicU64::default(),
                 busy: Arc::default(),
             };
-            let key = (object.clone(), identity.name);
             lock(&self.actuators).insert(key, Arc::new(actuator));
         }
         let (table, object) = (self.clone(), object.clone());
@@ -135,7 +141,7 @@ impl ActuatorTable {
                           answer: Responder<ActuatorCommand>| {
             table.serve((&object, &access), order, from, answer)
         };
-        Ok(ContractPort::of_service_fn(ServiceFn::<ActuatorCommand>(Arc::new(serve))))
+        ContractPort::of_service_fn(ServiceFn::<ActuatorCommand>(Arc::new(serve)))
     }
 
     /// The object is gone, and its actuators with it.
@@ -146,6 +152,23 @@ impl ActuatorTable {
             keys.iter().filter_map(|key| actuators.remove(key)).collect::<Vec<_>>()
         };
         drop(gone);
+    }
+
+    /// Something becomes of the component's work. Returns how long it may go on until it has
+    /// settled, where it leaves work.
+    pub(crate) fn handle_work(&self, object: &ObjectName, handle: impl Fn(&mut Lease)) -> Duration {
+        let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
+        let mut settle_within = Duration::ZERO;
+        for actuator in all.iter().filter(|actuator| actuator.object == *object) {
+            let mut lease = lock(&actuator.lease);
+            handle(&mut lease);
+            if lease.is_stopping() {
+                settle_within = settle_within.max(actuator.declared.settle_within);
+            }
+            drop(lease);
+            self.carry_out(actuator);
+        }
+        settle_within
     }
 
     /// The node enters the safe state: every lease ends now, and none is granted before it goes to
@@ -159,10 +182,22 @@ impl ActuatorTable {
             if let LeaseStatus::Held { epoch, .. } = lease.status(now) {
                 lease.handle_release(epoch);
             }
+            lease.handle_stop_failed();
             drop(lease);
             self.carry_out(&actuator);
         }
-        self.look();
+    }
+
+    /// The components of actuators without a cut-off.
+    pub(crate) fn without_cut_off(&self) -> Vec<ObjectName> {
+        let actuators = lock(&self.actuators);
+        let without = actuators.values().filter(|actuator| actuator.declared.cut_off.is_none());
+        without.map(|actuator| actuator.object.clone()).collect()
+    }
+
+    /// Whether one is being stopped in order.
+    pub(crate) fn are_stopping(&self) -> bool {
+        lock(&self.actuators).values().any(|actuator| lock(&actuator.lease).is_stopping())
     }
 
     /// Whether there are none.
@@ -187,7 +222,7 @@ impl ActuatorTable {
         let now = platform::now();
         let row = |actuator: &Arc<Actuator>| ActuatorRow {
             object: actuator.object.clone(),
-            contract: actuator.identity.name,
+            contract: actuator.declared.identity.name,
             status: lock(&actuator.lease).status(now),
         };
         let actuators: Vec<_> = lock(&self.actuators).values().cloned().collect();
@@ -224,8 +259,8 @@ impl ActuatorTable {
             let why = DeliveryError::Unknown { name: format!("{} of {object}", theirs.name) };
             return answer.give(CommandReply::refused(&why));
         };
-        if actuator.identity.check(&theirs).is_err() {
-            let identity = actuator.identity.full().encode();
+        if actuator.declared.identity.check(&theirs).is_err() {
+            let identity = actuator.declared.identity.full().encode();
             return answer.give(CommandReply::Differs { identity });
         }
         let now = platform::now();
@@ -260,13 +295,25 @@ impl ActuatorTable {
                 lease.handle_release(epoch);
                 Ok(CommandReply::Done(Vec::new()))
             }
-            CommandKind::Command { epoch, message } => match lease.handle_renewal(epoch, now) {
-                Ok(()) => {
-                    drop(lease);
-                    return actuator.command(message, answer);
+            CommandKind::Command { epoch, age_us, way_us, message } => {
+                let way_us = if from.is_elsewhere() { way_us } else { 0 };
+                // What it took longer than the fastest request is missing from its deadline, which
+                // is the lease's span.
+                let left = answer.until().map_or(actuator.declared.rules.span, |until| until - now);
+                let age = Duration::from_micros(age_us.saturating_add(way_us))
+                    .saturating_add(actuator.declared.rules.span.saturating_sub(left));
+                match lease.handle_renewal(epoch, now) {
+                    Ok(()) if actuator.declared.max_age.is_some_and(|limit| age > limit) => {
+                        Err(DeliveryError::Expired)
+                    }
+                    Ok(()) => {
+                        actuator.command((message, age), &mut lease, answer);
+                        drop(lease);
+                        return self.look();
+                    }
+                    Err(why) => Err(why),
                 }
-                Err(why) => Err(why),
-            },
+            }
         };
         drop(lease);
         self.carry_out(&actuator);
@@ -310,44 +357,62 @@ impl ActuatorTable {
     }
 
     fn carry_out(&self, actuator: &Arc<Actuator>) {
+        let object = &actuator.object;
         loop {
             let output = lock(&actuator.lease).poll_output();
-            let Some(output) = output else { return };
-            let LeaseOutput::ApplySafeOutputs { commander, epoch, end, again } = output;
-            if !again {
-                let (object, who, incarnation) =
-                    (&actuator.object, &commander.name, commander.incarnation);
-                match end {
-                    LeaseEnd::Released => {
-                        info!(%object, who, %incarnation, epoch, "lease released")
+            match output {
+                None => return,
+                Some(LeaseOutput::Apply { commander, epoch, cause, again }) => {
+                    self.give(actuator, cause);
+                    if again {
+                        continue;
                     }
-                    LeaseEnd::Expired => {
-                        warn!(%object, who, %incarnation, epoch, "commander gone: safe outputs applied");
+                    let (who, incarnation) = (&commander.name, commander.incarnation);
+                    if cause == RestCause::Expired {
                         let detail = format!("its commander {who}{incarnation} has gone");
                         actuator.skeleton.declare(FaultKind::CommanderGone, detail);
                         actuator.lost.store(true, Relaxed);
                     }
+                    // Last: a log may block.
+                    info!(%object, who, %incarnation, epoch, ?cause, "the actuator is brought to rest");
                 }
-                self.cut_off(actuator);
+                Some(LeaseOutput::CheckTaken) => {
+                    let turn = actuator.skeleton.turn();
+                    let is_taken = turn.is_multiple_of(2) || turn != actuator.turn.load(Relaxed);
+                    lock(&actuator.lease).handle_check(is_taken);
+                }
+                Some(LeaseOutput::CutOff { cause }) => {
+                    self.cut_off(actuator);
+                    warn!(%object, ?cause, "the actuator is cut off");
+                }
             }
-            let (table, applied_at) = (self.clone(), actuator.clone());
-            let applied: ReplyTo = Box::new(move |result: Result<GatherBuffer, DeliveryError>| {
-                lock(&applied_at.lease).handle_applied(result.is_ok(), platform::now());
-                table.look();
-            });
-            // What came of it is told to the closure in every case.
-            let _ = actuator.skeleton.deliver(
-                &actuator.safe,
-                MessageMetadata::default(),
-                Some(applied),
-            );
         }
+    }
+
+    /// Gives the safe command, or the stop command.
+    fn give(&self, actuator: &Arc<Actuator>, cause: RestCause) {
+        let DeclaredActuator { rules, safe, stop, .. } = &actuator.declared;
+        let command = match (cause, rules.stop_by) {
+            // The component's hook stops the actuator.
+            (RestCause::Stopped, StopBy::Hook) => return,
+            (RestCause::Stopped, _) => stop,
+            _ => safe,
+        };
+        actuator.turn.store(actuator.skeleton.turn(), Relaxed);
+        let (table, applied_at) = (self.clone(), actuator.clone());
+        let applied: ReplyTo = Box::new(move |result: Result<GatherBuffer, DeliveryError>| {
+            lock(&applied_at.lease).handle_applied(cause, result.is_ok());
+            table.carry_out(&applied_at);
+        });
+        let metadata = MessageMetadata { is_first: true, ..MessageMetadata::default() };
+        // What came of it is told to the closure in every case.
+        let _ = actuator.skeleton.deliver(command, metadata, Some(applied));
     }
 
     /// Has the cut-off called. The next lease is granted after it has returned: a cut-off that
     /// blocks keeps the actuator from every commander, and a fault says so.
     fn cut_off(&self, actuator: &Arc<Actuator>) {
-        let Some(cut_off) = actuator.cut_off.clone() else {
+        let Some(cut_off) = actuator.declared.cut_off.clone() else {
             return lock(&actuator.lease).handle_cut_off_returned();
         };
         let (actuator, object) = (actuator.clone(), actuator.object.clone());
@@ -399,11 +464,18 @@ impl Actuator {
     }
 
     /// Hands a command over. One at a time: what waits behind a component that is stuck would be
-    /// carried out after its lease has ended.
-    fn command(&self, message: Vec<u8>, answer: Responder<ActuatorCommand>) {
+    /// carried out after its lease has ended. It is handed over under the lease's lock, so that a
+    /// safe command finds it where it waits.
+    fn command(
+        &self,
+        (message, age): (Vec<u8>, Duration),
+        lease: &mut Lease,
+        answer: Responder<ActuatorCommand>,
+    ) {
         if self.busy.swap(true, Relaxed) {
             return answer.give(CommandReply::refused(&DeliveryError::Full));
         }
+        lease.handle_command(platform::now());
         let busy = self.busy.clone();
         let reply_to: ReplyTo = Box::new(move |result: Result<GatherBuffer, DeliveryError>| {
             busy.store(false, Relaxed);
@@ -412,8 +484,9 @@ impl Actuator {
                 Err(why) => CommandReply::refused(&why),
             });
         });
+        let metadata = MessageMetadata { age, ..MessageMetadata::default() };
         // What came of it is told to the closure in every case.
-        let _ = self.skeleton.deliver(&message.into(), MessageMetadata::default(), Some(reply_to));
+        let _ = self.skeleton.deliver(&message.into(), metadata, Some(reply_to));
     }
 }
 
@@ -510,12 +583,18 @@ mod tests {
         let skeleton = Arc::new(ServiceFn::<ActuatorCommand>(Arc::new(serve)));
         let declared = DeclaredActuator {
             identity: ContractIdentity::of::<ActuatorCommand>(),
-            span: Duration::from_secs(60),
-            safe: Ok(Bytes::new()),
+            rules: LeaseRules {
+                span: Duration::from_secs(60),
+                command_timeout: None,
+                stop_by: StopBy::SafeCommand,
+            },
+            max_age: None,
+            safe: Bytes::new(),
+            stop: Bytes::new(),
+            settle_within: Duration::ZERO,
             cut_off: None,
         };
-        let port = table.declare(&wheels, vec![(declared, skeleton)], AccessControl::default());
-        port.expect("it is declared");
+        table.declare(&wheels, vec![(declared, skeleton)], AccessControl::default());
 
         let refused = reply(&table, "arm", claim("base:planner"));
         assert!(matches!(refused, Err(DeliveryError::Undecodable { .. })), "{refused:?}");
@@ -523,7 +602,7 @@ mod tests {
         for wish in [
             CommandKind::Renew { epoch },
             CommandKind::Release { epoch },
-            CommandKind::Command { epoch, message: Vec::new() },
+            CommandKind::Command { epoch, age_us: 0, way_us: 0, message: Vec::new() },
         ] {
             assert_eq!(reply(&table, "arm", wish), Err(DeliveryError::Superseded { epoch }));
         }

@@ -35,6 +35,7 @@ use blastema_core::{
     Contract, DeliveryError, FaultKind, Incarnation, Instant, Lifecycle, MessageId, ObjectName,
 };
 use std::any::TypeId;
+use std::cell::Cell;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
@@ -167,6 +168,13 @@ impl CellCore {
         if let Some(cold) = self.cold_if_used() {
             cold.announce(what);
         }
+    }
+
+    /// An incarnation leaves work in order. Returns how long it may go on until it has settled.
+    pub(crate) fn leave_work(&self) -> Duration {
+        let within = Cell::new(Duration::ZERO);
+        self.announce(|listener| within.set(within.get().max(listener.leaves_work())));
+        within.get()
     }
 
     pub(crate) fn incarnation(&self) -> Incarnation {
@@ -433,6 +441,27 @@ impl<C: Component> ComponentCell<C> {
         drop(self.queue.notify(owner, &format!("{} {about}", M::NAME), notice));
     }
 
+    /// Puts a safe command before all that waits, whether there is room or not. It ends with the
+    /// present incarnation. Commands of its contract that still wait are not begun any more.
+    pub(crate) fn post_first<M: Contract>(&self, command: M, answer: Responder<M>)
+    where
+        C: Handle<M>,
+    {
+        let Some(owner) = self.queue.owner() else {
+            return answer.refuse(DeliveryError::Restarting, None);
+        };
+        let is_command = |envelope: &BoxedEnvelope<C>| {
+            (envelope.header().contract == TypeId::of::<M>()).then(|| envelope.revocable())
+        };
+        for waiting in self.queue.select(is_command).into_iter().flatten() {
+            waiting.cancel(DeliveryError::Expired);
+        }
+        // No name of an object contains a blank, and no safe command grows old.
+        let (about, never) = (format!("command {}", M::NAME), Instant::from_nanos(u64::MAX));
+        let command = seal_message::<C, M>(command, Some(answer), None, never);
+        drop(self.queue.notify(owner, &about, command));
+    }
+
     /// An event for a component that is busy, or has just been.
     pub(crate) fn queue_event<M: Contract>(&self, event: M, times: impl Into<Times>)
     where
@@ -511,7 +540,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
         _: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>> {
         let (answer, reply) = Responder::awaited();
-        match self.post(message, answer, id) {
+        match self.post(message, answer, id, enqueue_time::<M>()) {
             Ok(()) => Ok(reply),
             Err(error) => Err(error.into()),
         }
@@ -571,6 +600,7 @@ impl<C: Component> ComponentCell<C> {
         message: M,
         answer: Responder<M>,
         id: Option<MessageId>,
+        posted_at: Instant,
     ) -> Result<(), SendError<M>>
     where
         C: Handle<M>,
@@ -579,7 +609,7 @@ impl<C: Component> ComponentCell<C> {
         let logged = self.record.log_sent(M::NAME);
         let posted = match self.admit(id) {
             Ok(()) => {
-                let times = Times { logged, ..enqueue_time::<M>().into() };
+                let times = Times { logged, ..posted_at.into() };
                 self.push(message, |m| seal_message::<C, M>(m, answer.take(), id, times))
             }
             Err(why) => Err((message, why)),

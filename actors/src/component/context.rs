@@ -267,6 +267,13 @@ impl<C: Component> Context<C> {
         self.state.defer(|wishes| wishes.stop = true);
     }
 
+    /// Says that the component has come to rest after the stop command of its actuators, so that it
+    /// is deactivated before [`settle_within`](crate::ActuatorSpec::settle_within) has passed.
+    /// Without effect at other times.
+    pub fn settled(&mut self) {
+        self.state.settled.set(self.state.settled.get().map(|_| true));
+    }
+
     /// Leaves work because of a failure, as if a hook had returned it.
     pub fn fail(&mut self, failure: impl Into<Failure>) {
         let failure = failure.into();

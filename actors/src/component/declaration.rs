@@ -8,6 +8,7 @@ use blastema_core::ObjectName;
 use blastema_core::sorted::SortedSet;
 use std::any::Any;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// What one component declares of one feature.
 pub(crate) trait Declarations<C: Component>: Any {
@@ -26,6 +27,14 @@ pub(crate) trait Declarations<C: Component>: Any {
 pub(crate) trait CellListener: Send + Sync {
     /// An incarnation is active.
     fn activated(&self) {}
+    /// An incarnation leaves work in order. Returns how long it may go on until it has settled.
+    fn leaves_work(&self) -> Duration {
+        Duration::ZERO
+    }
+    /// What the component does as it leaves work has failed.
+    fn stop_failed(&self) {}
+    /// An incarnation has left work; its hook for that has, or has not, ended well.
+    fn left_work(&self, _hook_done: bool) {}
     /// An incarnation has ended, and none follows at once.
     fn deactivated(&self) {}
     /// The component leaves the node.

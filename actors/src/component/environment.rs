@@ -11,6 +11,7 @@ use crate::settings::CALLBACK_LIMIT;
 use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 use tracing::error;
 
 /// What all components of a node share.
@@ -26,6 +27,10 @@ pub(crate) struct ComponentEnvironment {
     pub(crate) fault_codes: Arc<SortedSet<Arc<str>>>,
     /// What the features of the node add.
     pub(crate) extensions: Extensions,
+    /// The longest `shutdown_within` of a component, in milliseconds.
+    pub(crate) longest_stop_ms: AtomicU64,
+    /// Incarnations that ended without the hooks of their stop.
+    pub(crate) cut_short: AtomicU64,
 }
 
 impl ComponentEnvironment {
@@ -64,6 +69,8 @@ impl ComponentEnvironment {
             watch_list: SampledComponents::default(),
             fault_codes: Arc::default(),
             extensions: Extensions::default(),
+            longest_stop_ms: AtomicU64::new(0),
+            cut_short: AtomicU64::new(0),
         }
     }
 }

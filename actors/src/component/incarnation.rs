@@ -90,6 +90,8 @@ pub(crate) struct IncarnationState<C: Component> {
     operations: OnceCell<Arc<LongOperations>>,
     /// Of the message that is served, or was last.
     pub(crate) captured_at: Cell<Option<Instant>>,
+    /// While the incarnation leaves work: whether it has settled.
+    pub(crate) settled: Cell<Option<bool>>,
     /// There only where something was asked for.
     wishes: Cell<Option<Box<DeferredCommands>>>,
     wished: Cell<bool>,
@@ -105,6 +107,7 @@ impl<C: Component> IncarnationState<C> {
             token: Arc::default(),
             activity,
             captured_at: Cell::new(None),
+            settled: Cell::new(None),
             wishes: Cell::default(),
             wished: Cell::new(false),
             timers: OnceCell::new(),

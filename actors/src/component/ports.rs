@@ -10,6 +10,7 @@ use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{Contract, Event, ObjectName, Request};
 use std::any::{Any, TypeId};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Makes the skeleton for one contract.
 pub(crate) type PortConstructor<C> = fn(&Arc<ComponentCell<C>>) -> ContractPort;
@@ -24,13 +25,15 @@ pub struct Ports<C: Component> {
     queues: SortedMap<TypeId, (Option<usize>, WhenFull)>,
     /// What features add, each once.
     features: Vec<Box<dyn Declarations<C>>>,
+    /// How long handlers may await something, unless the child spec says so.
+    pub(crate) max_wait: Option<Duration>,
 }
 
 impl<C: Component> Ports<C> {
     /// What the component declares.
     pub(crate) fn of() -> Self {
         let (open, taken, queues, features) = Default::default();
-        let mut ports = Ports { open, taken, queues, features };
+        let mut ports = Ports { open, taken, queues, features, max_wait: None };
         C::ports(&mut ports);
         ports
     }

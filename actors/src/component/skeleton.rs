@@ -32,7 +32,7 @@ impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
     fn hand_over(
         &self,
         message: M,
-        MessageMetadata { id, age, until, .. }: MessageMetadata,
+        MessageMetadata { id, age, is_first, until, .. }: MessageMetadata,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), DeliveryError> {
         match reply_to {
@@ -60,7 +60,13 @@ impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
                     reply_to(result.and_then(converted));
                 };
                 let answer = Responder::called_back(Box::new(callback), until);
-                self.cell.post(message, answer, id).map_err(|error| error.kind)
+                if is_first {
+                    self.cell.post_first(message, answer);
+                    return Ok(());
+                }
+                self.cell
+                    .post(message, answer, id, arrived_posting_time::<M>(age))
+                    .map_err(|error| error.kind)
             }
         }
     }
@@ -91,6 +97,11 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
                 Err(why)
             }
         }
+    }
+
+    fn turn(&self) -> u64 {
+        let placement = self.cell.record.arbiter();
+        placement.map_or(0, |placement| placement.slot.activity.read().turn)
     }
 
     fn space(&self) -> Option<CapacityFuture> {

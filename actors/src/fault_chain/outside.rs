@@ -51,6 +51,9 @@ pub(crate) struct OutsideSetup {
     pub(crate) watchdogs: Vec<Box<dyn ProcessWatchdog>>,
     /// Whether the chain stands.
     pub(crate) stands: watch::Sender<bool>,
+    /// How much longer the chain may take to answer: while actuators are being stopped in order, a
+    /// log that blocks the chain is not to cut them off.
+    pub(crate) stop_limit: Box<dyn Fn() -> Duration + Send>,
     /// Is called with the reason when the chain begins to stand.
     pub(crate) last_resort: Box<dyn Fn(String) + Send>,
 }
@@ -107,9 +110,9 @@ struct Silence {
 
 impl Silence {
     /// Time passes without an answer. Says whether the chain stands from now on.
-    fn handle_silent(&mut self, span: Duration) -> bool {
+    fn handle_silent(&mut self, span: Duration, stop_limit: Duration) -> bool {
         self.since += span;
-        let begins = !self.stands && self.since > ANSWER_TIMEOUT;
+        let begins = !self.stands && self.since > ANSWER_TIMEOUT.saturating_add(stop_limit);
         self.stands |= begins;
         begins
     }
@@ -199,7 +202,7 @@ impl Watching {
     }
 
     fn handle_silent(&mut self, since: Duration) {
-        if !self.silence.handle_silent(since) {
+        if !self.silence.handle_silent(since, (self.setup.stop_limit)()) {
             return;
         }
         let (name, _) = &self.setup.pings[self.asked.load(Relaxed)];
@@ -251,12 +254,12 @@ mod tests {
     #[test]
     fn a_chain_stands_once_until_it_answers_again() {
         let mut silence = Silence::default();
-        assert!(!silence.handle_silent(ANSWER_TIMEOUT));
+        assert!(!silence.handle_silent(ANSWER_TIMEOUT, Duration::ZERO));
         assert!(!silence.handle_answered());
 
-        assert!(!silence.handle_silent(ANSWER_TIMEOUT), "counted from the answer");
-        assert!(silence.handle_silent(MS));
-        assert!(!silence.handle_silent(ANSWER_TIMEOUT), "once");
+        assert!(!silence.handle_silent(ANSWER_TIMEOUT, Duration::ZERO), "counted from the answer");
+        assert!(silence.handle_silent(MS, Duration::ZERO));
+        assert!(!silence.handle_silent(ANSWER_TIMEOUT, Duration::ZERO), "once");
         assert!(silence.handle_answered());
         assert!(!silence.handle_answered());
     }
@@ -333,6 +336,7 @@ mod tests {
                 pings: pings.into(),
                 watchdogs: vec![Box::new(Counting(seen.clone()))],
                 stands: watch::channel(false).0,
+                stop_limit: Box::new(|| Duration::ZERO),
                 last_resort: Box::new(|_| {}),
             };
             let watch = ChainWatch::start(setup).unwrap();

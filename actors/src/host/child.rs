@@ -14,6 +14,7 @@ use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
 use blastema_core::{DeliveryError, FaultKind, Incarnation, Lifecycle, ObjectName};
 use std::any::Any;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 
 /// A hosted component in the hands of its supervisor.
 pub(crate) struct ComponentChild<C: Component> {
@@ -53,6 +54,7 @@ impl<C: Component> ComponentChild<C> {
         let record = &self.cell.record;
         // At once: the guard may be about to pass the queue on to a replacement.
         let Some(incarnation) = self.cell.queue.evict() else { return false };
+        record.environment.cut_short.fetch_add(1, Relaxed);
         let mut keeps_thread = false;
         let placement = record.take_placement();
         if let Some(placement) = &placement {
@@ -90,6 +92,9 @@ impl<C: Component> ComponentChild<C> {
             control.wake();
         }
         self.cell.set_control(None);
+        if is_overdue {
+            record.leave_work();
+        }
         record.announce(|listener| listener.deactivated());
         let (object, ending) = (record.name.clone(), DownReason::Abandoned);
         record.tell_watchers(|| Down { object, node: None, incarnation, ending });
@@ -157,6 +162,7 @@ impl<C: Component> Child for ComponentChild<C> {
         if self.is_alive() {
             return self.order(HostCommand::Stop);
         }
+        self.cell.record.leave_work();
         self.cell.end();
         self.tell(self.cell.record.incarnation(), ChildEvent::Stopped);
     }

@@ -99,6 +99,9 @@ pub(crate) enum StopOrder {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum LifecycleStep {
     Run(Hook),
+    /// Bring the actuators to rest, and serve timers, rounds and messages meanwhile; then tell
+    /// [`IncarnationLifecycle::handle_settled`].
+    Settle,
     /// Serve timers, rounds and messages.
     Serve,
     /// Wait for an order.
@@ -144,6 +147,8 @@ pub(crate) struct IncarnationLifecycle {
     /// The hook that has begun and not ended.
     running: Option<Hook>,
     awaited: Option<Awaited>,
+    /// The actuators are at rest, so that the component may be deactivated.
+    settled: bool,
     /// Why it did not come to work. The supervisor, which waits for the start, hears of it when the
     /// incarnation has ended: only then may the next one begin.
     start_failure: Option<String>,
@@ -164,6 +169,7 @@ impl IncarnationLifecycle {
             hooks: smallvec![Hook::Initialize, Hook::Startup, Hook::Activated],
             running: None,
             awaited: Some(Awaited::Start),
+            settled: false,
             start_failure: None,
             retried: None,
             end: None,
@@ -215,6 +221,9 @@ impl IncarnationLifecycle {
     pub(crate) fn next(&mut self) -> LifecycleStep {
         if self.retried.is_some_and(|retried| retried.waits) {
             return LifecycleStep::Rest;
+        }
+        if self.hooks.first() == Some(&Hook::Deactivated) && !self.settled {
+            return LifecycleStep::Settle;
         }
         if !self.hooks.is_empty() {
             let hook = self.hooks.remove(0);
@@ -273,6 +282,11 @@ impl IncarnationLifecycle {
             }
             (_, Err(failure)) => self.handle_failure(failure),
         }
+    }
+
+    /// The actuators are at rest.
+    pub(crate) fn handle_settled(&mut self) {
+        self.settled = true;
     }
 
     /// What runs was cut off: the incarnation ends here.
@@ -464,6 +478,7 @@ impl IncarnationLifecycle {
 
     fn enter(&mut self, state: Lifecycle, reason: Option<String>) {
         self.state = state;
+        self.settled = false;
         self.reports.push_back(LifecycleReport::State(state, reason));
     }
 }

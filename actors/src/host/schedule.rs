@@ -43,6 +43,8 @@ pub(crate) enum DueWork {
     ReadyLimit,
     /// It should have ended by now.
     StopLimit,
+    /// It should have settled by now.
+    SettleLimit,
     /// What was not there yet may be there now.
     Retry,
 }
@@ -400,7 +402,7 @@ impl Work {
                 let Some(timer) = active.get_mut(&id.0) else { return };
                 (timer.entry, timer.due) = (None, Some(at));
             }
-            DueWork::ReadyLimit | DueWork::StopLimit | DueWork::Retry => {
+            DueWork::ReadyLimit | DueWork::StopLimit | DueWork::SettleLimit | DueWork::Retry => {
                 return self.reached.push(work);
             }
         }

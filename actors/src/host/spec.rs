@@ -16,6 +16,7 @@ use blastema_core::ObjectName;
 use blastema_core::detection::Liveness;
 use std::fmt;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 /// Describes a component: its name, its factory, and how it is run and monitored.
@@ -26,6 +27,7 @@ pub struct ChildSpec<C: Component> {
     queue: (usize, WhenFull),
     rate_hz: Option<f64>,
     limits: SharedLimits,
+    max_wait: Option<Duration>,
     depends_on: Vec<String>,
     essential: bool,
     more_ports: Vec<MorePorts<C>>,
@@ -52,6 +54,7 @@ impl<C: Component> ChildSpec<C> {
             queue: (QUEUE.default, WhenFull::Refuse),
             rate_hz: None,
             limits: SharedLimits::default(),
+            max_wait: None,
             depends_on: Vec::new(),
             essential: false,
             more_ports: Vec::new(),
@@ -97,9 +100,11 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// How long a handler may await something before it counts as hanging; at least 1 ms.
+    /// How long a handler or hook may await something before it counts as hanging; at least 1 ms.
+    /// Unless set, it is the shortest command timeout of the component's
+    /// [actuators](crate::ActuatorSpec::new), or 10 s where it has none.
     pub fn max_wait(mut self, span: Duration) -> Self {
-        self.limits.hang().max_wait = span;
+        self.max_wait = Some(span);
         self
     }
 
@@ -171,7 +176,6 @@ impl<C: Component> ChildSpec<C> {
         if let Some(interval) = self.interval().map_err(refused)? {
             limits.interval = Some(interval);
         }
-        limits.check().map_err(refused)?;
         QUEUE.check(self.queue.0).map_err(refused)?;
         let name = SpecError::check_name(ObjectName::new(&self.name)?)?;
         let more_ports = self.more_ports;
@@ -185,6 +189,12 @@ impl<C: Component> ChildSpec<C> {
         let ports =
             declared.map_err(|panicked| SpecError::Ports { name: name.clone(), panicked })?;
         ports.check(&name)?;
+        if let Some(span) = self.max_wait.or(ports.max_wait) {
+            limits.hang().max_wait = span;
+        }
+        limits.check().map_err(|error| SpecError::setting(&self.name, error))?;
+        let longest = u64::try_from(limits.shutdown_within.as_millis()).unwrap_or(u64::MAX);
+        environment.longest_stop_ms.fetch_max(longest, Relaxed);
         let record = CellCore::new(name.clone(), limits, environment.clone());
         let queues = ports.queues(self.queue.0);
         for (capacity, _) in queues.values() {

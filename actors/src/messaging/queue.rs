@@ -348,6 +348,16 @@ impl<T> BoundedQueue<T> {
         self.length.load(Relaxed) == 0
     }
 
+    /// What this finds among what waits.
+    pub(crate) fn select<R>(&self, mut find: impl FnMut(&T) -> Option<R>) -> Vec<R> {
+        self.lock().queue.iter().filter_map(|(_, item)| find(item)).collect()
+    }
+
+    /// Whether something waits that is taken before the queue.
+    pub(crate) fn has_notices(&self) -> bool {
+        self.lock().notices.as_ref().is_some_and(|notices| !notices.is_empty())
+    }
+
     /// How many messages wait.
     pub(crate) fn depth(&self) -> usize {
         self.length.load(Relaxed)
@@ -368,7 +378,7 @@ impl<T> BoundedQueue<T> {
     where
         T: Clone,
     {
-        self.lock().queue.iter().map(|(_, item)| item.clone()).collect()
+        self.select(|item| Some(item.clone()))
     }
 
     /// Closes the queue until it has an owner again, and returns what was never served.

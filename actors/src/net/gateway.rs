@@ -222,7 +222,8 @@ impl GatewayActor {
             PeerProtocolOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
                 let reply_to =
                     call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
-                let metadata = MessageMetadata { id, age, until, from: Some(peer) };
+                let metadata =
+                    MessageMetadata { id, age, is_first: false, until, from: Some(peer) };
                 self.serve((peer, binding), &payload, metadata, reply_to, context);
             }
             PeerProtocolOutput::Resolve { reply_as, result } => {

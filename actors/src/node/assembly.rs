@@ -323,7 +323,7 @@ impl NodeAssembly {
     fn watch_chain(&self, wanted: ProcessWatchdogs) -> Result<Option<Systemd>, StartError> {
         let (manager, watchdogs) = wanted.open().map_err(StartError::ProcessWatchdog)?;
         if self.placement != ActorPlacement::Here {
-            self.parts.watch_chain(&self.node, watchdogs)?;
+            self.parts.watch_chain(&self.node, watchdogs, self.environment.clone())?;
         }
         Ok(manager)
     }

@@ -446,10 +446,14 @@ impl Node {
 
     async fn carry_out_end(&self, cause: &str) {
         self.0.tell_systemd("STOPPING=1");
+        let cut_short = || self.0.environment.cut_short.load(SeqCst);
+        let before = cut_short();
         let stopped = self.0.chain.answer(self.0.shutdown.send(Shutdown)).await;
         if stopped.is_none() && self.state() != NodeState::Stopped {
             // The fault chain stands, and no component can be stopped.
-            self.0.become_safe("the fault chain does not answer to the shutdown");
+            self.0.make_safe("the fault chain does not answer to the shutdown");
+        } else if cut_short() > before {
+            self.0.make_safe("a component was not stopped in order");
         }
         self.0.chain.expect_end();
         #[cfg(feature = "network")]

@@ -14,7 +14,7 @@ use blastema_core::{Fault, FaultKind};
 use std::io;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::Duration;
 use tokio::sync::oneshot::error::TryRecvError;
 use tracing::{info, warn};
@@ -22,9 +22,12 @@ use tracing::{info, warn};
 /// How often it is looked whether the outputs are safe.
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
 
-/// The nodes of this process that signals end: those that have safe outputs or a journal, and have
-/// not ended.
+/// The nodes of this process, which signals end.
 static NODES: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
+/// How long a process may take beyond the longest `shutdown_within` of a component, and again beyond
+/// the calls that make its outputs safe. With the usual limit of a call that is a second in all.
+const LAST_STEPS: Duration = Duration::from_millis(250);
+
 /// Who waits in [`Node::run_until_signal`] for the first signal.
 static WAITING: AtomicUsize = AtomicUsize::new(0);
 
@@ -45,9 +48,17 @@ impl Shared {
             NodeState::Running => true,
             NodeState::InSafeState { .. } | NodeState::Stopped => false,
         };
-        if !ends || self.safe.swap(true, SeqCst) {
+        if ends {
+            self.make_safe(cause);
+        }
+    }
+
+    /// The same, whatever the node's state.
+    pub(super) fn make_safe(&self, cause: &str) {
+        if self.safe.swap(true, SeqCst) {
             return;
         }
+        let has_outputs = self.has_outputs();
         let outcome =
             if has_outputs { self.apply_outputs(cause) } else { "it has no safe outputs" };
         // A node that runs on one thread belongs to a test, which has its own output.
@@ -95,11 +106,40 @@ impl Shared {
 
 /// A signal has come, and another one may.
 fn handle_signal(signal: Termination, is_first: bool) {
-    if is_first && WAITING.load(SeqCst) > 0 {
-        return; // Who waits shuts the node down in order.
+    if !is_first || WAITING.load(SeqCst) == 0 {
+        return end_all(signal);
     }
-    let alive: Vec<_> = nodes().iter().filter_map(Weak::upgrade).collect();
-    alive.iter().for_each(|node| node.end(signal.name()));
+    // The caller that waits shuts its node down in order. If a component, or the caller, hangs, the
+    // process ends all the same.
+    let longest = |node: &Arc<Shared>| node.environment.longest_stop_ms.load(SeqCst);
+    let longest = alive().iter().map(longest).max().unwrap_or_default();
+    let wait = Duration::from_millis(longest).saturating_add(LAST_STEPS);
+    let overdue = move || {
+        platform::wait(wait);
+        if WAITING.load(SeqCst) > 0 {
+            end_all(signal);
+        }
+    };
+    if platform::start_thread("signal-limit", overdue).is_err() {
+        end_all(signal);
+    }
+}
+
+fn alive() -> Vec<Arc<Shared>> {
+    nodes().iter().filter_map(Weak::upgrade).collect()
+}
+
+/// Ends the process, its outputs safe. Neither a log nor an output that blocks keeps it.
+fn end_all(signal: Termination) {
+    let nodes = alive();
+    let call = nodes.iter().filter_map(|node| node.chain.callbacks.limit()).max();
+    let end_late = move || {
+        platform::wait(call.unwrap_or_default() + LAST_STEPS);
+        platform::end_process(signal.exit_code())
+    };
+    // Where the system has no thread left, nothing bounds what follows.
+    let _ = platform::start_thread("signal-end", end_late);
+    nodes.iter().for_each(|node| node.end(signal.name()));
     platform::end_process(signal.exit_code())
 }
 
@@ -124,19 +164,27 @@ impl Node {
     /// Has SIGTERM, SIGINT and SIGHUP apply the safe outputs and close the journal, if this node
     /// has any.
     pub(super) fn apply_safe_outputs_on_signals(&self) -> io::Result<()> {
-        if !self.0.has_outputs() && !self.0.chain.keeps_journal() {
-            return Ok(());
+        if !self.0.chain.safe_outputs.are_declared() {
+            for actuator in self.0.environment.actuators().without_cut_off() {
+                warn!(%actuator, "nothing stops this actuator if its component hangs: declare a cut_off, or safe_outputs of the node");
+            }
         }
         let mut nodes = nodes();
         nodes.retain(|node| node.strong_count() > 0);
-        nodes.push(std::sync::Arc::downgrade(&self.0));
+        nodes.push(Arc::downgrade(&self.0));
         drop(nodes);
-        handle_signals()
+        match self.0.has_outputs() || self.0.chain.keeps_journal() {
+            true => handle_signals(),
+            false => Ok(()),
+        }
     }
 
     /// Waits for SIGTERM, SIGINT (Ctrl-C) or SIGHUP (the terminal is closed), and
     /// [shuts down](Node::shutdown) in order. A second signal during that applies the safe outputs
-    /// and ends the process at once. Returns too when the node was shut down otherwise; a node in
+    /// and ends the process at once. Where not every hook of a stop has run, because a component
+    /// hangs, the safe outputs are applied, and the process ends here with the status 128 + signal,
+    /// at the latest a second after the longest [`shutdown_within`](crate::ChildSpec::shutdown_within).
+    /// Returns too when the node was shut down otherwise; a node in
     /// the safe state waits on, so that a person can look at it.
     ///
     /// ```no_run
@@ -171,6 +219,9 @@ impl Node {
             signal = terminations.next() => {
                 info!(node = %self.0.name, signal = signal.name(), "the node is shut down");
                 self.shut_down_because(&format!("{} shut it down", signal.name())).await;
+                if self.0.safe.load(SeqCst) {
+                    platform::end_process(signal.exit_code());
+                }
             }
             // Also if the sender of the state was dropped.
             _ = state.wait_for(|state| *state == NodeState::Stopped) => {}

@@ -35,6 +35,11 @@ pub(crate) struct MessageOrigin {
 }
 
 impl MessageOrigin {
+    /// Whether that is another node.
+    pub(crate) fn is_elsewhere(self) -> bool {
+        self != MessageOrigin::default()
+    }
+
     /// Whether an object of this name, such as `base:planner`, may have sent it.
     #[cfg(feature = "network")]
     pub(crate) fn may_be(self, object: &str) -> bool {

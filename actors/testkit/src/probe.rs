@@ -1,7 +1,7 @@
 //! A component in the place of any partner of the component under test.
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Contract};
+use blastema::{ActuatorSpec, Contract, Hold};
 use blastema_doubles::Record;
 use std::sync::Arc;
 use std::time::Duration;
@@ -109,7 +109,7 @@ impl<E: Event> Probe<E> {
         let record = self.0.clone();
         let spec = ChildSpec::new(name, move || Actuator { record: record.clone() });
         spec.with_ports(|ports| {
-            ports.actuator(ActuatorSpec::new(safe));
+            ports.actuator(ActuatorSpec::new(safe, Hold));
         })
     }
 }
@@ -127,7 +127,7 @@ impl<M: Request> Probe<M> {
         let make =
             move || AnsweringActuator(Server { record: record.clone(), answer: answer.clone() });
         ChildSpec::new(name, make).with_ports(|ports| {
-            ports.actuator(ActuatorSpec::new(safe));
+            ports.actuator(ActuatorSpec::new(safe, Hold));
         })
     }
 

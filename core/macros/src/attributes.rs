@@ -176,9 +176,6 @@ fn misplaced(key: &str, derive: Derive) -> Option<String> {
         ("max_age", Derive::Variable) => {
             Some("a variable shows its age to its readers; remove `max_age`".into())
         }
-        ("max_age", Derive::Request) => {
-            Some("a request has no max_age: the asker states a deadline; remove `max_age`".into())
-        }
         ("idempotent", Derive::Event) => Some(
             "an event is not answered, so that no caller waits or sends it again: remove `idempotent`"
                 .into(),

@@ -81,7 +81,8 @@ pub enum DeliveryError {
         /// The object, or the node.
         object: String,
     },
-    /// The message was older than its contract allows.
+    /// The message, or the data that a command was made from, was older than its contract allows; or
+    /// a safe command has taken the place of a command that waited.
     #[error("the message is older than its contract allows")]
     Expired,
     /// No object of this name is known.
@@ -302,6 +303,16 @@ pub enum DeliveryError {
         /// The serial number of the roster.
         serial: u64,
     },
+    /// The contract of the command has a `max_age`, and the commander has not said how old the data
+    /// is that the command was made from.
+    #[error(
+        "`{contract}` has a max_age: write `commander.command_from(cx.captured_at(), command)`, with when \
+         the data was captured that the command is made from"
+    )]
+    AgeUnknown {
+        /// The contract of the command.
+        contract: String,
+    },
 }
 
 /// Prints the text of `Display`: a `main` that returns this error, and `unwrap`, print by `Debug`.
@@ -376,6 +387,7 @@ impl DeliveryError {
             | DeliveryError::Superseded { .. }
             | DeliveryError::Unclaimed { .. }
             | DeliveryError::NameTaken { .. }
+            | DeliveryError::AgeUnknown { .. }
             | DeliveryError::Forbidden { .. } => Outcome::NotTaken,
             // The callee may have been stopped, or shut out, while it served; and what cannot be
             // decoded may be the reply.

@@ -2,7 +2,9 @@
 
 use blastema::core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, FaultTransition, NodeBuilder, RecoveryStrategy, StrategyContext};
+use blastema::{
+    ActuatorSpec, CommandTimeout, FaultTransition, NodeBuilder, RecoveryStrategy, StrategyContext,
+};
 use std::path::Path;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
@@ -346,7 +348,10 @@ struct Gripper(Block);
 
 impl Component for Gripper {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0)).cut_off(|| CUT.lock().unwrap().block()));
+        ports.actuator(
+            ActuatorSpec::new(Drive(0.0), CommandTimeout::Hold)
+                .cut_off(|| CUT.lock().unwrap().block()),
+        );
     }
 }
 

@@ -269,12 +269,16 @@ fn check(ledger: &str, asked: &BTreeMap<u64, Result<u64, Outcome>>, (scheme, kil
     );
 }
 
+/// How long the storm lasts.
+fn storm_seconds() -> u64 {
+    std::env::var("BLASTEMA_STORM_SECONDS")
+        .map_or(8, |text| text.parse().expect("BLASTEMA_STORM_SECONDS is a number of seconds"))
+}
+
 #[test]
 fn what_became_of_each_request_is_what_its_sender_was_told() {
-    let seconds = std::env::var("BLASTEMA_STORM_SECONDS").map_or(8, |text| {
-        text.parse::<u64>().expect("BLASTEMA_STORM_SECONDS is a number of seconds")
-    });
-    let _turn = blastema_doubles::turn_within(Duration::from_secs(300 + 2 * seconds));
+    let _turn = blastema_doubles::turn_within(Duration::from_secs(300 + 2 * storm_seconds()));
+    let seconds = storm_seconds();
     for scheme in SCHEMES {
         blastema::run(storm(scheme, Duration::from_secs(seconds) / SCHEMES.len() as u32));
     }

@@ -5,8 +5,8 @@
 
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Link, Network, RestoreDecision, RestorePolicy, Role, ServiceSpec, StandbyKind,
-    Stateful, Transaction,
+    ActuatorSpec, Hold, Link, Network, RestoreDecision, RestorePolicy, Role, ServiceSpec,
+    StandbyKind, Stateful, Transaction,
 };
 use blastema_tests::{Answers, Process, free_addresses};
 use std::net::SocketAddr;
@@ -109,7 +109,7 @@ struct Wheels(std::sync::mpsc::SyncSender<f32>);
 
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(Duration::from_secs(2)));
+        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold).lease(Duration::from_secs(2)));
     }
 }
 

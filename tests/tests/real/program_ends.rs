@@ -3,7 +3,7 @@
 #![allow(clippy::print_stdout, reason = "the processes tell the test what they do")]
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, NodeBuilder};
+use blastema::{ActuatorSpec, Hold, NodeBuilder};
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::net::UnixDatagram;
@@ -49,7 +49,7 @@ struct Wheels;
 
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(Duration::from_secs(10)));
+        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold).lease(Duration::from_secs(10)));
     }
 }
 
@@ -161,6 +161,8 @@ fn a_process_plays_its_role() {
             "unsafe" => drop_with_outputs_that_panic().await,
             "plain" => drop_without_outputs().await,
             "asks" => ask_a_joint().await,
+            "hangs" | "hangs in main" | "stops slowly" => stop_with(&role).await,
+            "lands" => land_beside_a_stuck_log().await,
             role => drive_and(role).await,
         }
     });
@@ -296,6 +298,7 @@ fn a_program_that_shuts_its_node_down_has_nothing_more_to_make_safe() {
     assert_eq!(code, Some(0), "{errors}");
     assert!(!lines.iter().any(|line| line == "safe outputs"), "{lines:?}");
     assert_eq!(errors, "", "an orderly end prints no error");
+    assert!(lines.contains(&"drive 0".to_owned()), "the wheels are stopped: {lines:?}");
 }
 
 /// Its safe outputs panic when they are called.
@@ -457,6 +460,148 @@ fn a_process_whose_fault_chain_stands_is_stroked_no_more_and_its_outputs_are_saf
     process.signal("-TERM");
     manager.await_state("STOPPING=1");
     let (code, _, errors) = process.end();
-    assert_eq!(code, Some(0), "it ends all the same: {errors}");
+    assert_eq!(code, Some(143), "it ends all the same: {errors}");
     assert!(errors.contains("the fault chain has not answered"), "{errors}");
+}
+
+/// Hangs, or stops slowly.
+struct Stubborn;
+
+impl Component for Stubborn {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Leak>();
+    }
+
+    async fn on_deactivated(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        println!("deactivating");
+        std::future::pending().await
+    }
+}
+
+impl Handle<Leak> for Stubborn {
+    async fn handle(&mut self, _: Leak, _: &mut Context<Self>) {
+        println!("hangs");
+        loop {
+            std::thread::park();
+        }
+    }
+}
+
+/// Waits for signals, and cannot be stopped in order.
+async fn stop_with(role: &str) -> Result<(), Box<dyn std::error::Error>> {
+    let within = if role == "stops slowly" { 2 * PATIENCE } else { 500 * MS };
+    let stubborn = ChildSpec::new("stubborn", || Stubborn)
+        .on_own_thread()
+        .max_block(2 * PATIENCE)
+        .max_wait(2 * PATIENCE)
+        .shutdown_within(within);
+    let mut builder = Node::builder("module1")
+        .child(ChildSpec::new("wheels", || Wheels).shutdown_within(500 * MS))
+        .safe_outputs(|_| println!("safe outputs"));
+    if role != "hangs in main" {
+        builder = builder.child(stubborn);
+    }
+    let node = builder.start().await?;
+    let wheels = node.commander::<Drive>("wheels", "console")?;
+    wheels.claim().await?;
+    wheels.command(Drive(1.0)).await?;
+    if role == "hangs" {
+        // It never answers.
+        let _ = node.sender::<Leak>("stubborn")?.ask(Leak).await;
+    }
+    let hangs_in_main = role == "hangs in main";
+    actix_rt::spawn(async move {
+        blastema::sleep(100 * MS).await;
+        println!("waits");
+        if hangs_in_main {
+            loop {
+                std::thread::park();
+            }
+        }
+    });
+    node.run_until_signal().await?;
+    println!("ended in order");
+    Ok(())
+}
+
+#[test]
+fn a_program_that_cannot_stop_in_order_makes_its_outputs_safe_and_says_so_by_its_status() {
+    let _turn = blastema_doubles::turn();
+    for role in ["hangs", "hangs in main", "stops slowly"] {
+        let mut process = Process::start(role, &[]);
+        process.await_line("waits");
+        process.signal("-TERM");
+        if role == "stops slowly" {
+            process.await_line("deactivating");
+            process.signal("-TERM");
+        }
+        let (code, lines, errors) = process.end();
+
+        assert_eq!(code, Some(143), "{role}: {errors}");
+        assert!(lines.contains(&"safe outputs".to_owned()), "{role}: {lines:?}: {errors}");
+        assert!(!lines.contains(&"ended in order".to_owned()), "{role}: {lines:?}");
+        assert!(errors.contains("safe outputs applied"), "{role}: {errors}");
+    }
+}
+
+/// Lands in 70 rounds of 100 ms, which is longer than the fault chain may be silent otherwise.
+struct Drone(Option<u32>);
+
+impl Component for Drone {
+    fn ports(ports: &mut Ports<Self>) {
+        let land = Drive(-1.0);
+        let drone = ActuatorSpec::new(Drive(0.0), Hold).lease(PATIENCE);
+        ports.actuator(drone.on_stop(land).settle_within(PATIENCE / 2));
+    }
+
+    async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.0 = self.0.map(|height| height.saturating_sub(1));
+        if self.0 == Some(0) {
+            println!("landed");
+            self.0 = None;
+            cx.settled();
+        }
+        Ok(())
+    }
+}
+
+impl Handle<Drive> for Drone {
+    async fn handle(&mut self, drive: Drive, cx: &mut Context<Self>) -> f32 {
+        if drive.0 < 0.0 {
+            self.0 = Some(70);
+            STUCK.store(true, SeqCst);
+            cx.declare_fault(oil(), "a leak");
+        }
+        println!("drive {}", drive.0);
+        drive.0
+    }
+}
+
+async fn land_beside_a_stuck_log() -> Result<(), Box<dyn std::error::Error>> {
+    tracing::subscriber::set_global_default(StuckLog::default())?;
+    let drone = ChildSpec::new("drone", || Drone(None)).rate_hz(10.0).shutdown_within(PATIENCE);
+    let node = Node::builder("module1")
+        .fault_kind("OIL")
+        .plan(Plan::default().on(oil(), Ladder::first(RecoveryAction::Observe)))
+        .child(drone)
+        .safe_outputs(|_| println!("safe outputs"))
+        .start()
+        .await?;
+    let pilot = node.commander::<Drive>("drone", "pilot")?;
+    pilot.claim().await?;
+    pilot.command(Drive(1.0)).await?;
+    node.run_until_signal().await?;
+    Ok(())
+}
+
+#[test]
+fn a_log_that_blocks_does_not_cut_the_outputs_of_a_drone_that_lands() {
+    let _turn = blastema_doubles::turn();
+    let mut process = Process::start("lands", &[]);
+    process.await_line("drive 1");
+    process.signal("-TERM");
+    let (code, lines, errors) = process.end();
+
+    assert_eq!(lines[..3], ["drive -1", "landed", "safe outputs"], "{errors}");
+    assert_eq!(code, Some(143), "the fault chain did not come to its end: {errors}");
 }

@@ -5,7 +5,7 @@ use blastema::core::detection::Push;
 use blastema::core::recovery::{Backoff, RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, ClaimPolicy, IsolateError, Link, MemoryMedium, Network, NodeBuilder,
+    ActuatorSpec, ClaimPolicy, Hold, IsolateError, Link, MemoryMedium, Network, NodeBuilder,
     RecoveryStrategy, SpecError, StartError, StrategyContext,
 };
 use std::net::SocketAddr;
@@ -181,7 +181,7 @@ struct Told<const PORTS: u8>;
 
 impl<const PORTS: u8> Component for Told<PORTS> {
     fn ports(ports: &mut Ports<Self>) {
-        let spec = || ActuatorSpec::new(Drive);
+        let spec = || ActuatorSpec::new(Drive, Hold);
         let speed = |m_per_s| {
             let most = |speed: &Speed| match speed.m_per_s {
                 ..=1.0 => Ok(()),
@@ -198,6 +198,7 @@ impl<const PORTS: u8> Component for Told<PORTS> {
             5 => ports.variable(speed(2.0)),
             6 => ports.actuator(spec().lease(MS)),
             7 => ports.actuator(spec().lease(Duration::MAX)),
+            8 => ports.actuator(ActuatorSpec::new(Drive, MS)),
             _ => ports.actuator(spec().lease(20 * MS)).variable(speed(0.5)),
         };
     }
@@ -228,7 +229,8 @@ fn ports_of_which_one_could_not_be_reached_or_held_are_refused() {
         refused(told::<5>(), &["a variable of wheel", "faster than it can stop"]).await;
         refused(told::<6>(), &["a lease of wheel is 1ms", "20 ms to 60 s"]).await;
         refused(told::<7>(), &["a lease of wheel"]).await;
-        taken(told::<8>()).await;
+        refused(told::<8>(), &["the command timeout of wheel is 1ms", "or Hold for"]).await;
+        taken(told::<9>()).await;
         let claims = lamp().claim("light", ClaimPolicy::Refuse).claim("light", ClaimPolicy::Refuse);
         refused(node().child(claims), &["a claim of lamp is light twice"]).await;
     });

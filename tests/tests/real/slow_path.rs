@@ -10,7 +10,7 @@
 #![allow(clippy::print_stderr, reason = "a trial shows what it has measured")]
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Blob, Network, ServiceSpec, StandbyKind, Stateful};
+use blastema::{ActuatorSpec, Blob, Hold, Network, ServiceSpec, StandbyKind, Stateful};
 use blastema_tests::{RobotKeys, free_addresses};
 use std::collections::VecDeque;
 use std::io::{self, Read, Write};
@@ -213,7 +213,7 @@ struct Wheels;
 
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0)));
+        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold));
     }
 }
 

@@ -45,8 +45,8 @@ fn the_program_of_the_readme_is_the_example_hello() {
 fn the_test_of_the_readme_is_one_of_the_test_kit() {
     assert_same(
         &shown("README.md", "## A test", "```rust\n"),
-        &code_of("actors/testkit/tests/readme.rs"),
-        "copy the code of actors/testkit/tests/readme.rs, from its first `use` on, into README.md below \
+        &code_of("actors/testkit/tests/virtual/readme.rs"),
+        "copy the code of actors/testkit/tests/virtual/readme.rs, from its first `use` on, into README.md below \
          \"A test\"",
     );
 }
@@ -55,15 +55,15 @@ fn the_test_of_the_readme_is_one_of_the_test_kit() {
 fn the_test_of_the_manual_is_one_of_the_test_kit() {
     assert_same(
         &shown("actors/src/manual/testing.md", "# Testing", "```text\n"),
-        &code_of("actors/testkit/tests/manual.rs"),
-        "copy the code of actors/testkit/tests/manual.rs, from its first `use` on, into \
+        &code_of("actors/testkit/tests/virtual/manual.rs"),
+        "copy the code of actors/testkit/tests/virtual/manual.rs, from its first `use` on, into \
          actors/src/manual/testing.md",
     );
 }
 
 #[test]
 fn every_example_is_in_the_table_of_the_readme_and_run_by_a_test() {
-    let (readme, runs) = (file("README.md"), file("examples/tests/run.rs"));
+    let (readme, runs) = (file("README.md"), file("examples/tests/real/examples.rs"));
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the folder of the workspace");
     for entry in fs::read_dir(root.join("examples/examples")).expect("the folder of examples") {
         let path = entry.expect("an entry of that folder").path();
@@ -71,7 +71,10 @@ fn every_example_is_in_the_table_of_the_readme_and_run_by_a_test() {
         let row = format!("| [`{name}`](examples/examples/{name}.rs) |");
         assert!(readme.contains(&row), "README.md has no row {row}: add it, with the lesson");
         let run = format!("fn {name}_");
-        assert!(runs.contains(&run), "examples/tests/run.rs has no test {run}..: add one");
+        assert!(
+            runs.contains(&run),
+            "examples/tests/real/examples.rs has no test {run}..: add one"
+        );
     }
 }
 

@@ -233,6 +233,7 @@ fn a_usb_device_without_a_line_is_not_held_to_the_speed_that_was_set() {
 
 #[test]
 fn a_driver_of_a_real_port_that_cannot_turn_rs485_says_so() {
+    let _turn = blastema_doubles::turn();
     in_real_time(async {
         let mut config = SerialConfig::new("/dev/ttyS1");
         config.rs485 = DirectionControl::Driver(Rs485::default());

@@ -8,14 +8,9 @@
 //!                          Router     ◄──Reroute────────┘
 //! ```
 
+mod builtin;
 mod host;
-mod isolate;
-mod move_to_own_thread;
 mod outputs;
-mod reroute;
-mod reset;
-mod restart;
-mod safe_stop;
 mod table;
 mod tools;
 

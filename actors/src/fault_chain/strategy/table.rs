@@ -1,12 +1,7 @@
 //! How to make each strategy when it is needed.
 
+use super::builtin::BuiltIn;
 use super::host::{StrategyHost, StrategyThread};
-use super::isolate::IsolateStrategy;
-use super::move_to_own_thread::MoveToOwnThread;
-use super::reroute::RerouteStrategy;
-use super::reset::ResetStrategy;
-use super::restart::RestartStrategy;
-use super::safe_stop::SafeStopStrategy;
 use super::{RecoveryStrategy, StrategyContext};
 use crate::platform::own_arbiter;
 use crate::runtime::callbacks::Callbacks;
@@ -66,22 +61,9 @@ pub(crate) fn object_of(action: &RecoveryAction) -> ObjectName {
         .expect("this name is well formed")
 }
 
-/// The strategies that this node has: the built-in ones and the application's own.
-#[derive(Clone)]
-pub(crate) struct StrategyTable(SortedMap<RecoveryAction, Make>);
-
-impl Default for StrategyTable {
-    fn default() -> Self {
-        let mut table = StrategyTable(SortedMap::new());
-        table.insert(RecoveryAction::Reset, || ResetStrategy);
-        table.insert(RecoveryAction::Restart, || RestartStrategy);
-        table.insert(RecoveryAction::MoveToOwnThread, || MoveToOwnThread);
-        table.insert(RecoveryAction::Reroute, || RerouteStrategy);
-        table.insert(RecoveryAction::Isolate, || IsolateStrategy);
-        table.insert(RecoveryAction::SafeStop, || SafeStopStrategy);
-        table
-    }
-}
+/// The application's own strategies.
+#[derive(Clone, Default)]
+pub(crate) struct StrategyTable(SortedMap<Arc<str>, Make>);
 
 impl StrategyTable {
     /// Takes in a strategy of the application's own.
@@ -90,15 +72,12 @@ impl StrategyTable {
         name: &str,
         make: impl Fn() -> S + Send + Sync + 'static,
     ) {
-        self.insert(RecoveryAction::Custom(name.into()), make);
+        self.0.insert(name.into(), hosted(make));
     }
 
     /// The names of the application's own strategies.
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
-        self.0.keys().filter_map(|action| match action {
-            RecoveryAction::Custom(name) => Some(name.as_ref()),
-            _ => None,
-        })
+        self.0.keys().map(|name| &**name)
     }
 
     /// Makes the strategy that carries `action` out: a built-in one on this arbiter, one of the
@@ -113,8 +92,12 @@ impl StrategyTable {
         tools: StrategyContext,
         callbacks: &Callbacks,
     ) -> Result<EngagedStrategy, RecoveryFailed> {
-        let make = self.0.get(action).ok_or_else(|| format!("there is no strategy {action:?}"))?;
         let object = object_of(action);
+        let known = match action {
+            RecoveryAction::Custom(name) => self.0.get(name).cloned(),
+            _ => Some(hosted(|| BuiltIn)),
+        };
+        let make = known.ok_or_else(|| format!("there is no strategy {action:?}"))?;
         if !callbacks.have_threads() || !matches!(action, RecoveryAction::Custom(_)) {
             let orders = make((guardian, None), object, tools, None);
             return Ok(EngagedStrategy { orders, own: None });
@@ -129,22 +112,13 @@ impl StrategyTable {
         let orders = make((guardian, Some(&arbiter)), object, tools, Some(thread));
         Ok(EngagedStrategy { orders, own: Some((arbiter, blocked)) })
     }
+}
 
-    fn insert<S: RecoveryStrategy>(
-        &mut self,
-        action: RecoveryAction,
-        make: impl Fn() -> S + Send + Sync + 'static,
-    ) {
-        let make: Arc<dyn Fn() -> S + Send + Sync> = Arc::new(make);
-        let start = move |(guardian, place): (&Guardian, Option<&ArbiterHandle>),
-                          name: ObjectName,
-                          tools: StrategyContext,
-                          thread: Option<StrategyThread>| {
-            let make = make.clone();
-            let host =
-                move |_: &mut Context<StrategyHost<S>>| StrategyHost::new(make, tools, thread);
-            guardian.start(name, place, host).recipient()
-        };
-        self.0.insert(action, Arc::new(start));
-    }
+fn hosted<S: RecoveryStrategy>(make: impl Fn() -> S + Send + Sync + 'static) -> Make {
+    let make: Arc<dyn Fn() -> S + Send + Sync> = Arc::new(make);
+    Arc::new(move |(guardian, place), name, tools, thread| {
+        let make = make.clone();
+        let host = move |_: &mut Context<StrategyHost<S>>| StrategyHost::new(make, tools, thread);
+        guardian.start(name, place, host).recipient()
+    })
 }

@@ -17,6 +17,7 @@ use blastema_core::{DeliveryError, Incarnation, Lifecycle};
 use std::any::Any;
 use std::rc::Rc;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 
 impl<C: Component> ComponentExecutor<C> {
     /// What the component's own runs outside of the executor's polls has panicked: a handler or a
@@ -51,6 +52,9 @@ impl<C: Component> ComponentExecutor<C> {
         let exit = Arc::new(ExitReason::Panicked { text, at, during });
         if self.slot.activity.is_busy() {
             self.slot.activity.step();
+        }
+        if self.lifecycle.is_ending() {
+            self.cell.record.environment.cut_short.fetch_add(1, Relaxed);
         }
         let incarnation = self.state.incarnation;
         self.state.token.end();
@@ -166,6 +170,10 @@ impl<C: Component> ComponentExecutor<C> {
     pub(super) fn end(&mut self, end: EndReason) {
         let incarnation = self.state.incarnation;
         self.over = true;
+        if end != EndReason::Fatal {
+            // Those that it had no time to stop are cut off.
+            self.cell.record.leave_work();
+        }
         self.state.token.end();
         self.dispose_of_all(if end == EndReason::Fatal { Blame::Log } else { Blame::Fault });
         if self.cell.queue.owner() != Some(incarnation) {

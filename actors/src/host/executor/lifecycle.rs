@@ -17,8 +17,27 @@ impl<C: Component> ComponentExecutor<C> {
                 self.slot.activity.give_sign();
             }
         }
+        if hook == Hook::Deactivated {
+            self.cell.record.announce(|listener| listener.left_work(result.is_ok()));
+        }
         self.lifecycle.handle_done(hook, result);
         self.pass_reports();
+    }
+
+    /// The component leaves work: has its actuators stopped, and says whether they are at rest, and
+    /// what follows may begin.
+    pub(super) fn is_settled(&mut self) -> bool {
+        let record = &self.cell.record;
+        let settled = self.state.settled.get().unwrap_or_else(|| {
+            let within = record.leave_work();
+            if !within.is_zero() {
+                self.schedule.limit(DueWork::SettleLimit, within);
+            }
+            within.is_zero()
+        });
+        self.state.settled.set(Some(settled));
+        // An isolated component takes no command.
+        settled && (!self.cell.queue.has_notices() || record.is_isolated())
     }
 
     /// Passes on what the lifecycle has to tell, and keeps the rest of the host in step with it.
@@ -51,6 +70,11 @@ impl<C: Component> ComponentExecutor<C> {
 
     fn enter(&mut self, state: Lifecycle, reason: Option<String>) {
         self.cell.record.set_state(state);
+        self.state.settled.set(None);
+        self.schedule.cancel_limit(DueWork::SettleLimit);
+        if matches!(state, Lifecycle::Error | Lifecycle::Fatal) {
+            self.cell.record.announce(|listener| listener.left_work(false));
+        }
         self.slot.activity.expect_signs(state == Lifecycle::Active);
         self.schedule.set_active(state == Lifecycle::Active);
         if state == Lifecycle::Active {

@@ -44,6 +44,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 use std::task::{self, Poll, Waker};
 
 /// Messages per poll while they are quick; then neighbours and the control queue have their turn.
@@ -308,7 +309,11 @@ impl<C: Component> ComponentExecutor<C> {
                     self.begin_hook(hook);
                     return self.advance(cx);
                 }
-                LifecycleStep::Serve => {}
+                LifecycleStep::Settle if self.is_settled() => {
+                    self.lifecycle.handle_settled();
+                    return Progress::More;
+                }
+                LifecycleStep::Settle | LifecycleStep::Serve => {}
                 LifecycleStep::Rest => return Progress::Wait,
                 LifecycleStep::End(end) => {
                     self.end(end);
@@ -496,6 +501,7 @@ impl<C: Component> ComponentExecutor<C> {
             self.lifecycle.handle_rate_changed();
         }
         if let Some(failure) = wishes.failure {
+            self.cell.record.announce(|listener| listener.stop_failed());
             self.lifecycle.handle_failure(failure);
         }
         if wishes.stop {
@@ -528,7 +534,9 @@ impl<C: Component> ComponentExecutor<C> {
                 }
                 Progress::More
             }
-            DueWork::ReadyLimit | DueWork::StopLimit | DueWork::Retry => Progress::More,
+            DueWork::ReadyLimit | DueWork::StopLimit | DueWork::SettleLimit | DueWork::Retry => {
+                Progress::More
+            }
         }
     }
 
@@ -542,10 +550,14 @@ impl<C: Component> ComponentExecutor<C> {
             self.lifecycle.handle_fatal(format!("it was not ready within {within:?}"));
             self.pass_reports();
         }
+        if self.schedule.take_limit(DueWork::SettleLimit) {
+            self.state.settled.set(Some(true));
+        }
         if self.schedule.take_limit(DueWork::StopLimit)
             && let Some(end) = self.lifecycle.end_reason()
         {
             let within = self.cell.record.limits.shutdown_within;
+            self.cell.record.environment.cut_short.fetch_add(1, Relaxed);
             // A caller that gives it no time at all wants it cut off.
             if !within.is_zero() {
                 self.lifecycle.handle_cut_off(self.in_service(), within);

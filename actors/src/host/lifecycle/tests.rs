@@ -7,10 +7,21 @@ fn failed(reason: &str) -> Result<(), Failure> {
     Err(reason.into())
 }
 
+/// What is to be done next, once the actuators are at rest where that is waited for.
+fn next(lifecycle: &mut IncarnationLifecycle) -> LifecycleStep {
+    match lifecycle.next() {
+        LifecycleStep::Settle => {
+            lifecycle.handle_settled();
+            lifecycle.next()
+        }
+        step => step,
+    }
+}
+
 /// Runs all hooks that are due; each succeeds.
 fn run(lifecycle: &mut IncarnationLifecycle) -> Vec<Hook> {
     let mut ran = Vec::new();
-    while let LifecycleStep::Run(hook) = lifecycle.next() {
+    while let LifecycleStep::Run(hook) = next(lifecycle) {
         ran.push(hook);
         lifecycle.handle_done(hook, Ok(()));
     }
@@ -80,19 +91,19 @@ fn an_incarnation_is_initialised_started_and_activated() {
     let reported = reports(&mut lifecycle);
     assert_eq!(states(&reported), [Created, Initialized, Active]);
     assert_eq!(answers(reported), [ChildEvent::Started]);
-    assert_eq!(lifecycle.next(), LifecycleStep::Serve);
+    assert_eq!(next(&mut lifecycle), LifecycleStep::Serve);
     assert!(lifecycle.is_serving());
 }
 
 #[test]
 fn a_failed_initialisation_is_fatal() {
     let mut lifecycle = IncarnationLifecycle::new();
-    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
+    assert_eq!(next(&mut lifecycle), LifecycleStep::Run(Hook::Initialize));
 
     lifecycle.handle_done(Hook::Initialize, failed("no device"));
 
     assert_eq!(run(&mut lifecycle), [Hook::Finalize]);
-    assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Fatal));
+    assert_eq!(next(&mut lifecycle), LifecycleStep::End(EndReason::Fatal));
     let reported = reports(&mut lifecycle);
     assert_eq!(states(&reported), [Created, Fatal, Finalized]);
     assert_eq!(answers(reported), [ChildEvent::FailsToStart], "the next one may not begin yet");
@@ -105,7 +116,7 @@ fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
         let mut lifecycle = incarnation(Active);
         lifecycle.handle_done(hook, failed("out of range"));
         assert_eq!(run(&mut lifecycle), [Hook::Aborting, Hook::Error]);
-        assert_eq!(lifecycle.next(), LifecycleStep::Rest);
+        assert_eq!(next(&mut lifecycle), LifecycleStep::Rest);
         let reported = reports(&mut lifecycle);
         assert_eq!(reported, [LifecycleReport::State(Error, Some("out of range".into()))]);
 
@@ -122,7 +133,7 @@ fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
 fn a_failed_activation_at_the_start_is_reported_at_the_end() {
     for hook in [Hook::Startup, Hook::Activated] {
         let mut lifecycle = IncarnationLifecycle::new();
-        while let LifecycleStep::Run(next) = lifecycle.next() {
+        while let LifecycleStep::Run(next) = next(&mut lifecycle) {
             if next == hook {
                 lifecycle.handle_done(next, failed("jammed"));
                 break;
@@ -132,7 +143,7 @@ fn a_failed_activation_at_the_start_is_reported_at_the_end() {
         assert_eq!(lifecycle.state, Error);
         let last = [Hook::Aborting, Hook::Error, Hook::Shutdown, Hook::Finalize];
         assert_eq!(run(&mut lifecycle), last);
-        assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Fatal));
+        assert_eq!(next(&mut lifecycle), LifecycleStep::End(EndReason::Fatal));
         assert_eq!(answers(reports(&mut lifecycle)), [ChildEvent::FailsToStart]);
         assert_eq!(lifecycle.take_start_failure().as_deref(), Some("jammed"));
     }
@@ -141,13 +152,13 @@ fn a_failed_activation_at_the_start_is_reported_at_the_end() {
 #[test]
 fn a_failed_start_that_is_stopped_reports_only_the_stop() {
     let mut lifecycle = IncarnationLifecycle::new();
-    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
+    assert_eq!(next(&mut lifecycle), LifecycleStep::Run(Hook::Initialize));
     lifecycle.handle_done(Hook::Initialize, failed("no device"));
 
     lifecycle.handle_stop(StopOrder::MakeWay);
 
     assert_eq!(run(&mut lifecycle), [Hook::Finalize]);
-    assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Fatal), "it has failed");
+    assert_eq!(next(&mut lifecycle), LifecycleStep::End(EndReason::Fatal), "it has failed");
     assert_eq!(lifecycle.take_start_failure(), None);
     assert_eq!(lifecycle.stop_order(), Some(StopOrder::MakeWay));
 }
@@ -156,12 +167,12 @@ fn a_failed_start_that_is_stopped_reports_only_the_stop() {
 fn a_failed_reset_is_fatal() {
     let mut lifecycle = incarnation(Error);
     lifecycle.handle_reset();
-    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Reset));
+    assert_eq!(next(&mut lifecycle), LifecycleStep::Run(Hook::Reset));
 
     lifecycle.handle_done(Hook::Reset, failed("still broken"));
 
     assert_eq!(run(&mut lifecycle), [Hook::Finalize]);
-    assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Fatal));
+    assert_eq!(next(&mut lifecycle), LifecycleStep::End(EndReason::Fatal));
     let reason = "still broken".into();
     assert_eq!(answers(reports(&mut lifecycle)), [ChildEvent::ResetFailed { reason }]);
 }
@@ -170,9 +181,9 @@ fn a_failed_reset_is_fatal() {
 fn a_failure_while_aborting_counts_only_when_it_is_fatal() {
     let mut lifecycle = incarnation(Active);
     lifecycle.handle_failure("one".into());
-    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Aborting));
+    assert_eq!(next(&mut lifecycle), LifecycleStep::Run(Hook::Aborting));
     lifecycle.handle_done(Hook::Aborting, failed("two"));
-    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Error));
+    assert_eq!(next(&mut lifecycle), LifecycleStep::Run(Hook::Error));
 
     lifecycle.handle_done(Hook::Error, Err(Failure::fatal("three")));
 
@@ -188,7 +199,7 @@ fn stop_ends_every_state_in_its_own_way() {
         assert_eq!(run(&mut lifecycle), expected, "{state}");
         let failed = state == Fatal;
         let end = if failed { EndReason::Fatal } else { EndReason::Stopped };
-        assert_eq!(lifecycle.next(), LifecycleStep::End(end), "{state}");
+        assert_eq!(next(&mut lifecycle), LifecycleStep::End(end), "{state}");
         assert_eq!(lifecycle.stop_order(), Some(StopOrder::Stop));
         assert_eq!(lifecycle.state, Finalized);
     };
@@ -204,10 +215,10 @@ fn stop_ends_every_state_in_its_own_way() {
 fn a_stop_that_overtakes_the_activation_deactivates_again() {
     let mut lifecycle = IncarnationLifecycle::new();
     for hook in [Hook::Initialize, Hook::Startup] {
-        assert_eq!(lifecycle.next(), LifecycleStep::Run(hook));
+        assert_eq!(next(&mut lifecycle), LifecycleStep::Run(hook));
         lifecycle.handle_done(hook, Ok(()));
     }
-    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Activated));
+    assert_eq!(next(&mut lifecycle), LifecycleStep::Run(Hook::Activated));
     lifecycle.handle_stop(StopOrder::Stop);
 
     lifecycle.handle_done(Hook::Activated, Ok(()));
@@ -299,9 +310,9 @@ fn a_hook_without_its_device_is_called_again_with_back_off() {
     let mut lifecycle = IncarnationLifecycle::new();
     let mut waited = Vec::new();
     for _ in 0..10 {
-        assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
+        assert_eq!(next(&mut lifecycle), LifecycleStep::Run(Hook::Initialize));
         lifecycle.handle_done(Hook::Initialize, missing());
-        assert_eq!(lifecycle.next(), LifecycleStep::Rest, "it is not its time");
+        assert_eq!(next(&mut lifecycle), LifecycleStep::Rest, "it is not its time");
         waited.extend(waits(&mut lifecycle));
         assert!(lifecycle.handle_retry());
     }
@@ -311,14 +322,14 @@ fn a_hook_without_its_device_is_called_again_with_back_off() {
     assert!(waited.iter().all(|wait| *wait <= Duration::from_millis(5500)), "{waited:?}");
     assert_eq!(run(&mut lifecycle), [Hook::Initialize, Hook::Startup, Hook::Activated]);
     assert_eq!(answers(reports(&mut lifecycle)), [ChildEvent::Started]);
-    assert_eq!(lifecycle.next(), LifecycleStep::Serve);
+    assert_eq!(next(&mut lifecycle), LifecycleStep::Serve);
 }
 
 #[test]
 fn a_reset_whose_device_is_missing_goes_on_by_itself() {
     let mut lifecycle = incarnation(Error);
     lifecycle.handle_reset();
-    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Reset));
+    assert_eq!(next(&mut lifecycle), LifecycleStep::Run(Hook::Reset));
     lifecycle.handle_done(Hook::Reset, missing());
     let unavailable = ChildEvent::Unavailable { reason: "no device".into() };
     assert_eq!(answers(reports(&mut lifecycle)), [unavailable]);
@@ -333,7 +344,7 @@ fn a_reset_whose_device_is_missing_goes_on_by_itself() {
 fn an_incarnation_that_waits_is_stopped_fails_and_is_not_activated_twice() {
     let waiting = |hook| {
         let mut lifecycle = IncarnationLifecycle::new();
-        while let LifecycleStep::Run(next) = lifecycle.next() {
+        while let LifecycleStep::Run(next) = next(&mut lifecycle) {
             lifecycle.handle_done(next, if next == hook { missing() } else { Ok(()) });
         }
         lifecycle
@@ -370,7 +381,7 @@ fn a_hook_that_runs_is_not_ordered_a_second_time() {
     {
         let mut lifecycle = incarnation(state);
         lifecycle.handle_activate(active);
-        assert_eq!(lifecycle.next(), LifecycleStep::Run(hook));
+        assert_eq!(next(&mut lifecycle), LifecycleStep::Run(hook));
 
         lifecycle.handle_activate(active);
         lifecycle.handle_done(hook, Ok(()));
@@ -379,10 +390,10 @@ fn a_hook_that_runs_is_not_ordered_a_second_time() {
     }
     let mut starting = IncarnationLifecycle::new();
     for hook in [Hook::Initialize, Hook::Startup] {
-        assert_eq!(starting.next(), LifecycleStep::Run(hook));
+        assert_eq!(next(&mut starting), LifecycleStep::Run(hook));
         starting.handle_done(hook, Ok(()));
     }
-    assert_eq!(starting.next(), LifecycleStep::Run(Hook::Activated));
+    assert_eq!(next(&mut starting), LifecycleStep::Run(Hook::Activated));
     starting.handle_activate(true);
     starting.handle_done(Hook::Activated, Ok(()));
     assert_eq!(run(&mut starting), []);
@@ -401,7 +412,7 @@ fn an_order_to_leave_work_is_not_lost_beside_a_changed_rate() {
     lifecycle.handle_activate(true);
     run(&mut lifecycle);
     lifecycle.handle_activate(false);
-    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Deactivated));
+    assert_eq!(next(&mut lifecycle), LifecycleStep::Run(Hook::Deactivated));
     lifecycle.handle_rate_changed();
     lifecycle.handle_done(Hook::Deactivated, Ok(()));
     assert_eq!(run(&mut lifecycle), [], "the component is not at work");
@@ -414,7 +425,7 @@ fn a_failure_that_a_hook_declares_counts_though_the_hook_succeeds() {
         for outcome in outcomes() {
             let mut lifecycle = incarnation(state);
             lifecycle.handle_activate(active);
-            let LifecycleStep::Run(hook) = lifecycle.next() else { panic!("a hook is due") };
+            let LifecycleStep::Run(hook) = next(&mut lifecycle) else { panic!("a hook is due") };
             lifecycle.handle_failure("declared".into());
             lifecycle.handle_done(hook, outcome);
 
@@ -425,11 +436,33 @@ fn a_failure_that_a_hook_declares_counts_though_the_hook_succeeds() {
     }
     for outcome in outcomes() {
         let mut lifecycle = IncarnationLifecycle::new();
-        assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
+        assert_eq!(next(&mut lifecycle), LifecycleStep::Run(Hook::Initialize));
         lifecycle.handle_failure(Failure::fatal("declared"));
         lifecycle.handle_done(Hook::Initialize, outcome);
 
         assert_eq!(run(&mut lifecycle), [Hook::Finalize]);
         assert_eq!(states(&reports(&mut lifecycle)), [Created, Fatal, Finalized]);
     }
+}
+
+#[test]
+fn a_component_settles_before_each_deactivation_and_not_once_it_has_failed() {
+    let mut lifecycle = incarnation(Active);
+    for _ in 0..2 {
+        lifecycle.handle_activate(false);
+        assert_eq!(lifecycle.next(), LifecycleStep::Settle);
+        assert_eq!(lifecycle.next(), LifecycleStep::Settle, "it has not settled");
+        assert!(!lifecycle.is_serving());
+        assert_eq!(run(&mut lifecycle), [Hook::Deactivated]);
+        lifecycle.handle_activate(true);
+        run(&mut lifecycle);
+    }
+
+    lifecycle.handle_stop(StopOrder::Stop);
+    assert_eq!(lifecycle.next(), LifecycleStep::Settle);
+
+    let mut lifecycle = incarnation(Active);
+    lifecycle.handle_activate(false);
+    lifecycle.handle_failure("broken".into());
+    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Aborting));
 }

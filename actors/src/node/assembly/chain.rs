@@ -3,6 +3,7 @@
 use super::{enrolment, middleware, named};
 use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::ArbiterPool;
+use crate::component::environment::ComponentEnvironment;
 use crate::fault_chain::detector::DetectorActor;
 use crate::fault_chain::directory::SupervisorDirectory;
 use crate::fault_chain::monitor::MonitorActor;
@@ -36,7 +37,9 @@ use blastema_core::detection::{
 use blastema_core::recovery::{self, RecovererLimits, RecoveryAction};
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName, ObjectName};
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::time::Duration;
 use tokio::sync::watch;
 
 /// The fault chain as the rest of the node sees it.
@@ -318,8 +321,13 @@ impl FaultChainParts {
         &self,
         node: &NodeName,
         watchdogs: Vec<Box<dyn ProcessWatchdog>>,
+        environment: Arc<ComponentEnvironment>,
     ) -> Result<(), StartError> {
         let node = node.clone();
+        let stop_limit = move || match environment.actuators().are_stopping() {
+            true => Duration::from_millis(environment.longest_stop_ms.load(Relaxed)),
+            false => Duration::ZERO,
+        };
         let (safe_outputs, actuators) = (self.chain.safe_outputs.clone(), self.actuators.clone());
         let rest: Recipient<EnterSafeState> = self.controller.clone().recipient();
         let last_resort = move |reason: String| {
@@ -336,6 +344,7 @@ impl FaultChainParts {
             pings: self.chain.pings.clone(),
             watchdogs,
             stands: self.stands.clone(),
+            stop_limit: Box::new(stop_limit),
             last_resort: Box::new(last_resort),
         })?;
         self.chain.watch_from_outside(outside);

@@ -47,9 +47,9 @@ struct EventWithReply;
 #[derive(Request)]
 struct RequestWithoutReply;
 
-#[derive(Request)]
-#[contract(reply = (), max_age = "1s")]
-struct RequestWithAge;
+#[derive(Variable)]
+#[contract(max_age = "1s")]
+struct VariableWithAge;
 
 #[derive(Clone, Event)]
 #[contract(when_full = "wait")]

@@ -3,6 +3,7 @@
 mod fairness;
 mod groups;
 mod shutdown;
+mod stops;
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;

@@ -8,7 +8,7 @@ use super::{PATIENCE, until};
 use blastema::core::net::trust::policy::Role;
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, ClaimError, ClaimPolicy, ClaimState, DeadReason, FaultKind, FaultLocation,
+    ActuatorSpec, ClaimError, ClaimPolicy, ClaimState, DeadReason, FaultKind, FaultLocation, Hold,
     Network, NodeBuilder, ServiceSpec, StartError, Stateful, VariableSpec,
 };
 use blastema_tests::{RobotKeys, free_addresses};
@@ -56,7 +56,7 @@ impl Wheels {
 
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0))).variable(VariableSpec::new(Limit(1.0)));
+        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold)).variable(VariableSpec::new(Limit(1.0)));
         ports.serve::<Hello>().accept::<Note>();
         ports.listen::<Report>().on("orders");
     }

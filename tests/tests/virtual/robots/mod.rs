@@ -154,7 +154,7 @@ fn run_seeds(test: &str, count: &str, default: u64, workers: usize, clock: fn(u6
 fn robots_by_chance_keep_their_promises_in_virtual_time() {
     let workers = thread::available_parallelism().map_or(1, usize::from);
     let test = "robots_by_chance_keep_their_promises_in_virtual_time";
-    run_seeds(test, "BLASTEMA_SEEDS", 50, workers, |_| Clock::Virtual);
+    run_seeds(test, "BLASTEMA_SEEDS", 20, workers, |_| Clock::Virtual);
 }
 
 /// Robots that showed defects which few others show.

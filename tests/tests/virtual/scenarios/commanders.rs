@@ -2,7 +2,7 @@
 
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Commander, Direction, FaultTransition, Impairment, LeaseStatus, Link,
+    ActuatorSpec, Commander, Direction, FaultTransition, Hold, Impairment, LeaseStatus, Link,
     MemoryMedium, Network, NodeBuilder,
 };
 use blastema_testkit::{TestNode, now};
@@ -31,7 +31,7 @@ struct Wheels(Track);
 
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(LEASE)).accept::<Blow>();
+        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold).lease(LEASE)).accept::<Blow>();
     }
 }
 

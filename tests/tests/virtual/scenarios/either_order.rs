@@ -1,7 +1,7 @@
 //! Commanders and actuators that start in either order, and restart, in virtual time.
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Commander, Link, MemoryMedium, Network, NodeBuilder};
+use blastema::{ActuatorSpec, Commander, Hold, Link, MemoryMedium, Network, NodeBuilder};
 use blastema_testkit::{TestNode, now};
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::SeqCst;
@@ -29,7 +29,7 @@ struct Motors {
 
 impl Component for Motors {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(LEASE)).accept::<Blow>();
+        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold).lease(LEASE)).accept::<Blow>();
     }
 
     async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {

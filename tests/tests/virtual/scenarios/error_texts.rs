@@ -2,7 +2,7 @@
 
 use crate::scenarios::puppet::{Deed, Do, News, Pull, Puppet, Strings};
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, FaultTransition, RestartError, SpecError, VariableSpec};
+use blastema::{ActuatorSpec, FaultTransition, Hold, RestartError, SpecError, VariableSpec};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 
@@ -105,7 +105,7 @@ struct Wheels;
 
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0))).variable(VariableSpec::new(Limit(1.0)));
+        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold)).variable(VariableSpec::new(Limit(1.0)));
     }
 }
 

@@ -5,6 +5,7 @@
 
 mod chain;
 mod chaos;
+mod command_timeouts;
 mod commanders;
 mod death_watch;
 mod declared;
@@ -31,6 +32,7 @@ mod retries;
 mod sending;
 mod services;
 mod silence;
+mod stops;
 mod strategies;
 mod throwers;
 mod topics;

@@ -5,7 +5,7 @@ use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::core::recovery::{Ladder, Plan, RecoveryAction};
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Fault, FaultTransition, Link, MemoryMedium, Network, NodeBuilder, Outcome,
+    ActuatorSpec, Fault, FaultTransition, Hold, Link, MemoryMedium, Network, NodeBuilder, Outcome,
     RestartError, RestartedChild,
 };
 use blastema_testkit::TestNode;
@@ -275,7 +275,7 @@ struct Wheels(Arc<Mutex<Vec<f32>>>);
 
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(Duration::from_secs(60)));
+        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold).lease(Duration::from_secs(60)));
     }
 }
 

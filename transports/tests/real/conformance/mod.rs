@@ -186,6 +186,7 @@ macro_rules! conformance {
             $(
                 #[test]
                 fn $test() {
+                    let _turn = blastema_doubles::turn();
                     <$medium as Medium>::run(super::$test::<$medium>());
                 }
             )+

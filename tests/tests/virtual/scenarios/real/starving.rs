@@ -5,7 +5,7 @@
 
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Incarnation, NodeBuilder, RestartError, ThreadState};
+use blastema::{ActuatorSpec, Hold, Incarnation, NodeBuilder, RestartError, ThreadState};
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Condvar, Mutex};
@@ -283,7 +283,7 @@ struct Tray(Bench);
 
 impl Component for Tray {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Move(0.0)));
+        ports.actuator(ActuatorSpec::new(Move(0.0), Hold));
     }
 
     async fn on_deactivated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {

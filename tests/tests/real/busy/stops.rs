@@ -1,0 +1,186 @@
+//! Robots that stop, on real threads beside two that are busy. Nothing here measures time.
+
+use super::{BusyThreads, LONG, burn};
+use blastema::prelude::*;
+use blastema::{ActuatorSpec, Commander, Hold, LeaseStatus, Lifecycle};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+/// Waits until this holds.
+async fn until(what: &str, mut holds: impl FnMut() -> bool) {
+    let reached = async {
+        while !holds() {
+            blastema::sleep(Duration::from_millis(5)).await;
+        }
+    };
+    assert!(tokio::time::timeout(LONG, reached).await.is_ok(), "{what}: never");
+}
+
+#[derive(Clone, Debug, Request)]
+#[contract(name = "stops/turn", reply = ())]
+struct Turn(u32);
+
+/// Takes 5 ms of its receiver's thread.
+#[derive(Clone, Debug, Event)]
+struct Load;
+
+type Log = Arc<Mutex<Vec<String>>>;
+
+struct Wheels(Log);
+
+impl Component for Wheels {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Load>();
+        ports.actuator(ActuatorSpec::new(Turn(0), Hold).lease(LONG));
+    }
+
+    async fn on_deactivated(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        self.0.lock().unwrap().push("deactivated".into());
+        Ok(())
+    }
+}
+
+impl Handle<Turn> for Wheels {
+    async fn handle(&mut self, turn: Turn, _: &mut Context<Self>) {
+        burn(Duration::from_millis(2));
+        self.0.lock().unwrap().push(format!("turn {}", turn.0));
+    }
+}
+
+impl Handle<Load> for Wheels {
+    async fn handle(&mut self, _: Load, _: &mut Context<Self>) {
+        burn(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn wheels_are_stopped_before_each_deactivation_however_busy_the_computer_is() {
+    let _turn = blastema_doubles::turn();
+    const TIMES: usize = 10;
+    let _busy = BusyThreads::start();
+    let log = Log::default();
+    let kept = log.clone();
+    blastema::run(async {
+        let wheels = ChildSpec::new("wheels", move || Wheels(kept.clone()))
+            .queue(4, WhenFull::DropOldest)
+            .shutdown_within(LONG)
+            .max_delay(LONG);
+        let node = Node::builder("module1").child(wheels).start().await.unwrap();
+        let commander = node.commander::<Turn>("wheels", "console").unwrap();
+        let load = node.sender::<Load>("wheels").unwrap();
+        let deactivations = || {
+            let log = log.lock().unwrap();
+            log.iter().filter(|what| *what == "deactivated").count()
+        };
+        for n in 0..TIMES {
+            commander.claim_within(LONG).await.unwrap();
+            commander.command(Turn(1)).await.unwrap();
+            (0..4).for_each(|_| load.tell(Load).unwrap());
+            match n % 2 {
+                0 => drop(node.restart_child("wheels").await.unwrap()),
+                _ => {
+                    let actor = node.actor::<Wheels>("wheels").unwrap();
+                    actor.deactivate();
+                    until("it is deactivated", || deactivations() == n + 1).await;
+                    until("it is active", || {
+                        actor.activate();
+                        actor.state() == Lifecycle::Active
+                    })
+                    .await;
+                }
+            }
+        }
+        node.shutdown().await;
+        assert_eq!(node.faults().await.entries, [], "it ended in order");
+    });
+    let turns = ["turn 1", "turn 0", "deactivated"];
+    let mut wanted: Vec<_> = turns.iter().cycle().take(3 * TIMES).copied().collect();
+    wanted.push("deactivated"); // By the shutdown: nothing moved any more.
+    assert_eq!(*log.lock().unwrap(), wanted);
+}
+
+/// How far to turn, by a component that may be far away.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "stops/goal")]
+struct Goal(u32);
+
+/// Wheels on which a command counts for a second.
+struct Base(Log);
+
+impl Component for Base {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Load>();
+        ports.actuator(ActuatorSpec::new(Turn(0), Duration::from_secs(1)).lease(LONG));
+    }
+}
+
+impl Handle<Turn> for Base {
+    async fn handle(&mut self, turn: Turn, _: &mut Context<Self>) {
+        burn(Duration::from_millis(2));
+        self.0.lock().unwrap().push(format!("turn {}", turn.0));
+    }
+}
+
+impl Handle<Load> for Base {
+    async fn handle(&mut self, _: Load, _: &mut Context<Self>) {
+        burn(Duration::from_millis(5));
+    }
+}
+
+/// Turns goals into commands.
+struct Forwarder(Option<Commander<Turn>>);
+
+impl Component for Forwarder {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Goal>();
+    }
+
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let base = cx.commander::<Turn>("base")?;
+        base.claim_within(LONG).await?;
+        self.0 = Some(base);
+        Ok(())
+    }
+}
+
+impl Handle<Goal> for Forwarder {
+    async fn handle(&mut self, goal: Goal, cx: &mut Context<Self>) {
+        if let Some(base) = &self.0 {
+            // The command before it may still be in service.
+            while base.command_from(cx.captured_at(), Turn(goal.0)).await.is_err() {
+                blastema::sleep(Duration::from_millis(1)).await;
+            }
+        }
+    }
+}
+
+#[test]
+fn a_base_stops_once_when_its_goals_cease_though_their_forwarder_lives() {
+    let _turn = blastema_doubles::turn();
+    let _busy = BusyThreads::start();
+    let log = Log::default();
+    let kept = log.clone();
+    blastema::run(async {
+        let base = ChildSpec::new("base", move || Base(kept.clone())).max_wait(LONG);
+        let forwarder = ChildSpec::new("forwarder", || Forwarder(None)).max_wait(LONG);
+        let builder = Node::builder("module1").child(base.queue(4, WhenFull::DropOldest));
+        let node = builder.child(forwarder.ready_within(LONG)).start().await.unwrap();
+        let goals = node.publisher::<Goal>("stops/goal").unwrap();
+        let load = node.sender::<Load>("base").unwrap();
+        let turns = |last: &str| log.lock().unwrap().last().is_some_and(|turn| turn == last);
+
+        for goal in 1..=3 {
+            goals.publish(Goal(goal)).unwrap();
+            (0..4).for_each(|_| load.tell(Load).unwrap());
+            until("the goal is followed", || log.lock().unwrap().contains(&format!("turn {goal}")))
+                .await;
+            until("the base stops", || turns("turn 0")).await;
+            blastema::sleep(Duration::from_millis(1200)).await;
+            let stops = log.lock().unwrap().iter().filter(|turn| *turn == "turn 0").count();
+            assert_eq!(stops, usize::try_from(goal).unwrap(), "once: {:?}", log.lock().unwrap());
+            let status = node.actuators().remove(0).status;
+            assert!(matches!(status, LeaseStatus::Held { .. }), "{status:?}");
+        }
+        node.shutdown().await;
+    });
+}

@@ -1,0 +1,262 @@
+//! How long a command counts, and how old the data may be that it is made from, in virtual time.
+
+use blastema::prelude::*;
+use blastema::{
+    ActuatorSpec, Commander, Direction, Hold, Impairment, LeaseStatus, Link, MemoryMedium, Network,
+};
+use blastema_testkit::{TestNode, now};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+const TIMEOUT: Duration = Duration::from_millis(200);
+const SECOND: Duration = Duration::from_secs(1);
+
+/// Turns the wheels.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "timeouts/drive", reply = ())]
+struct Drive(f32);
+
+/// The same, made from data that may be so old.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "timeouts/follow", reply = (), max_age = "200ms")]
+struct Follow(f32);
+
+/// Where to go, by a component that may be far away.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "timeouts/goal")]
+struct Goal(f32);
+
+/// Keeps the wheels for so long.
+#[derive(Clone, Debug, Event)]
+struct Nap(u64);
+
+type Log = Arc<Mutex<Vec<String>>>;
+
+fn all(log: &Log) -> Vec<String> {
+    log.lock().unwrap().clone()
+}
+
+struct Wheels(Log);
+
+impl Wheels {
+    fn note(&self, what: impl Into<String>) {
+        self.0.lock().unwrap().push(what.into());
+    }
+}
+
+impl Component for Wheels {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Nap>();
+    }
+}
+
+impl Handle<Drive> for Wheels {
+    async fn handle(&mut self, drive: Drive, _: &mut Context<Self>) {
+        self.note(format!("drive {}", drive.0));
+    }
+}
+
+impl Handle<Follow> for Wheels {
+    async fn handle(&mut self, follow: Follow, _: &mut Context<Self>) {
+        self.note(format!("follow {}", follow.0));
+    }
+}
+
+impl Handle<Nap> for Wheels {
+    async fn handle(&mut self, nap: Nap, cx: &mut Context<Self>) {
+        let first = cx.incarnation().0 == 1;
+        blastema::sleep(if first { MS * u32::try_from(nap.0).unwrap() } else { MS }).await;
+        self.note("nap");
+    }
+}
+
+fn wheels(log: &Log) -> ChildSpec<Wheels> {
+    let (log, cut) = (log.clone(), log.clone());
+    ChildSpec::new("wheels", move || Wheels(log.clone())).with_ports(move |ports| {
+        let cut_off = move || cut.lock().unwrap().push("cut off".into());
+        ports
+            .actuator(ActuatorSpec::new(Drive(0.0), TIMEOUT).cut_off(cut_off))
+            .actuator(ActuatorSpec::new(Follow(0.0), Hold));
+    })
+}
+
+async fn driving(node: &TestNode) -> Commander<Drive> {
+    let commander = node.commander::<Drive>("wheels", "console").unwrap();
+    commander.claim().await.unwrap();
+    commander.command(Drive(1.0)).await.unwrap();
+    commander
+}
+
+/// Turns goals into commands.
+struct Forwarder(Option<Commander<Drive>>);
+
+impl Component for Forwarder {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Goal>();
+    }
+
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let wheels = cx.commander::<Drive>("wheels")?;
+        wheels.claim().await?;
+        self.0 = Some(wheels);
+        Ok(())
+    }
+}
+
+impl Handle<Goal> for Forwarder {
+    async fn handle(&mut self, goal: Goal, _: &mut Context<Self>) {
+        if goal.0 < 0.0 {
+            std::future::pending::<()>().await;
+        }
+        if let Some(wheels) = &self.0 {
+            wheels.command(Drive(goal.0)).await.unwrap();
+        }
+    }
+}
+
+#[blastema_testkit::test]
+async fn wheels_stop_once_when_the_goals_cease_though_the_forwarder_lives_and_holds_its_lease() {
+    let log = Log::default();
+    let node = Node::builder("module1");
+    let forwarder = ChildSpec::new("forwarder", || Forwarder(None)).max_wait(60 * SECOND);
+    let node = TestNode::start(node.child(wheels(&log)).child(forwarder)).await;
+    let goals = node.publisher::<Goal>("timeouts/goal").unwrap();
+    for _ in 0..5 {
+        goals.publish(Goal(1.0)).unwrap();
+        node.advance(100 * MS).await;
+    }
+    assert_eq!(all(&log), ["drive 1"; 5]);
+
+    node.advance(110 * MS).await;
+    assert_eq!(all(&log)[5..], ["drive 0"], "within the timeout and one beat");
+    node.advance(5 * SECOND).await;
+    assert_eq!(all(&log).len(), 6, "once");
+    let status = node.actuators().remove(0).status;
+    assert!(matches!(status, LeaseStatus::Held { .. }), "{status:?}");
+    node.expect_no_faults().await;
+
+    goals.publish(Goal(2.0)).unwrap();
+    node.advance(10 * MS).await;
+    assert_eq!(all(&log)[6..], ["drive 2"], "the next command counts");
+
+    // A handler of the forwarder that awaits for ever stops the wheels as well.
+    goals.publish(Goal(-1.0)).unwrap();
+    node.advance(SECOND).await;
+    assert_eq!(all(&log)[7..], ["drive 0"]);
+}
+
+#[blastema_testkit::test]
+async fn the_cut_off_is_called_where_a_handler_in_service_keeps_the_safe_command_waiting() {
+    let short = (5, vec!["drive 1", "nap", "drive 0"], 0);
+    let long = (500, vec!["drive 1", "cut off"], 1);
+    for (nap, then, cut_offs) in [short, long] {
+        let log = Log::default();
+        let node = Node::builder("module1").child(wheels(&log).max_wait(60 * SECOND));
+        let node = TestNode::start(node).await;
+        let _commander = driving(&node).await;
+        node.advance(TIMEOUT - 3 * MS).await;
+        node.sender::<Nap>("wheels").unwrap().tell(Nap(nap)).unwrap();
+        node.advance(30 * MS).await;
+
+        assert_eq!(all(&log), then);
+        node.advance(SECOND).await;
+        assert_eq!(all(&log).last().unwrap(), "drive 0");
+        assert_eq!(all(&log).iter().filter(|what| *what == "cut off").count(), cut_offs);
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_awaits_for_longer_than_a_command_counts_hangs_and_its_successor_stops() {
+    let log = Log::default();
+    let mut node = TestNode::start(Node::builder("module1").child(wheels(&log))).await;
+    let commander = driving(&node).await;
+    node.sender::<Nap>("wheels").unwrap().tell(Nap(60_000)).unwrap();
+
+    node.await_recovered(FaultKind::Hang, "wheels").await;
+    node.advance(10 * MS).await;
+
+    assert_eq!(all(&log), ["drive 1", "cut off", "drive 0"]);
+    commander.command(Drive(2.0)).await.unwrap();
+    assert_eq!(all(&log).last().unwrap(), "drive 2");
+}
+
+#[blastema_testkit::test]
+async fn a_command_that_is_to_hold_counts_until_the_next_one() {
+    let log = Log::default();
+    let node = TestNode::start(Node::builder("module1").child(wheels(&log))).await;
+    let commander = node.commander::<Follow>("wheels", "console").unwrap();
+    commander.claim().await.unwrap();
+    commander.command_from(now(), Follow(1.0)).await.unwrap();
+
+    node.advance(60 * SECOND).await;
+
+    assert_eq!(all(&log), ["follow 1"]);
+}
+
+#[blastema_testkit::test]
+async fn a_command_made_from_old_data_is_refused_and_one_of_unknown_age_is_an_error() {
+    let log = Log::default();
+    let node = Node::builder("module1").child(wheels(&log).max_wait(60 * SECOND));
+    let node = TestNode::start(node).await;
+    let commander = node.commander::<Follow>("wheels", "console").unwrap();
+    commander.claim().await.unwrap();
+    node.advance(SECOND).await;
+    let captured_at = now();
+
+    commander.command_from(captured_at, Follow(1.0)).await.unwrap();
+    node.advance(200 * MS).await;
+    commander.command_from(Some(captured_at), Follow(2.0)).await.unwrap();
+    node.advance(MS).await;
+    let late = commander.command_from(captured_at, Follow(3.0)).await;
+    assert_eq!(late, Err(DeliveryError::Expired));
+    for refused in
+        [commander.command(Follow(4.0)).await, commander.command_from(None, Follow(4.0)).await]
+    {
+        let text = refused.unwrap_err().to_string();
+        assert!(text.contains("timeouts/follow") && text.contains("command_from(cx.captured_at()"));
+    }
+    assert!(commander.holds(), "it is alive");
+    assert_eq!(all(&log), ["follow 1", "follow 2"]);
+
+    // Data that grows too old while the command waits in the queue is not used either.
+    let captured_at = now();
+    node.advance(20 * MS).await;
+    node.sender::<Nap>("wheels").unwrap().tell(Nap(190)).unwrap();
+    node.settle().await;
+    let waits = commander.clone();
+    let waits = async move { waits.command_from(captured_at, Follow(5.0)).await };
+    let waits = tokio::task::spawn_local(waits);
+    node.advance(195 * MS).await;
+    assert_eq!(waits.await.unwrap(), Err(DeliveryError::Expired));
+    assert_eq!(all(&log), ["follow 1", "follow 2", "nap"]);
+}
+
+#[blastema_testkit::test]
+async fn between_nodes_the_age_grows_by_the_upper_bound_of_the_way() {
+    let (log, medium) = (Log::default(), MemoryMedium::default());
+    let describe = |name: &str, far: &str| {
+        let network = Network::memory("ethernet", &medium, name).link(Link::in_memory(far, far));
+        Node::builder(name).network(network.with_faults(7))
+    };
+    let here = TestNode::start(describe("module1", "module2")).await;
+    let there = TestNode::start(describe("module2", "module1").child(wheels(&log))).await;
+    here.advance(2 * SECOND).await;
+    for node in [&here, &there] {
+        let long = Impairment { delay: 30 * MS, ..Impairment::default() };
+        node.cable("ethernet").unwrap().impair(Direction::Outgoing, long);
+    }
+    let commander = here.commander::<Follow>("module2:wheels", "console").unwrap();
+    commander.claim().await.unwrap();
+    here.advance(SECOND).await;
+
+    // One way takes 30 ms, and 60 ms at most as far as the nodes can know.
+    let fresh = commander.command_from(now(), Follow(1.0)).await;
+    assert_eq!(fresh, Ok(()));
+    let captured_at = now();
+    here.advance(150 * MS).await;
+    let old = commander.command_from(captured_at, Follow(2.0)).await;
+    assert_eq!(old, Err(DeliveryError::Expired));
+
+    assert_eq!(all(&log), ["follow 1"]);
+}
