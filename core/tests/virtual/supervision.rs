@@ -55,6 +55,8 @@ struct World {
     names: Vec<ObjectName>,
     present: BTreeMap<ObjectName, (Incarnation, Phase)>,
     last: BTreeMap<ObjectName, Incarnation>,
+    /// The incarnation of each child that came to work last.
+    worked: BTreeMap<ObjectName, Incarnation>,
     orders: BTreeSet<ObjectName>,
     open: BTreeSet<CallId>,
     ordered_restarts: Vec<Instant>,
@@ -93,6 +95,7 @@ impl World {
             names,
             present: BTreeMap::new(),
             last: BTreeMap::new(),
+            worked: BTreeMap::new(),
             orders: BTreeSet::new(),
             open: BTreeSet::new(),
             ordered_restarts: Vec::new(),
@@ -147,10 +150,10 @@ impl World {
                 SupervisorOutput::Recovered { call, child, incarnation } => {
                     assert!(self.open.remove(&call), "{call:?} is answered twice");
                     if let Some(expected) = incarnation {
-                        assert_eq!(
-                            self.present.get(&child).map(|&(known, _)| known),
-                            Some(expected)
-                        );
+                        let known = self.present.get(&child).map(|&(known, _)| known);
+                        // It may have died again before its group was whole.
+                        let known = known.or_else(|| self.worked.get(&child).copied());
+                        assert_eq!(known, Some(expected));
                     }
                 }
                 SupervisorOutput::Waits { call, child, incarnation } => {
@@ -291,6 +294,7 @@ impl World {
         match self.present.get(name).copied() {
             Some((incarnation, Phase::Starting | Phase::Waiting)) => {
                 self.present.insert(name.clone(), (incarnation, Phase::Present));
+                self.worked.insert(name.clone(), incarnation);
                 self.machine.handle_started(name, incarnation, self.now);
             }
             Some((incarnation, Phase::Stopping)) => {
