@@ -505,8 +505,10 @@ async fn stop_with(role: &str) -> Result<(), Box<dyn std::error::Error>> {
     actix_rt::spawn(async move {
         blastema::sleep(100 * MS).await;
         println!("waits");
-        while hangs_in_main {
-            std::thread::park();
+        if hangs_in_main {
+            loop {
+                std::thread::park();
+            }
         }
     });
     node.run_until_signal().await?;

@@ -378,7 +378,7 @@ impl ActuatorTable {
                 }
                 Some(LeaseOutput::CheckTaken) => {
                     let turn = actuator.skeleton.turn();
-                    let is_taken = turn % 2 == 0 || turn != actuator.turn.load(Relaxed);
+                    let is_taken = turn.is_multiple_of(2) || turn != actuator.turn.load(Relaxed);
                     lock(&actuator.lease).handle_check(is_taken);
                 }
                 Some(LeaseOutput::CutOff { cause }) => {

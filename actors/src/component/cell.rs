@@ -33,7 +33,6 @@ use blastema_core::detection::hang::QueueReading;
 use blastema_core::{
     Contract, DeliveryError, FaultKind, Incarnation, Instant, Lifecycle, MessageId, ObjectName,
 };
-use std::any::TypeId;
 use std::cell::Cell;
 use std::future::Future;
 use std::pin::Pin;
@@ -413,41 +412,6 @@ impl<C: Component> ComponentCell<C> {
             None => Ok(()),
             Some(why) => Err(why),
         }
-    }
-
-    /// Notifies the incarnation that watches of an end, whether its queue is full or not. A notice
-    /// of an earlier end of the same object that it has not taken yet is replaced.
-    pub(crate) fn notify(&self, watcher: Incarnation, down: Down)
-    where
-        C: Handle<Down>,
-    {
-        let about = match &down.node {
-            Some(node) => format!("{node}:{}", down.object),
-            None => down.object.to_string(),
-        };
-        let notice = seal_message::<C, Down>(down, None, None, heartbeat::coarse_now());
-        drop(self.queue.notify(watcher, &about, notice));
-    }
-
-    /// Puts a safe command before all that waits, whether there is room or not. It ends with the
-    /// present incarnation. Commands of its contract that still wait are not begun any more.
-    pub(crate) fn post_first<M: Contract>(&self, command: M, answer: Responder<M>)
-    where
-        C: Handle<M>,
-    {
-        let Some(owner) = self.queue.owner() else {
-            return answer.refuse(DeliveryError::Restarting, None);
-        };
-        let is_command = |envelope: &BoxedEnvelope<C>| {
-            (envelope.header().contract == TypeId::of::<M>()).then(|| envelope.revocable())
-        };
-        for waiting in self.queue.select(is_command).into_iter().flatten() {
-            waiting.cancel(DeliveryError::Expired);
-        }
-        // No name of an object contains a blank, and no safe command grows old.
-        let (about, never) = (format!("command {}", M::NAME), Instant::from_nanos(u64::MAX));
-        let command = seal_message::<C, M>(command, Some(answer), None, never);
-        drop(self.queue.notify(owner, &about, command));
     }
 
     /// An event for a component that is busy, or has just been.
