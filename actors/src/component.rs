@@ -13,6 +13,7 @@ pub(crate) mod extension;
 mod far_watch;
 pub(crate) mod incarnation;
 pub(crate) mod long_operation;
+mod notices;
 pub(crate) mod ports;
 mod returns;
 pub(crate) mod skeleton;

@@ -1,4 +1,4 @@
-//! The end of a hook: the next state of the life cycle, and its reports.
+//! The end of a hook, or of its time: the next state of the life cycle, and its reports.
 
 use super::ComponentExecutor;
 use super::outbox::DeferredReport;
@@ -7,6 +7,7 @@ use crate::host::lifecycle::{Hook, LifecycleReport};
 use crate::host::schedule::DueWork;
 use blastema_contract::reports::{FaultDeclared, StateReported};
 use blastema_core::{FaultKind, Lifecycle};
+use std::sync::atomic::Ordering::Relaxed;
 
 impl<C: Component> ComponentExecutor<C> {
     pub(super) fn hook_done(&mut self, hook: Hook, result: Result<(), Failure>) {
@@ -65,6 +66,35 @@ impl<C: Component> ComponentExecutor<C> {
         if self.lifecycle.is_ending() {
             // Also of a failure, which its supervisor has not ordered to stop.
             self.schedule.limit(DueWork::StopLimit, self.cell.record.limits.shutdown_within);
+        }
+    }
+
+    /// Ends what has taken longer than it may.
+    pub(super) fn handle_limits(&mut self) {
+        if self.schedule.take_limit(DueWork::Retry) && self.lifecycle.handle_retry() {
+            self.schedule.limit(DueWork::ReadyLimit, self.cell.record.limits.ready_within);
+        }
+        if self.schedule.take_limit(DueWork::ReadyLimit) && self.lifecycle.is_starting() {
+            self.drop_service();
+            let within = self.cell.record.limits.ready_within;
+            self.lifecycle.handle_fatal(format!("it was not ready within {within:?}"));
+            self.pass_reports();
+        }
+        if self.schedule.take_limit(DueWork::SettleLimit) {
+            self.state.settled.set(Some(true));
+        }
+        if self.schedule.take_limit(DueWork::StopLimit)
+            && let Some(end) = self.lifecycle.end_reason()
+        {
+            let within = self.cell.record.limits.shutdown_within;
+            self.cell.record.environment.cut_short.fetch_add(1, Relaxed);
+            // A caller that gives it no time at all wants it cut off.
+            if !within.is_zero() {
+                self.lifecycle.handle_cut_off(self.in_service(), within);
+                self.pass_reports();
+            }
+            self.drop_service();
+            self.end(end);
         }
     }
 

@@ -44,7 +44,6 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::Arc;
-use std::sync::atomic::Ordering::Relaxed;
 use std::task::{self, Poll, Waker};
 
 /// Messages per poll while they are quick; then neighbours and the control queue have their turn.
@@ -537,34 +536,6 @@ impl<C: Component> ComponentExecutor<C> {
             DueWork::ReadyLimit | DueWork::StopLimit | DueWork::SettleLimit | DueWork::Retry => {
                 Progress::More
             }
-        }
-    }
-
-    fn handle_limits(&mut self) {
-        if self.schedule.take_limit(DueWork::Retry) && self.lifecycle.handle_retry() {
-            self.schedule.limit(DueWork::ReadyLimit, self.cell.record.limits.ready_within);
-        }
-        if self.schedule.take_limit(DueWork::ReadyLimit) && self.lifecycle.is_starting() {
-            self.drop_service();
-            let within = self.cell.record.limits.ready_within;
-            self.lifecycle.handle_fatal(format!("it was not ready within {within:?}"));
-            self.pass_reports();
-        }
-        if self.schedule.take_limit(DueWork::SettleLimit) {
-            self.state.settled.set(Some(true));
-        }
-        if self.schedule.take_limit(DueWork::StopLimit)
-            && let Some(end) = self.lifecycle.end_reason()
-        {
-            let within = self.cell.record.limits.shutdown_within;
-            self.cell.record.environment.cut_short.fetch_add(1, Relaxed);
-            // A caller that gives it no time at all wants it cut off.
-            if !within.is_zero() {
-                self.lifecycle.handle_cut_off(self.in_service(), within);
-                self.pass_reports();
-            }
-            self.drop_service();
-            self.end(end);
         }
     }
 
