@@ -24,10 +24,10 @@ Exit status:
 /// the end. It takes less than 30 seconds. Ctrl-C ends all processes.
 #[derive(Debug, Parser)]
 #[command(name = "blastema-demo", version, args_conflicts_with_subcommands = true, after_help = EXIT_STATUS)]
-pub(crate) struct Arguments {
+pub(crate) struct DemoArguments {
     /// What the demonstration starts.
     #[command(subcommand)]
-    pub(crate) part: Option<Part>,
+    pub(crate) part: Option<DemoPart>,
     /// The options of the demonstration.
     #[command(flatten)]
     pub(crate) demo: DemoOptions,
@@ -35,7 +35,7 @@ pub(crate) struct Arguments {
 
 /// A part of the demonstration that runs in a process of its own.
 #[derive(Clone, Debug, PartialEq, Subcommand)]
-pub(crate) enum Part {
+pub(crate) enum DemoPart {
     /// Run one module of the demonstration's robot; started by the demonstration itself
     #[command(hide = true)]
     Module(ModuleOptions),
@@ -108,14 +108,14 @@ mod tests {
     use clap::CommandFactory;
 
     fn parse(line: &str) -> Result<DemoOptions, String> {
-        Arguments::try_parse_from(line.split_whitespace())
+        DemoArguments::try_parse_from(line.split_whitespace())
             .map(|arguments| arguments.demo)
             .map_err(|error| error.to_string())
     }
 
     #[test]
     fn the_definition_holds_together() {
-        Arguments::command().debug_assert();
+        DemoArguments::command().debug_assert();
     }
 
     #[test]
@@ -163,7 +163,7 @@ mod tests {
 
     #[test]
     fn the_help_tells_the_exit_status_and_hides_the_module() {
-        let help = Arguments::command().render_long_help().to_string();
+        let help = DemoArguments::command().render_long_help().to_string();
         assert!(!help.contains("module  "), "{help}");
         for part in
             ["--json", "--seed <N>", "--for <DURATION>", "1s to 24h", "--chaos", "Exit status"]

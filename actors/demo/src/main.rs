@@ -40,7 +40,7 @@ mod trial;
 mod view;
 mod wiring;
 
-use args::{Arguments, DemoOptions, Part};
+use args::{DemoArguments, DemoOptions, DemoPart};
 use clap::Parser;
 use director::{DemoError, Director};
 use display::{Display, Mode};
@@ -58,9 +58,9 @@ const PROMISE_BROKEN: u8 = 1;
 const CHAOS: Duration = Duration::from_secs(60);
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = DemoArguments::parse();
     let outcome = match arguments.part {
-        Some(Part::Module(options)) => {
+        Some(DemoPart::Module(options)) => {
             module::run(&options).map(|()| true).map_err(|error| error.to_string())
         }
         None => run(&arguments.demo).map_err(|error| error.to_string()),

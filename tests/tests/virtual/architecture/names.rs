@@ -17,8 +17,9 @@ const PRODUCT: [&str; 9] = [
 ];
 
 /// Names that several types may have, and why.
-const SHARED: [(&str, &str); 2] = [
+const SHARED: [(&str, &str); 3] = [
     ("Link", "the facade's description of a link, and the core's machine that it configures"),
+    ("Port", "the port of a device, on a chip, and of a node of a tree: no program has both"),
     ("Known", "both types belong to the replicated services, which are to be replaced as a whole"),
 ];
 
