@@ -1,8 +1,8 @@
 //! The command-line program of the Blastema middleware.
 //!
-//! `blastema monitor` shows the state of a running node, `blastema fault list` its faults, also those
-//! of earlier runs, `blastema keys` makes the keys of a robot's nodes, and `blastema node` gives them
-//! orders. Exit status: 0 it was done, 1 only a part of it, 2 it could not be done.
+//! `blastema monitor` shows the state of a running node, `blastema fault list` its faults, also
+//! those of earlier runs, `blastema keys` makes the keys of a robot's nodes, and `blastema node`
+//! gives them orders. Exit status: 0 it was done, 1 only a part of it, 2 it could not be done.
 
 mod args;
 mod fault;

@@ -1,5 +1,5 @@
-//! Tests of whole robots on real threads, with real processes, sockets or clocks. They take turns, wait for events
-//! with a generous bound, and judge counts and order, never a duration.
+//! Tests of whole robots on real threads, with real processes, sockets or clocks. They take turns,
+//! wait for events with a generous bound, and judge counts and order, never a duration.
 
 mod actix_facts;
 mod busy;

@@ -1,9 +1,9 @@
-//! What a node that cannot start says, and what it leaves behind. One test at a time counts
-//! threads, so they stand in one function.
+//! What a node that cannot start says, and what it leaves behind. Its threads are counted in a
+//! process of its own, where no other test begins or ends one.
 
 use blastema::prelude::*;
 use blastema::{Network, NodeBuilder};
-use blastema_tests::free_addresses;
+use blastema_tests::{Process, free_addresses, role};
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
@@ -16,7 +16,7 @@ fn threads() -> usize {
 
 /// Waits for threads that have been told to end; says how many are left.
 async fn settled(at_most: usize) -> usize {
-    let patience = Instant::now() + Duration::from_secs(10);
+    let patience = Instant::now() + Duration::from_secs(30);
     while threads() > at_most && Instant::now() < patience {
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
@@ -25,7 +25,7 @@ async fn settled(at_most: usize) -> usize {
 
 /// Waits until no socket of this process has the address.
 async fn freed(at: SocketAddr) {
-    let patience = Instant::now() + Duration::from_secs(10);
+    let patience = Instant::now() + Duration::from_secs(30);
     while let Err(error) = UdpSocket::bind(at) {
         assert!(Instant::now() < patience, "{at}: {error}");
         tokio::time::sleep(Duration::from_millis(5)).await;
@@ -58,6 +58,16 @@ async fn fail_after_a_network(at: SocketAddr) {
 #[test]
 fn a_node_that_cannot_start_says_why_and_leaves_no_thread() {
     let _turn = blastema_doubles::turn();
+    let mut process = Process::start_with(module_path!(), "counts threads", &[], &[]);
+    assert!(process.succeeds(), "its panic is above");
+}
+
+#[test]
+fn a_process_plays_its_role() {
+    if role().is_none() {
+        return;
+    }
+    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
     blastema::run(async {
         let before = threads();
 

@@ -1,5 +1,5 @@
-//! Tests of whole robots in virtual time, or of functions and machines alone: for each, one run is as good as
-//! a hundred, so that a failure shuts the gate.
+//! Tests of whole robots in virtual time, or of functions and machines alone: for each, one run is
+//! as good as a hundred, so that a failure shuts the gate.
 
 mod architecture;
 mod leaving;

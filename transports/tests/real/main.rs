@@ -1,5 +1,5 @@
-//! Tests of transports on real threads, with real processes, sockets or clocks. They take turns, wait for events
-//! with a generous bound, and judge counts and order, never a duration.
+//! Tests of transports on real threads, with real processes, sockets or clocks. They take turns,
+//! wait for events with a generous bound, and judge counts and order, never a duration.
 
 mod conformance;
 // For a kernel that this machine may lack: tests/guest/run.
