@@ -315,13 +315,13 @@ fn a_slow_receiver_loses_doubles_and_overtakes_nothing_when_it_is_stopped_for_a_
 
 #[test]
 fn a_slow_receiver_loses_doubles_and_overtakes_nothing_when_it_is_stopped_for_a_moment_over_tcp() {
-    let _turn = blastema_doubles::turn();
+    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
     a_slow_receiver("tcp", 500 * MS, PATIENCE, 40);
 }
 
 #[test]
 fn a_slow_receiver_loses_doubles_and_overtakes_nothing_when_it_is_stopped_for_a_moment_over_unix() {
-    let _turn = blastema_doubles::turn();
+    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
     a_slow_receiver("unix", 500 * MS, PATIENCE, 40);
 }
 

@@ -412,22 +412,18 @@ fn beside_images(
 
 #[test]
 fn a_slow_wire_over_udp_is_filled_and_nothing_waits_for_what_is_large() {
-    let _turn = blastema_doubles::turn();
+    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
     beside_images(Film::Whole, Relays::None, Network::udp, SlowWire::udp);
-    if blastema_doubles::long() {
-        beside_images(Film::Live, Relays::None, Network::udp, SlowWire::udp);
-        beside_images(Film::Whole, Relays::One, Network::udp, SlowWire::udp);
-    }
+    beside_images(Film::Live, Relays::None, Network::udp, SlowWire::udp);
+    beside_images(Film::Whole, Relays::One, Network::udp, SlowWire::udp);
 }
 
 #[test]
 fn a_slow_wire_over_tcp_is_filled_and_nothing_waits_for_what_is_large() {
-    let _turn = blastema_doubles::turn();
+    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
     beside_images(Film::Whole, Relays::One, Network::tcp, SlowWire::tcp);
-    if blastema_doubles::long() {
-        beside_images(Film::Live, Relays::None, Network::tcp, SlowWire::tcp);
-        beside_images(Film::Whole, Relays::None, Network::tcp, SlowWire::tcp);
-    }
+    beside_images(Film::Live, Relays::None, Network::tcp, SlowWire::tcp);
+    beside_images(Film::Whole, Relays::None, Network::tcp, SlowWire::tcp);
 }
 
 #[derive(Clone, Debug, Request)]
@@ -545,9 +541,7 @@ fn beside_the_state_of_a_service(
 
 #[test]
 fn a_service_keeps_its_primary_while_its_state_fills_a_slow_wire() {
-    let _turn = blastema_doubles::turn();
+    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
     beside_the_state_of_a_service(Network::udp, SlowWire::udp);
-    if blastema_doubles::long() {
-        beside_the_state_of_a_service(Network::tcp, SlowWire::tcp);
-    }
+    beside_the_state_of_a_service(Network::tcp, SlowWire::tcp);
 }

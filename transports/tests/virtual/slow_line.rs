@@ -301,10 +301,16 @@ fn bulk_both_ways_takes_no_line_of_9600_baud_down_and_keeps_no_stop_for_long() {
 
 #[test]
 fn bulk_both_ways_takes_no_line_of_38400_baud_down_and_keeps_no_stop_for_long() {
+    if !blastema_doubles::long() {
+        return;
+    }
     bulk_both_ways(38_400, Duration::from_millis(200));
 }
 
 #[test]
 fn bulk_both_ways_takes_no_line_of_115200_baud_down_and_keeps_no_stop_for_long() {
+    if !blastema_doubles::long() {
+        return;
+    }
     bulk_both_ways(115_200, Duration::from_millis(200));
 }

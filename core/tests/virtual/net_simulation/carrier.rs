@@ -1,7 +1,7 @@
 //! One end of a cable loses its carrier, and a switch stands between: the other end learns it by
 //! another way.
 
-use crate::net_simulation::world::{CALM, MS, STORM, World, for_seeds, name};
+use crate::net_simulation::world::{CALM, MS, STORM, World, for_seeds, long, name};
 use blastema_core::net::link::LinkState;
 use blastema_core::net::wire::advertisement::{
     Advertisement, AdvertisementId, Edge, RoutingMessage,
@@ -113,6 +113,9 @@ fn a_link_that_comes_up_is_never_taken_for_one_that_was_given_up() {
 
 #[test]
 fn what_is_pulled_and_plugged_in_a_storm_comes_back_every_time() {
+    if !long() {
+        return;
+    }
     for_seeds(20..26, |seed| {
         let mut world = World::new(seed, 3, &[(0, 1), (0, 1), (0, 2), (2, 1)], STORM);
         world.run(1000 * MS);

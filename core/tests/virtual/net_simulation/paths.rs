@@ -1,7 +1,7 @@
 //! Paths that carry one way only, queue for a second, or end at a node that is stopped for a while.
 
 use crate::net_simulation::ROBOT;
-use crate::net_simulation::world::{CALM, MS, STORM, World, for_seeds};
+use crate::net_simulation::world::{CALM, MS, STORM, World, for_seeds, long};
 use blastema_core::TrafficClass;
 use blastema_core::net::link::LinkState;
 use std::time::Duration;
@@ -112,6 +112,9 @@ fn nodes_that_were_stopped_together_condemn_nobody_when_they_go_on() {
 
 #[test]
 fn a_slow_path_with_a_deep_queue_keeps_its_link_and_its_control_beside_images_both_ways() {
+    if !long() {
+        return;
+    }
     const IMAGE: usize = 300_000;
     for_seeds(340..344, |seed| {
         let mut world = World::new(seed, 2, &[(0, 1)], CALM);

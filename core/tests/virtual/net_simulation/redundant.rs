@@ -111,6 +111,9 @@ fn any_network(seed: u64) -> World {
 /// Also with `cargo test --release -p blastema-core --test virtual net_simulation`, which sends a million.
 #[test]
 fn single_faults_cost_nothing_and_no_gap_is_longer_than_two_intervals() {
+    if !long() {
+        return;
+    }
     let (count, seeds) = if cfg!(debug_assertions) { (10_000, 0..2) } else { (1_000_000, 0..1) };
     for_seeds(seeds, |seed| {
         let mut world = World::new(seed, 2, &[(0, 1), (0, 1)], CALM);

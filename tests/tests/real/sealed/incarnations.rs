@@ -125,7 +125,7 @@ async fn restarted_a_day_back(numbers: [usize; 2]) {
 
 #[test]
 fn a_node_whose_number_is_lost_is_told_it_by_its_peer_whichever_of_them_shakes_hands() {
-    let _turn = blastema_doubles::turn();
+    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
     blastema::run(async {
         restarted_a_day_back([0, 1]).await;
         restarted_a_day_back([1, 0]).await;

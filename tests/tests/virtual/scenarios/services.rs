@@ -234,6 +234,9 @@ async fn a_component_that_panics_while_its_standbys_hear_nothing_costs_no_acknow
 
 #[blastema_testkit::test]
 async fn a_node_at_safe_rest_gives_its_service_away_at_once() {
+    if !blastema_doubles::long() {
+        return;
+    }
     for kind in [StandbyKind::Warm, StandbyKind::Hot, StandbyKind::Cold] {
         let robot = Robot::start(kind).await;
         assert_eq!(robot.add(5).await, Ok(5));

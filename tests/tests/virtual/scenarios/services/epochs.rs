@@ -17,6 +17,9 @@ async fn in_its_second_epoch() -> (Robot, blastema::ServiceRef<Add>) {
 
 #[blastema_testkit::test]
 async fn whoever_was_answered_is_not_answered_by_a_new_life_that_was_told_otherwise() {
+    if !blastema_doubles::long() {
+        return;
+    }
     for rule in [OnPartition::Stop, OnPartition::Continue] {
         let (mut robot, counter) = in_its_second_epoch().await;
         assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.kind), Ok(1));

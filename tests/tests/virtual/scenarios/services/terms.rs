@@ -189,6 +189,9 @@ async fn a_service_goes_on_beside_a_node_that_was_told_otherwise_and_takes_it_in
 
 #[blastema_testkit::test]
 async fn a_node_that_was_told_otherwise_and_died_or_was_cut_off_keeps_nobody_from_serving() {
+    if !blastema_doubles::long() {
+        return;
+    }
     let wrong: [&'static [&'static str]; 3] =
         [&["module1"], &["module3", "module2", "module1"], &["module1", "module2"]];
     for wrong in wrong {
@@ -217,6 +220,9 @@ async fn a_node_that_was_told_otherwise_and_died_or_was_cut_off_keeps_nobody_fro
 
 #[blastema_testkit::test]
 async fn while_a_list_is_changed_node_by_node_the_service_goes_on_and_forgets_nothing() {
+    if !blastema_doubles::long() {
+        return;
+    }
     let lists: [(&'static [&'static str], &'static [&'static str]); 2] = [
         (&["module1", "module2", "module3"], &["module1", "module2", "module3", "module0"]),
         (&["module0", "module1", "module2", "module3"], &["module1", "module2", "module3"]),
@@ -249,6 +255,9 @@ async fn while_a_list_is_changed_node_by_node_the_service_goes_on_and_forgets_no
 
 #[blastema_testkit::test]
 async fn whoever_asks_while_a_list_is_changed_by_killing_node_after_node_is_answered_once() {
+    if !blastema_doubles::long() {
+        return;
+    }
     const BEFORE: [&str; 4] = ["module0", "module1", "module2", "module3"];
     let medium = MemoryMedium::default();
     let asker = start("module0", &medium, on(&BEFORE)).await;
