@@ -500,7 +500,7 @@ async fn stop_with(role: &str) -> Result<(), Box<dyn std::error::Error>> {
         .callback_limit(Duration::from_secs(5))
         .safe_outputs(|_| {
             // Longer than the process has after the longest `shutdown_within`.
-            std::thread::sleep(400 * MS);
+            std::thread::park_timeout(400 * MS);
             println!("safe outputs");
         });
     if role != "hangs in main" {
