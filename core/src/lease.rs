@@ -118,7 +118,8 @@ pub enum LeaseOutput {
         again: bool,
     },
     /// The safe command of a command timeout has not been carried out yet: tell
-    /// [`Lease::handle_check`] whether the component still serves what it served before.
+    /// [`Lease::handle_check`] whether the component still serves what it served before. It is asked
+    /// every beat.
     CheckTaken,
     /// Call the cut-off, and tell [`Lease::handle_cut_off_returned`] when it has returned, or at
     /// once where the actuator has none.
@@ -141,7 +142,8 @@ pub struct Lease {
     moves: bool,
     /// Until when the last command counts; `None` where none does, or for ever.
     counts_until: Option<Instant>,
-    /// When to look whether the component has begun the safe command of a command timeout.
+    /// When to look next whether the component has begun the safe command of a command timeout, and
+    /// goes on with it.
     check_at: Option<Instant>,
     /// What was given and has not been carried out.
     given: Option<RestCause>,
@@ -258,7 +260,7 @@ impl Lease {
 
     /// Whether the component has begun the safe command of a command timeout, or could have.
     pub fn handle_check(&mut self, is_taken: bool) {
-        if self.check_at.take().is_some() && !is_taken {
+        if !is_taken && self.check_at.take().is_some() {
             self.cut_off(RestCause::CommandTimeout);
         }
     }
@@ -280,7 +282,8 @@ impl Lease {
             true => {
                 self.moves &=
                     cause != RestCause::Stopped && self.rules.stop_by == StopBy::StopCommand;
-                self.handle_stopped();
+                self.given = None;
+                self.free_once_settled();
             }
             false if cause == RestCause::Stopped => self.handle_stop_failed(),
             false if cause == RestCause::CommandTimeout => self.handle_check(false),
@@ -309,9 +312,10 @@ impl Lease {
         if self.work == Work::Goes {
             self.work = Work::Ends { stops: self.moves };
             self.state = State::Settling;
+            (self.given, self.check_at) = (None, None);
             match self.moves {
                 true => self.give(RestCause::Stopped, false),
-                false => self.handle_stopped(),
+                false => self.free_once_settled(),
             }
         }
     }
@@ -330,24 +334,30 @@ impl Lease {
         }
     }
 
-    /// The component has left work: its hook has, or has not, ended well.
-    pub fn handle_left(&mut self, hook_done: bool) {
-        let is_stopped = match self.rules.stop_by {
-            StopBy::Hook => hook_done,
-            StopBy::SafeCommand | StopBy::StopCommand => !self.moves,
-        };
-        if !is_stopped {
-            self.handle_stop_failed();
-        } else if self.is_stopping() {
-            self.work = Work::Ends { stops: false };
-            self.moves = false;
+    /// The component goes on no longer after its stop command.
+    pub fn handle_settled(&mut self) {
+        if self.rules.stop_by != StopBy::Hook && self.given.is_none() {
             self.handle_stopped();
         }
     }
 
+    /// The component has left work, or its work has failed: its hook has, or has not, ended well.
+    pub fn handle_left(&mut self, hook_done: bool) {
+        match hook_done && self.rules.stop_by == StopBy::Hook {
+            true => self.handle_stopped(),
+            false => self.handle_stop_failed(),
+        }
+        // It may have been the safe command that failed.
+        self.handle_check(hook_done);
+    }
+
+    /// The actuator has been stopped in order.
     fn handle_stopped(&mut self) {
-        (self.given, self.check_at) = (None, None);
-        self.free_once_settled();
+        if self.is_stopping() {
+            self.work = Work::Ends { stops: false };
+            (self.moves, self.given) = (false, None);
+            self.free_once_settled();
+        }
     }
 
     fn free_once_settled(&mut self) {
@@ -409,7 +419,8 @@ impl Machine for Lease {
             self.give(RestCause::CommandTimeout, false);
             self.check_at = Some(now + BEAT);
         } else if self.check_at.is_some_and(|at| now >= at) {
-            self.outputs.push_back(LeaseOutput::CheckTaken);
+            self.check_at = self.given.map(|_| now + BEAT);
+            self.outputs.extend(self.given.map(|_| LeaseOutput::CheckTaken));
         }
     }
 }
@@ -593,6 +604,7 @@ mod tests {
         lease.handle_applied(RestCause::Stopped, true);
         assert_eq!(lease.status(ms(3)), LeaseStatus::Free);
         assert!(lease.is_stopping(), "its work goes on until it has settled");
+        lease.handle_settled();
         lease.handle_left(false);
 
         assert_eq!(outputs(&mut lease), [""; 0], "it was stopped, whatever became of the hook");
@@ -606,9 +618,13 @@ mod tests {
         let too_late: Step = |lease| lease.handle_left(false);
         let fails: Step = |lease| {
             lease.handle_applied(RestCause::Stopped, true);
-            lease.handle_stop_failed();
+            lease.handle_left(false);
         };
-        for step in [refused, too_late, fails] {
+        let never_begun: Step = |lease| {
+            lease.handle_settled();
+            lease.handle_left(true);
+        };
+        for step in [refused, too_late, fails, never_begun] {
             let (mut lease, _) = held();
             lease.handle_command(ms(1));
             lease.handle_leaving();
@@ -676,6 +692,7 @@ mod tests {
             lease.handle_renewal(epoch, ms(now)).unwrap();
             lease.handle_timeout(ms(now));
         }
+        lease.handle_left(false);
         assert_eq!(outputs(&mut lease), [""; 0]);
 
         lease.handle_command(ms(200));
@@ -687,17 +704,29 @@ mod tests {
     }
 
     #[test]
-    fn a_safe_command_that_the_component_does_not_begin_is_followed_by_the_cut_off_once() {
-        for (is_taken, then) in [(true, vec![]), (false, vec!["cut-off"])] {
+    fn a_safe_command_that_the_component_does_not_begin_or_end_is_followed_by_the_cut_off_once() {
+        type Step = fn(&mut Lease);
+        let not_begun: Step = |lease| lease.handle_check(false);
+        let dies: Step = |lease| lease.handle_applied(RestCause::CommandTimeout, false);
+        let fails: Step = |lease| lease.handle_left(false);
+        let fails_after_its_reply: Step = |lease| {
+            lease.handle_applied(RestCause::CommandTimeout, true);
+            lease.handle_left(false);
+        };
+        for step in [not_begun, dies, fails, fails_after_its_reply] {
             let (mut lease, epoch) = overdue();
             lease.handle_timeout(ms(59));
             assert_eq!(outputs(&mut lease), [""; 0]);
-            lease.handle_timeout(ms(60));
-            assert_eq!(outputs(&mut lease), ["check"]);
-            lease.handle_check(is_taken);
-            lease.handle_check(false);
+            for now in [60, 70] {
+                lease.handle_timeout(ms(now));
+                assert_eq!(outputs(&mut lease), ["check"]);
+                lease.handle_check(true);
+            }
+            step(&mut lease);
+            assert_eq!(outputs(&mut lease), ["cut-off"]);
+            [not_begun, dies, fails].iter().for_each(|step| step(&mut lease));
             lease.handle_timeout(ms(90));
-            assert_eq!(outputs(&mut lease), then);
+            assert_eq!(outputs(&mut lease), [""; 0]);
 
             lease.handle_command(ms(91));
             lease.handle_applied(RestCause::CommandTimeout, true);

@@ -53,8 +53,8 @@ impl CellListener for Withdrawal {
         self.table.handle_work(&self.owner, Lease::handle_leaving)
     }
 
-    fn stop_failed(&self) {
-        self.table.handle_work(&self.owner, Lease::handle_stop_failed);
+    fn settled(&self) {
+        self.table.handle_work(&self.owner, Lease::handle_settled);
     }
 
     fn left_work(&self, hook_done: bool) {

@@ -31,9 +31,9 @@ pub(crate) trait CellListener: Send + Sync {
     fn leaves_work(&self) -> Duration {
         Duration::ZERO
     }
-    /// What the component does as it leaves work has failed.
-    fn stop_failed(&self) {}
-    /// An incarnation has left work; its hook for that has, or has not, ended well.
+    /// An incarnation that leaves work has settled.
+    fn settled(&self) {}
+    /// An incarnation has left work, its hook done, or its work has failed.
     fn left_work(&self, _hook_done: bool) {}
     /// An incarnation has ended, and none follows at once.
     fn deactivated(&self) {}

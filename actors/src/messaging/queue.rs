@@ -183,22 +183,27 @@ impl<T> BoundedQueue<T> {
         Ok(Pushed { displaced, parked: queue.parked.take() })
     }
 
-    /// Takes out those of the oldest messages that are over, where there may be no room.
+    /// Takes out those of the oldest messages that are over, where there may be no room. Senders
+    /// that wait for their places are woken.
     pub(crate) fn purge(&self, port: usize, is_over: impl Fn(&T) -> bool) -> Vec<T> {
         let mut over = Vec::new();
         if self.depth() < self.bounds[port].0 {
             return over;
         }
-        let mut queue = self.lock();
+        let (mut queue, mut woken) = (self.lock(), Vec::new());
         let mut at = 0;
-        while let Some((_, item)) = queue.queue.get(at).filter(|_| at < PURGED) {
+        while let Some((port, item)) = queue.queue.get(at).filter(|_| at < PURGED) {
             if is_over(item) {
+                let port = *port;
                 over.extend(queue.remove(at));
+                woken.extend(queue.space.as_mut().and_then(|space| space.next(port)));
             } else {
                 at += 1;
             }
         }
         self.length.store(queue.depth(), Relaxed);
+        drop(queue);
+        woken.into_iter().for_each(Waker::wake);
         over
     }
 

@@ -354,7 +354,7 @@ impl NodeAssembly {
             plan: self.plan,
             systemd,
             begun: AtomicBool::new(false),
-            safe: AtomicBool::new(false),
+            safe: Mutex::default(),
             last_record: OnceLock::new(),
             held: self.held,
         };

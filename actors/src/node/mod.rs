@@ -147,7 +147,7 @@ struct Shared {
     /// Components have begun, so that outputs may have to be made safe.
     begun: AtomicBool,
     /// The safe outputs were applied without the fault chain.
-    safe: AtomicBool,
+    safe: Mutex<bool>,
     /// What stood in the record of faults when the node was shut down.
     last_record: OnceLock<FaultRecord>,
     /// Files and sockets that no other node has while this one lives.

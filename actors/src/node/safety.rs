@@ -48,14 +48,16 @@ impl Shared {
             NodeState::Running => true,
             NodeState::InSafeState { .. } | NodeState::Stopped => false,
         };
-        if ends {
+        // Where another thread makes it safe now, that is awaited.
+        if ends || self.is_safe() {
             self.make_safe(cause);
         }
     }
 
-    /// The same, whatever the node's state.
+    /// The same, whatever the node's state. Another caller waits meanwhile.
     pub(super) fn make_safe(&self, cause: &str) {
-        if self.safe.swap(true, SeqCst) {
+        let mut is_safe = self.safe.lock().unwrap_or_else(PoisonError::into_inner);
+        if std::mem::replace(&mut *is_safe, true) {
             return;
         }
         let has_outputs = self.has_outputs();
@@ -66,6 +68,11 @@ impl Shared {
             platform::tell_person(&format!("blastema: node {}: {cause}: {outcome}", self.name));
         }
         warn!(node = %self.name, cause, "{outcome}");
+    }
+
+    /// Whether its outputs were made safe, once that is done.
+    fn is_safe(&self) -> bool {
+        *self.safe.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn has_outputs(&self) -> bool {
@@ -219,7 +226,7 @@ impl Node {
             signal = terminations.next() => {
                 info!(node = %self.0.name, signal = signal.name(), "the node is shut down");
                 self.shut_down_because(&format!("{} shut it down", signal.name())).await;
-                if self.0.safe.load(SeqCst) {
+                if self.0.is_safe() {
                     platform::end_process(signal.exit_code());
                 }
             }

@@ -367,6 +367,7 @@ impl DeliveryError {
             | DeliveryError::ContractDiffers { .. }
             | DeliveryError::Quarantined { .. }
             | DeliveryError::Expired
+            | DeliveryError::Isolated { .. }
             | DeliveryError::Unknown { .. }
             | DeliveryError::Misspelt { .. }
             | DeliveryError::NotServed { .. }
@@ -389,11 +390,10 @@ impl DeliveryError {
             | DeliveryError::NameTaken { .. }
             | DeliveryError::AgeUnknown { .. }
             | DeliveryError::Forbidden { .. } => Outcome::NotTaken,
-            // The callee may have been stopped, or shut out, while it served; and what cannot be
-            // decoded may be the reply.
+            // The callee may have been stopped while it served; and what cannot be decoded may be the
+            // reply.
             DeliveryError::Stopped
             | DeliveryError::Fenced
-            | DeliveryError::Isolated { .. }
             | DeliveryError::SenderIsolated
             | DeliveryError::Undecodable { .. }
             | DeliveryError::DeadlinePassed

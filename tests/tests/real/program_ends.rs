@@ -497,7 +497,12 @@ async fn stop_with(role: &str) -> Result<(), Box<dyn std::error::Error>> {
         .shutdown_within(within);
     let mut builder = Node::builder("module1")
         .child(ChildSpec::new("wheels", || Wheels).shutdown_within(500 * MS))
-        .safe_outputs(|_| println!("safe outputs"));
+        .callback_limit(Duration::from_secs(5))
+        .safe_outputs(|_| {
+            // Longer than the process has after the longest `shutdown_within`.
+            std::thread::park_timeout(400 * MS);
+            println!("safe outputs");
+        });
     if role != "hangs in main" {
         builder = builder.child(stubborn);
     }

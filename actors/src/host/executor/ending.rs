@@ -128,9 +128,10 @@ impl<C: Component> ComponentExecutor<C> {
         restarted_as: Option<Incarnation>,
     ) {
         let record = &self.cell.record;
-        if restarted_as.is_none() {
-            record.announce(|listener| listener.deactivated());
-        }
+        record.announce(|listener| match restarted_as {
+            Some(_) => listener.left_work(false),
+            None => listener.deactivated(),
+        });
         record.tell_watchers(|| {
             let (object, ending) = (record.name.clone(), DownReason::from(exit));
             Down { object, node: None, incarnation, ending }

@@ -18,7 +18,7 @@ impl<C: Component> ComponentExecutor<C> {
                 self.slot.activity.give_sign();
             }
         }
-        if hook == Hook::Deactivated {
+        if hook == Hook::Deactivated || result.is_err() {
             self.cell.record.announce(|listener| listener.left_work(result.is_ok()));
         }
         self.lifecycle.handle_done(hook, result);
@@ -107,7 +107,7 @@ impl<C: Component> ComponentExecutor<C> {
         }
         self.slot.activity.expect_signs(state == Lifecycle::Active);
         self.schedule.set_active(state == Lifecycle::Active);
-        if state == Lifecycle::Active {
+        if state == Lifecycle::Active && !self.lifecycle.is_ending() {
             self.cell.record.announce(|listener| listener.activated());
         }
         let incarnation = self.state.incarnation;

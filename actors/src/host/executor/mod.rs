@@ -309,6 +309,7 @@ impl<C: Component> ComponentExecutor<C> {
                     return self.advance(cx);
                 }
                 LifecycleStep::Settle if self.is_settled() => {
+                    self.cell.record.announce(|listener| listener.settled());
                     self.lifecycle.handle_settled();
                     return Progress::More;
                 }
@@ -500,7 +501,7 @@ impl<C: Component> ComponentExecutor<C> {
             self.lifecycle.handle_rate_changed();
         }
         if let Some(failure) = wishes.failure {
-            self.cell.record.announce(|listener| listener.stop_failed());
+            self.cell.record.announce(|listener| listener.left_work(false));
             self.lifecycle.handle_failure(failure);
         }
         if wishes.stop {

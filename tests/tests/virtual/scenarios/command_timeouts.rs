@@ -13,9 +13,13 @@ const TIMEOUT: Duration = Duration::from_millis(200);
 const SECOND: Duration = Duration::from_secs(1);
 
 /// Turns the wheels.
-#[derive(Clone, Debug, Request)]
+#[derive(Clone, Debug, PartialEq, Request)]
 #[contract(name = "timeouts/drive", reply = ())]
 struct Drive(f32);
+
+/// Never returns.
+const JAM: Drive = Drive(-1.0);
+const FAIL: Drive = Drive(-2.0);
 
 /// The same, made from data that may be so old.
 #[derive(Clone, Debug, Request)]
@@ -52,8 +56,13 @@ impl Component for Wheels {
 }
 
 impl Handle<Drive> for Wheels {
-    async fn handle(&mut self, drive: Drive, _: &mut Context<Self>) {
+    async fn handle(&mut self, drive: Drive, cx: &mut Context<Self>) {
         self.note(format!("drive {}", drive.0));
+        match drive {
+            JAM => std::future::pending().await,
+            FAIL => cx.fail("the brake is worn"),
+            _ => {}
+        }
     }
 }
 
@@ -72,11 +81,15 @@ impl Handle<Nap> for Wheels {
 }
 
 fn wheels(log: &Log) -> ChildSpec<Wheels> {
+    wheels_that_stop_by(log, Drive(0.0))
+}
+
+fn wheels_that_stop_by(log: &Log, safe: Drive) -> ChildSpec<Wheels> {
     let (log, cut) = (log.clone(), log.clone());
     ChildSpec::new("wheels", move || Wheels(log.clone())).with_ports(move |ports| {
         let cut_off = move || cut.lock().unwrap().push("cut off".into());
         ports
-            .actuator(ActuatorSpec::new(Drive(0.0), TIMEOUT).cut_off(cut_off))
+            .actuator(ActuatorSpec::new(safe.clone(), TIMEOUT).cut_off(cut_off))
             .actuator(ActuatorSpec::new(Follow(0.0), Hold));
     })
 }
@@ -179,6 +192,22 @@ async fn a_component_that_awaits_for_longer_than_a_command_counts_hangs_and_its_
     assert_eq!(all(&log), ["drive 1", "cut off", "drive 0"]);
     commander.command(Drive(2.0)).await.unwrap();
     assert_eq!(all(&log).last().unwrap(), "drive 2");
+}
+
+#[blastema_testkit::test]
+async fn the_cut_off_is_called_once_where_the_safe_command_is_begun_and_fails_or_never_ends() {
+    for safe in [JAM, FAIL] {
+        let log = Log::default();
+        let node = Node::builder("module1").child(wheels_that_stop_by(&log, safe.clone()));
+        let node = TestNode::start(node).await;
+        let _commander = driving(&node).await;
+
+        node.advance(5 * SECOND).await;
+
+        let done = all(&log);
+        assert_eq!(done[..3], ["drive 1".into(), format!("drive {}", safe.0), "cut off".into()]);
+        assert_eq!(done.iter().filter(|what| *what == "cut off").count(), 1, "{done:?}");
+    }
 }
 
 #[blastema_testkit::test]

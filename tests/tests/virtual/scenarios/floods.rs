@@ -268,6 +268,25 @@ async fn what_has_expired_keeps_no_place_in_a_queue() {
 }
 
 #[blastema_testkit::test]
+async fn a_sender_that_waits_for_the_place_of_what_has_expired_is_served() {
+    let served = Arc::<Mutex<Vec<String>>>::default();
+    let own = |ports: &mut Ports<Base>| drop(ports.queue::<Scan>(2, WhenFull::Wait));
+    let spec = Base::spec(&served, false).queue(2, WhenFull::Refuse).with_ports(own);
+    let node = TestNode::start(Node::builder("module1").child(spec)).await;
+    let (scan, halt) = (node.sender::<Scan>("base").unwrap(), node.sender::<Halt>("base").unwrap());
+    scan.tell(Scan(13)).unwrap();
+    node.settle().await;
+    (1..=2).for_each(|n| scan.tell(Scan(n)).unwrap());
+    let waits = tokio::task::spawn_local(async move { scan.deliver(Scan(3)).await });
+    node.advance(Duration::from_millis(200)).await;
+
+    halt.tell(Halt).unwrap();
+    node.settle().await;
+
+    assert!(waits.is_finished(), "nothing waits at its port any more");
+}
+
+#[blastema_testkit::test]
 async fn a_flood_at_a_port_with_a_queue_of_its_own_refuses_nothing_at_another() {
     let served = Arc::<Mutex<Vec<String>>>::default();
     let builder = Node::builder("module1").child(Base::spec(&served, true));

@@ -206,16 +206,21 @@ async fn a_component_that_was_brought_to_rest_comes_back_when_it_is_asked_for() 
 
 #[blastema_testkit::test]
 async fn what_waits_for_a_component_that_is_given_up_because_it_hangs_is_refused_at_once() {
-    let strings = Strings::default();
+    let (strings, medium) = (Strings::default(), MemoryMedium::default());
     let arm = strings.spec("arm").max_wait(Duration::from_secs(2)).queue(64, WhenFull::Refuse);
     let builder = Node::builder("module1").intensity(1, Duration::from_secs(60)).child(arm);
-    let mut node = TestNode::start(builder).await;
+    let mut node = TestNode::start(networked(builder, "module1", "module2", &medium)).await;
+    let peer =
+        TestNode::start(networked(Node::builder("module2"), "module2", "module1", &medium)).await;
+    assert!(peer.connected("module1", 2000 * MS).await);
+    let far = peer.sender::<Do>("module1:arm").unwrap();
     let (arm, note) = (node.sender::<Do>("arm").unwrap(), node.sender::<Note>("arm").unwrap());
     let ask_all = || {
         let request = |arm: Sender<Do>| async move {
             arm.ask_within(Do(Deed::Nothing), Duration::from_secs(3600)).await
         };
-        (0..3).map(|_| tokio::task::spawn_local(request(arm.clone()))).collect::<Vec<_>>()
+        let asks = [&arm, &far, &arm, &far].map(|arm| request(arm.clone()));
+        asks.map(tokio::task::spawn_local)
     };
 
     // While restarts last, the successor takes the queue.
@@ -229,9 +234,10 @@ async fn what_waits_for_a_component_that_is_given_up_because_it_hangs_is_refused
     arm.tell(Do(Deed::Await(3_600_000))).unwrap();
     node.settle().await;
     let waiting = ask_all();
+    node.advance(50 * MS).await;
     (0..20).for_each(|n| note.tell(Note(n)).unwrap());
     node.await_given_up(FaultKind::Hang, "arm").await;
-    node.settle().await;
+    node.advance(50 * MS).await;
 
     let isolated = DeliveryError::Isolated { object: "arm".into() };
     for request in waiting {
@@ -240,7 +246,7 @@ async fn what_waits_for_a_component_that_is_given_up_because_it_hangs_is_refused
         assert_eq!((error.outcome(), error.kind), (Outcome::NotTaken, isolated.clone()));
     }
     let arm = "arm".parse().unwrap();
-    assert_eq!(node.dead_letters().count(&arm, DeadReason::Isolated), 23);
+    assert_eq!(node.dead_letters().count(&arm, DeadReason::Isolated), 24);
     strings.diary();
     node.restart_child("arm").await.unwrap();
     assert_eq!(incarnation(&node, "arm").await, 3);

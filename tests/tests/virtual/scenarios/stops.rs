@@ -19,6 +19,12 @@ const LAND: Drive = Drive(-1.0);
 const PANIC: Drive = Drive(-2.0);
 const FAIL: Drive = Drive(-3.0);
 const WAIT_FOR_EVER: Drive = Drive(-4.0);
+/// Lands, and panics on the way, fails on the way, or never settles.
+const LAND_AND_PANIC: Drive = Drive(-5.0);
+const LAND_AND_FAIL: Drive = Drive(-6.0);
+const NEVER_SETTLE: Drive = Drive(-7.0);
+/// Goes on, and panics when it is deactivated.
+const PANIC_AT_THE_END: Drive = Drive(-8.0);
 
 /// Keeps the machine for 50 ms.
 #[derive(Clone, Debug, Event)]
@@ -41,6 +47,7 @@ impl Log {
 struct Machine {
     log: Log,
     height: i32,
+    last: f32,
 }
 
 impl Component for Machine {
@@ -55,12 +62,18 @@ impl Component for Machine {
             if self.height == 0 {
                 cx.settled();
             }
+            match (self.height, self.last) {
+                (1, -5.0) => panic!("a gust"),
+                (1, -6.0) => return Err("a gust".into()),
+                _ => {}
+            }
         }
         Ok(())
     }
 
     async fn on_deactivated(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
         self.log.note("deactivated");
+        assert!(self.last != PANIC_AT_THE_END.0, "it jams");
         Ok(())
     }
 }
@@ -68,8 +81,9 @@ impl Component for Machine {
 impl Handle<Drive> for Machine {
     async fn handle(&mut self, drive: Drive, cx: &mut Context<Self>) {
         self.log.note(format!("drive {}", drive.0));
+        self.last = drive.0;
         match drive.0 {
-            -1.0 => self.height = 3,
+            -1.0 | -5.0 | -6.0 => self.height = 3,
             -2.0 => panic!("it cannot stop"),
             -3.0 => cx.fail("it cannot stop"),
             -4.0 => std::future::pending().await,
@@ -89,7 +103,7 @@ type Spec = fn(ActuatorSpec<Drive>) -> ActuatorSpec<Drive>;
 
 fn machine(log: &Log, spec: Spec) -> ChildSpec<Machine> {
     let (log, cut) = (log.clone(), log.clone());
-    ChildSpec::new("machine", move || Machine { log: log.clone(), height: 0 })
+    ChildSpec::new("machine", move || Machine { log: log.clone(), height: 0, last: 0.0 })
         .shutdown_within(Duration::from_secs(1))
         .rate_hz(100.0)
         .with_ports(move |ports| {
@@ -215,6 +229,50 @@ async fn the_cut_off_is_called_where_the_stop_command_fails_or_comes_too_late() 
         done.retain(|what| what != "deactivated");
         assert_eq!(done, ["drive 1".to_owned(), format!("drive {}", stop.0), "cut off".to_owned()]);
     }
+}
+
+#[blastema_testkit::test]
+async fn a_drone_that_does_not_come_to_the_ground_in_order_is_cut_off_however_it_ends() {
+    let cases: [Spec; 3] = [
+        |spec| spec.on_stop(LAND_AND_PANIC).settle_within(500 * MS),
+        |spec| spec.on_stop(LAND_AND_FAIL).settle_within(500 * MS),
+        |spec| spec.on_stop(NEVER_SETTLE).settle_within(Duration::from_secs(1)),
+    ];
+    for (case, spec) in cases.into_iter().enumerate() {
+        for way in ["shutdown", "restart", "deactivate"] {
+            let log = Log::default();
+            let node = start(&log, spec).await;
+            let _commander = driving(&node).await;
+
+            match way {
+                "shutdown" => node.shutdown().await,
+                "restart" => drop(node.restart_child("machine").await.unwrap()),
+                // It has a time to settle, and none to end.
+                _ if case == 2 => continue,
+                _ => node.actor::<Machine>("machine").unwrap().deactivate(),
+            }
+            node.advance(100 * MS).await;
+
+            let done = log.all();
+            let cut_offs = done.iter().filter(|what| *what == "cut off").count();
+            assert_eq!(cut_offs, 1, "case {case}, {way}: {done:?}");
+        }
+    }
+}
+
+#[blastema_testkit::test]
+async fn an_actuator_whose_hook_panics_is_cut_off_and_claimed_again_from_the_next_incarnation() {
+    let log = Log::default();
+    let node = start(&log, |spec| spec.on_stop_by_hook()).await;
+    let commander = driving(&node).await;
+    commander.command(PANIC_AT_THE_END).await.unwrap();
+
+    node.actor::<Machine>("machine").unwrap().deactivate();
+    node.advance(50 * MS).await;
+
+    assert_eq!(log.all(), ["drive 1", "drive -8", "deactivated", "cut off"]);
+    commander.claim().await.unwrap();
+    commander.command(Drive(2.0)).await.unwrap();
 }
 
 #[blastema_testkit::test]
