@@ -13,7 +13,7 @@ use crate::component::{Component, Handle};
 use crate::registry::ContractPort;
 use crate::settings::{COMMAND_TIMEOUT, LEASE, SHUTDOWN_WITHIN};
 use blastema_core::lease::Lease;
-use blastema_core::port::PortRole;
+use blastema_core::port::ConnectionRole;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Contract, DeliveryError, ObjectName};
 use std::sync::Arc;
@@ -132,7 +132,7 @@ impl<C: Component> Ports<C> {
     {
         self.max_wait = self.max_wait.into_iter().chain(spec.rules.command_timeout).min();
         self.feature::<ActuatorPorts<C>>().0.push((spec.declared(), ContractPort::open::<C, M>));
-        self.declare::<M>(M::NAME.into(), PortRole::Commanded)
+        self.declare::<M>(M::NAME.into(), ConnectionRole::Commanded)
     }
 }
 
