@@ -261,7 +261,11 @@ pub enum ConnectError {
     #[error(transparent)]
     Name(#[from] NameError),
     /// The component has no such port in this direction.
-    #[error("{component} {verb} no port `{port}`{}: {}", meant(.nearest.as_ref()), listed(.verb, .declared))]
+    #[error(
+        "{component} {verb} no port `{port}`: {}{}",
+        listed(.verb, .declared),
+        meant(.nearest.as_ref())
+    )]
     NoPort {
         /// The component.
         component: String,
@@ -289,7 +293,10 @@ pub enum ConnectError {
     #[error("the ports do not fit: {0}")]
     Differ(Difference),
     /// The handle is for a port that does something else.
-    #[error("{port} {declared} what it sends, and is not one that {wanted}: take it as `{}<…>`", handle(*.declared))]
+    #[error(
+        "{port} {declared} what it sends, and is not one that {wanted}: take it as `{}<…>`",
+        handle(*.declared)
+    )]
     Handle {
         /// The port.
         port: PortAddress,
@@ -299,7 +306,10 @@ pub enum ConnectError {
         wanted: ConnectionRole,
     },
     /// Another node makes this connection: that of the end that listens, commands or asks.
-    #[error("the end that listens, commands or asks is on {}: connect them there", of(.node.as_ref()))]
+    #[error(
+        "the end that listens, commands or asks is on {}: connect them there",
+        of(.node.as_ref())
+    )]
     Elsewhere {
         /// The node.
         node: Option<NodeName>,
@@ -448,7 +458,7 @@ mod tests {
         assert_eq!(planner.port(&at("planner#stop"), false).map(|port| port.role), Ok(Serves));
         assert_eq!(
             missing("base:planner#scna", false),
-            "base:planner takes no port `scna`; did you mean `scan`?: it takes `scan`, `stop`"
+            "base:planner takes no port `scna`: it takes `scan`, `stop`; did you mean `scan`?"
         );
         assert!(
             missing("planner#path", true).contains("planner gives no port `path`: it declares")

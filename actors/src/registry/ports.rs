@@ -1,8 +1,8 @@
 //! The ports of this node's components, and what they are connected to.
 //!
-//! A connection stands on the node of the end that makes it, so that it outlives the incarnations of
-//! both ends. For a listener it is a subscription; for an out port that commands or asks it is where
-//! the port's sender leads.
+//! A connection stands on the node of the end that makes it, so that it outlives the incarnations
+//! of both ends. For a listener it is a subscription; for an out port that commands or asks it is
+//! where the port's sender leads.
 
 use super::lookup::CurrentReceiver;
 use super::{Inner, Registry};
@@ -165,10 +165,22 @@ impl Registry {
         let listener = entry.watchable.clone();
         drop(inner);
         let topic = self.port_topic(from);
-        topic.and_then(|topic| listener.listen(like, &topic)).map_err(|why| {
-            self.lock().connections.listening.remove(&connection);
-            ConnectError::Refused(why)
-        })
+        let listening =
+            topic.and_then(|topic| listener.clone().listen(like, &topic).map(|()| topic));
+        let mut inner = self.lock();
+        match listening {
+            // It was disconnected, or the component removed, meanwhile.
+            Ok(topic) if !inner.connections.listening.contains(&connection) => {
+                drop(inner);
+                listener.stop_listening(&topic);
+            }
+            Ok(_) => {}
+            Err(why) => {
+                inner.connections.listening.remove(&connection);
+                return Err(ConnectError::Refused(why));
+            }
+        }
+        Ok(())
     }
 
     /// Disconnects two ports, whether or not the other end is still there.

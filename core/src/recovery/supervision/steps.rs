@@ -205,8 +205,8 @@ impl Supervisor {
         Err(GiveUpReason::IntensityExceeded { reason })
     }
 
-    /// All children from `first` on, in start order, are to end and to start again; but for temporary
-    /// children, which only end, and for one that is to be reset, which keeps its instance.
+    /// All children from `first` on, in start order, are to end and to start again. Temporary
+    /// children only end, and one that is to be reset keeps its instance.
     pub(super) fn renew_from(&mut self, first: ChildKey) {
         let (mut finished, mut going) = (Vec::new(), Vec::new());
         for (&key, child) in self.children.range_mut(first..) {
