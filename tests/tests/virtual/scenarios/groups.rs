@@ -365,7 +365,7 @@ async fn an_error_of_a_member_resets_it_and_restarts_the_others_around_it() {
         ]
     );
 
-    // One that cannot be reset is made anew.
+    // A component that cannot be reset is restarted.
     node.advance(Duration::from_secs(60)).await;
     strings.pull("global_pp", "on_reset", Pull::Fail("the map is gone"));
     ask(&node, "global_pp", Deed::Fail("no path".into())).await.expect("it answers");

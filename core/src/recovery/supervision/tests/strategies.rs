@@ -287,7 +287,7 @@ fn one_in_error_is_reset_at_its_place_while_the_others_of_its_group_restart_arou
     let mut rig = Rig::serving(Strategy::RestForOne);
     assert_eq!(rig.reset("b"), ["stop c"]);
     assert_eq!(rig.stopped("c", 1), ["reset b"]);
-    // Made anew where that fails: those that have come back meanwhile go again.
+    // Where the reset fails, the child is restarted, and its group with it.
     let failed = ["1 gave b up: it could not reset itself: still hot"];
     assert_eq!(rig.reset_done("b", 1, Err("still hot")), failed);
     assert_eq!(rig.restart("b", ReplacementCause::Faulty, 1), ["stop b"]);
