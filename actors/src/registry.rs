@@ -5,8 +5,8 @@
 
 pub(crate) mod access;
 pub(crate) mod encoding;
-#[cfg(feature = "network")]
 pub(crate) mod lookup;
+pub(crate) mod ports;
 #[cfg(feature = "network")]
 pub(crate) mod remote;
 #[cfg(feature = "network")]
@@ -25,6 +25,7 @@ use blastema_core::{
     MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, suggestion,
 };
 use bytes::Bytes;
+use ports::{Connections, DeclaredPort};
 #[cfg(feature = "network")]
 use remote::RemoteNames;
 use std::any::{Any, type_name};
@@ -149,6 +150,8 @@ pub struct NameTaken {
 struct Entry {
     ports: SortedMap<&'static str, ContractPort>,
     watchable: Arc<dyn Watchable>,
+    /// What can be connected.
+    declared: Box<[DeclaredPort]>,
 }
 
 impl Entry {
@@ -176,6 +179,7 @@ struct Inner {
     reserved: SortedMap<ObjectName, &'static str>,
     /// Rises whenever a name is given or taken away.
     revision: u64,
+    connections: Connections,
     node: Option<NodeName>,
     /// The node was shut down.
     is_shut_down: bool,
@@ -272,7 +276,7 @@ impl Registry {
         if let Some(by) = known.or_else(|| inner.reserved.get(name).copied()) {
             return Err(NameTaken { name: name.clone(), by });
         }
-        inner.objects.insert(name.clone(), Entry { ports, watchable });
+        inner.objects.insert(name.clone(), Entry { ports, watchable, declared: Box::default() });
         inner.revision += 1;
         Ok(())
     }
@@ -303,6 +307,7 @@ impl Registry {
     pub(crate) fn unregister(&self, name: &ObjectName) {
         let mut inner = self.lock();
         let released = inner.objects.remove(name);
+        inner.connections.remove(name);
         inner.revision += 1;
         drop(inner);
         drop(released);

@@ -5,6 +5,7 @@
 
 use crate::Variable;
 use crate::suggestion::nearest;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// The settings of a component. Derived.
@@ -27,6 +28,24 @@ pub trait Parameters: Variable + Default {
     /// # Errors
     /// The first parameter that lies outside of its range.
     fn check(&self) -> Result<(), ParameterError>;
+
+    /// The value of one parameter; `None` where there is no such parameter.
+    fn value(&self, key: &str) -> Option<ParameterValue>;
+
+    /// Describes all parameters, with their defaults.
+    fn describe() -> Vec<ParameterDescription> {
+        let defaults = Self::default();
+        let described = |field: &ParameterField| {
+            Some(ParameterDescription {
+                name: field.name.to_owned(),
+                takes: field.takes.to_owned(),
+                unit: field.unit.map(str::to_owned),
+                range: field.range.map(str::to_owned),
+                default: defaults.value(field.name)?,
+            })
+        };
+        Self::FIELDS.iter().filter_map(described).collect()
+    }
 
     /// Gives these parameters their values, and all others their defaults.
     ///
@@ -55,14 +74,32 @@ pub trait Parameters: Variable + Default {
 pub struct ParameterField {
     /// Its name.
     pub name: &'static str,
+    /// What it takes, in words.
+    pub takes: &'static str,
     /// Its unit, if it has one.
     pub unit: Option<&'static str>,
     /// The range of its values, if it is bounded, as it is written.
     pub range: Option<&'static str>,
 }
 
+/// What is declared of one parameter, as plain data.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ParameterDescription {
+    /// Its name.
+    pub name: String,
+    /// What it takes, in words: `a number`.
+    pub takes: String,
+    /// Its unit, if it has one.
+    pub unit: Option<String>,
+    /// The range of its values, if it is bounded, as it is written.
+    pub range: Option<String>,
+    /// Its value where none is given.
+    pub default: ParameterValue,
+}
+
 /// A value before it is known whether the parameter takes it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
 pub enum ParameterValue {
     /// True or false.
     Bool(bool),
@@ -161,6 +198,9 @@ pub trait ParameterType: Sized {
 
     /// The value, where it is one of this type.
     fn of(value: &ParameterValue) -> Option<Self>;
+
+    /// The same value as one of any type.
+    fn value(&self) -> ParameterValue;
 }
 
 impl ParameterType for bool {
@@ -172,6 +212,10 @@ impl ParameterType for bool {
             _ => None,
         }
     }
+
+    fn value(&self) -> ParameterValue {
+        ParameterValue::Bool(*self)
+    }
 }
 
 impl ParameterType for String {
@@ -182,6 +226,10 @@ impl ParameterType for String {
             ParameterValue::Text(value) => Some(value.clone()),
             _ => None,
         }
+    }
+
+    fn value(&self) -> ParameterValue {
+        ParameterValue::Text(self.clone())
     }
 }
 
@@ -195,6 +243,10 @@ impl ParameterType for f64 {
             _ => None,
         }
     }
+
+    fn value(&self) -> ParameterValue {
+        ParameterValue::Float(*self)
+    }
 }
 
 impl ParameterType for f32 {
@@ -202,6 +254,10 @@ impl ParameterType for f32 {
 
     fn of(value: &ParameterValue) -> Option<Self> {
         f64::of(value).map(|value| value as f32)
+    }
+
+    fn value(&self) -> ParameterValue {
+        ParameterValue::Float(f64::from(*self))
     }
 }
 
@@ -215,6 +271,11 @@ macro_rules! whole_numbers {
                     ParameterValue::Integer(value) => (*value).try_into().ok(),
                     _ => None,
                 }
+            }
+
+            fn value(&self) -> ParameterValue {
+                let whole = i64::try_from(*self).map(ParameterValue::Integer);
+                whole.unwrap_or(ParameterValue::Float(*self as f64))
             }
         }
     )*};

@@ -13,6 +13,7 @@ use crate::component::{Component, Handle};
 use crate::registry::ContractPort;
 use crate::settings::{COMMAND_TIMEOUT, LEASE, SHUTDOWN_WITHIN};
 use blastema_core::lease::Lease;
+use blastema_core::port::ConnectionRole;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Contract, DeliveryError, ObjectName};
 use std::sync::Arc;
@@ -131,7 +132,7 @@ impl<C: Component> Ports<C> {
     {
         self.max_wait = self.max_wait.into_iter().chain(spec.rules.command_timeout).min();
         self.feature::<ActuatorPorts<C>>().0.push((spec.declared(), ContractPort::open::<C, M>));
-        self
+        self.declare::<M>(M::NAME.into(), ConnectionRole::Commanded)
     }
 }
 
@@ -149,7 +150,8 @@ impl<C: Component> Context<C> {
         let environment = &self.cell.record.environment;
         let own = environment.registry.full_name(self.name());
         let who = (own, self.incarnation());
-        let (commander, renewing) = super::commander(&environment.registry, actuator, who)?;
+        let way = environment.registry.sender(actuator)?;
+        let (commander, renewing) = super::commander(actuator.to_owned(), way, who);
         self.spawn(renewing);
         Ok(commander)
     }

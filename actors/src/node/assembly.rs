@@ -93,6 +93,10 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     #[cfg(feature = "network")]
     assembly.start_networks(&mut builder.networks)?;
     let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies)?;
+    for (from, to) in builder.connections {
+        let connected = assembly.environment.registry.connect_ports(&from, &to);
+        connected.map_err(|why| StartError::Connection { from, to, why })?;
+    }
     let unused = assembly.environment.configured().check();
     unused.map_err(|reason| StartError::Parameters { file: None, reason })?;
     #[cfg(feature = "network")]

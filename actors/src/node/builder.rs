@@ -59,6 +59,7 @@ pub struct NodeBuilder {
     pub(super) state: watch::Sender<NodeState>,
     pub(super) kept_in: Option<PathBuf>,
     pub(super) parameters: Vec<Configuration>,
+    pub(super) connections: Vec<(String, String)>,
     pub(super) watch_list: SampledComponents,
     #[cfg(feature = "unix")]
     pub(super) shown_at: Option<PathBuf>,
@@ -95,6 +96,7 @@ impl NodeBuilder {
             state: watch::channel(NodeState::Starting).0,
             kept_in: None,
             parameters: Vec::new(),
+            connections: Vec::new(),
             watch_list: SampledComponents::default(),
             #[cfg(feature = "unix")]
             shown_at: None,
