@@ -95,7 +95,7 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies)?;
     for (from, to) in builder.connections {
         let connected = assembly.environment.registry.connect_ports(&from, &to);
-        connected.map_err(|why| StartError::Connection { from, to, why })?;
+        connected.map_err(|why| StartError::Connection { from, to, why: Box::new(why) })?;
     }
     let unused = assembly.environment.configured().check();
     unused.map_err(|reason| StartError::Parameters { file: None, reason })?;
