@@ -193,6 +193,7 @@ impl<C: Component> Ports<C> {
             let name = cell.record.name.clone();
             declared.map_err(|error| SpecError::Parameters { name, error })
         };
+        self.parameters = Some(P::describe);
         self.feature::<VariablePorts<C>>().declare_parameters(P::NAME, Box::new(declare));
         self
     }

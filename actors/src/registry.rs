@@ -5,8 +5,8 @@
 
 pub(crate) mod access;
 pub(crate) mod encoding;
-#[cfg(feature = "network")]
 pub(crate) mod lookup;
+pub(crate) mod ports;
 #[cfg(feature = "network")]
 pub(crate) mod remote;
 #[cfg(feature = "network")]
@@ -25,6 +25,7 @@ use blastema_core::{
     MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, suggestion,
 };
 use bytes::Bytes;
+use ports::Wiring;
 #[cfg(feature = "network")]
 use remote::RemoteNames;
 use std::any::{Any, type_name};
@@ -32,6 +33,7 @@ use std::future::Future;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
+use tokio::sync::watch;
 
 /// Gets the encoded reply, or the reason why there is none. Called once, on any thread.
 pub(crate) type ReplyTo = Box<dyn FnOnce(Result<GatherBuffer, DeliveryError>) + Send>;
@@ -149,6 +151,7 @@ pub struct NameTaken {
 struct Entry {
     ports: SortedMap<&'static str, ContractPort>,
     watchable: Arc<dyn Watchable>,
+    wiring: Wiring,
 }
 
 impl Entry {
@@ -176,6 +179,8 @@ struct Inner {
     reserved: SortedMap<ObjectName, &'static str>,
     /// Rises whenever a name is given or taken away.
     revision: u64,
+    /// Rises whenever a port is connected or disconnected.
+    reconnected: watch::Sender<u64>,
     node: Option<NodeName>,
     /// The node was shut down.
     is_shut_down: bool,
@@ -272,7 +277,7 @@ impl Registry {
         if let Some(by) = known.or_else(|| inner.reserved.get(name).copied()) {
             return Err(NameTaken { name: name.clone(), by });
         }
-        inner.objects.insert(name.clone(), Entry { ports, watchable });
+        inner.objects.insert(name.clone(), Entry { ports, watchable, wiring: Wiring::default() });
         inner.revision += 1;
         Ok(())
     }

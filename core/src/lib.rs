@@ -28,6 +28,7 @@ pub mod name;
 #[cfg(feature = "network")]
 pub mod net;
 pub mod parameters;
+pub mod port;
 pub mod random;
 pub mod recovery;
 #[cfg(feature = "network")]

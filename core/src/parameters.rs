@@ -5,6 +5,7 @@
 
 use crate::Variable;
 use crate::suggestion::nearest;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// The settings of a component. Derived.
@@ -27,6 +28,24 @@ pub trait Parameters: Variable + Default {
     /// # Errors
     /// The first parameter that lies outside of its range.
     fn check(&self) -> Result<(), ParameterError>;
+
+    /// The value of one parameter; `None` where there is no such parameter.
+    fn value(&self, key: &str) -> Option<ParameterValue>;
+
+    /// Describes all parameters, with their defaults.
+    fn describe() -> Vec<ParameterDescription> {
+        let defaults = Self::default();
+        let described = |field: &ParameterField| {
+            Some(ParameterDescription {
+                name: field.name.to_owned(),
+                takes: field.takes.to_owned(),
+                unit: field.unit.map(str::to_owned),
+                range: field.range.map(str::to_owned),
+                default: defaults.value(field.name)?,
+            })
+        };
+        Self::FIELDS.iter().filter_map(described).collect()
+    }
 
     /// Gives these parameters their values, and all others their defaults.
     ///
@@ -61,14 +80,32 @@ pub trait Parameters: Variable + Default {
 pub struct ParameterField {
     /// Its name.
     pub name: &'static str,
+    /// What it takes, in words.
+    pub takes: &'static str,
     /// Its unit, if it has one.
     pub unit: Option<&'static str>,
     /// The range of its values, if it is bounded, as it is written.
     pub range: Option<&'static str>,
 }
 
+/// What is declared of one parameter, as plain data.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ParameterDescription {
+    /// Its name.
+    pub name: String,
+    /// What it takes, in words: `a number`.
+    pub takes: String,
+    /// Its unit, if it has one.
+    pub unit: Option<String>,
+    /// The range of its values, if it is bounded, as it is written.
+    pub range: Option<String>,
+    /// Its value where none is given.
+    pub default: ParameterValue,
+}
+
 /// A value before it is known whether the parameter takes it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
 pub enum ParameterValue {
     /// True or false.
     Bool(bool),
@@ -181,6 +218,9 @@ pub trait ParameterType: Sized {
 
     /// The value, where it is one of this type.
     fn of(value: &ParameterValue) -> Option<Self>;
+
+    /// The same value as one of any type.
+    fn value(&self) -> ParameterValue;
 }
 
 impl ParameterType for bool {
@@ -193,6 +233,10 @@ impl ParameterType for bool {
             _ => None,
         }
     }
+
+    fn value(&self) -> ParameterValue {
+        ParameterValue::Bool(*self)
+    }
 }
 
 impl ParameterType for String {
@@ -203,6 +247,10 @@ impl ParameterType for String {
             ParameterValue::Text(value) | ParameterValue::Written(value) => Some(value.clone()),
             _ => None,
         }
+    }
+
+    fn value(&self) -> ParameterValue {
+        ParameterValue::Text(self.clone())
     }
 }
 
@@ -217,6 +265,10 @@ impl ParameterType for f64 {
             _ => None,
         }
     }
+
+    fn value(&self) -> ParameterValue {
+        ParameterValue::Float(*self)
+    }
 }
 
 impl ParameterType for f32 {
@@ -224,6 +276,10 @@ impl ParameterType for f32 {
 
     fn of(value: &ParameterValue) -> Option<Self> {
         f64::of(value).map(|value| value as f32)
+    }
+
+    fn value(&self) -> ParameterValue {
+        ParameterValue::Float(f64::from(*self))
     }
 }
 
@@ -238,6 +294,10 @@ macro_rules! whole_numbers {
                     ParameterValue::Written(text) => text.parse().ok(),
                     _ => None,
                 }
+            }
+
+            fn value(&self) -> ParameterValue {
+                i64::try_from(*self).map_or(ParameterValue::Float(*self as f64), ParameterValue::Integer)
             }
         }
     )*};

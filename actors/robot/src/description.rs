@@ -11,13 +11,13 @@ use std::time::Duration;
 /// The place of an element in the robot's files. It is no part of what is described: descriptions
 /// that differ in their places alone are equal.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Origin {
+pub struct ElementOrigin {
     /// The file and the byte at which the element begins; `None` for what code describes.
     pub(crate) at: Option<(usize, usize)>,
 }
 
-impl PartialEq for Origin {
-    fn eq(&self, _: &Origin) -> bool {
+impl PartialEq for ElementOrigin {
+    fn eq(&self, _: &ElementOrigin) -> bool {
         true
     }
 }
@@ -42,7 +42,7 @@ pub struct RobotDescription {
     pub connections: Vec<ConnectionDescription>,
     #[doc(hidden)]
     #[serde(skip)]
-    pub origin: Origin,
+    pub origin: ElementOrigin,
 }
 
 /// What is done about one kind of fault.
@@ -55,7 +55,7 @@ pub struct AnswerDescription {
     pub ladder: Ladder,
     #[doc(hidden)]
     #[serde(skip)]
-    pub origin: Origin,
+    pub origin: ElementOrigin,
 }
 
 /// A network that joins nodes.
@@ -74,7 +74,7 @@ pub struct RobotNetwork {
     pub expected_within: Option<Duration>,
     #[doc(hidden)]
     #[serde(skip)]
-    pub origin: Origin,
+    pub origin: ElementOrigin,
 }
 
 /// A node's end of a network.
@@ -91,7 +91,7 @@ pub struct EndpointDescription {
     pub interface: Option<String>,
     #[doc(hidden)]
     #[serde(skip)]
-    pub origin: Origin,
+    pub origin: ElementOrigin,
 }
 
 /// One process of the robot.
@@ -120,7 +120,7 @@ pub struct NodeDescription {
     pub endpoints: Vec<EndpointDescription>,
     #[doc(hidden)]
     #[serde(skip)]
-    pub origin: Origin,
+    pub origin: ElementOrigin,
 }
 
 /// A supervisor and its children.
@@ -143,7 +143,7 @@ pub struct SupervisorDescription {
     pub children: Vec<ChildDescription>,
     #[doc(hidden)]
     #[serde(skip)]
-    pub origin: Origin,
+    pub origin: ElementOrigin,
 }
 
 /// A child of a supervisor.
@@ -201,7 +201,7 @@ pub struct ComponentDescription {
     pub plan: Vec<AnswerDescription>,
     #[doc(hidden)]
     #[serde(skip)]
-    pub origin: Origin,
+    pub origin: ElementOrigin,
 }
 
 /// A connection between an out port and an in port, both with their nodes.
@@ -213,7 +213,7 @@ pub struct ConnectionDescription {
     pub ports: PortConnection,
     #[doc(hidden)]
     #[serde(skip)]
-    pub origin: Origin,
+    pub origin: ElementOrigin,
 }
 
 impl RobotDescription {
@@ -252,21 +252,20 @@ impl SupervisorDescription {
         }
     }
 
-    /// Changes every component below it; one that is refused is removed.
-    pub(crate) fn retain(&mut self, keep: &mut impl FnMut(&mut ComponentDescription) -> bool) {
-        self.children.retain_mut(|child| match child {
-            ChildDescription::Component(component) => keep(component),
-            ChildDescription::Supervisor(supervisor) => {
+    /// Changes everything below it; what is refused is removed.
+    pub(crate) fn retain(&mut self, keep: &mut impl FnMut(&mut ChildDescription) -> bool) {
+        self.children.retain_mut(&mut *keep);
+        for child in &mut self.children {
+            if let ChildDescription::Supervisor(supervisor) = child {
                 supervisor.retain(keep);
-                true
             }
-        });
+        }
     }
 }
 
 impl ChildDescription {
     /// Its name, and the place of its element.
-    pub(crate) fn identity(&self) -> (&str, Origin) {
+    pub(crate) fn identity(&self) -> (&str, ElementOrigin) {
         match self {
             ChildDescription::Component(component) => (&component.name, component.origin),
             ChildDescription::Supervisor(supervisor) => (&supervisor.name, supervisor.origin),

@@ -1,6 +1,6 @@
 //! What is wrong with a robot file: each finding with its places, excerpt, and what to write.
 
-use crate::description::Origin;
+use crate::description::ElementOrigin;
 use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, NamedSource};
 use roxmltree::{Document, Node, NodeId};
 use std::collections::BTreeMap;
@@ -14,8 +14,8 @@ pub(crate) const FINDINGS_MAX: usize = 100;
 const WIDTH: usize = 120;
 
 /// A place in one of the robot's files.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Place {
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct FilePlace {
     pub(crate) file: usize,
     /// In bytes.
     pub(crate) range: Range<usize>,
@@ -23,56 +23,64 @@ pub(crate) struct Place {
 
 /// One mistake in a robot file.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Finding {
+pub(crate) struct RobotFinding {
     /// The rule that is broken, as in `robot::value`.
-    pub code: &'static str,
+    pub(crate) code: &'static str,
     /// What is wrong.
-    pub sentence: String,
+    pub(crate) sentence: String,
     /// What to write instead.
-    pub help: Option<String>,
-    pub(crate) labels: Vec<(Place, String)>,
+    pub(crate) help: Option<String>,
+    pub(crate) labels: Vec<(FilePlace, String)>,
+}
+
+impl RobotFinding {
+    /// Findings are shown in the order of their places.
+    pub(crate) fn order(&self) -> Option<(usize, usize)> {
+        self.labels.first().map(|(place, _)| (place.file, place.range.start))
+    }
 }
 
 /// A part of an element that a finding is about.
 #[derive(Clone, Debug)]
-pub(crate) enum Part {
+pub(crate) enum ElementPart {
     /// The value of this attribute; the element's name where it has none.
     Value(&'static str),
-    /// An attribute of the child element that has this attribute with this value.
+    /// An attribute of the child element that has this attribute with this value, or with any where
+    /// that is empty.
     Child { element: &'static str, key: (&'static str, String), attribute: &'static str },
 }
 
 /// The robot's files.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Sources {
+pub(crate) struct RobotSources {
     /// Names and texts, the outermost file first.
     pub(crate) files: Vec<(String, Arc<str>)>,
 }
 
-impl Sources {
+impl RobotSources {
     /// The line and column of a place, counted from 1.
-    pub(crate) fn position(&self, place: &Place) -> (usize, usize) {
+    pub(crate) fn position(&self, place: &FilePlace) -> (usize, usize) {
         let before = &self.files[place.file].1[..place.range.start];
         let start = before.rfind('\n').map_or(0, |end| end + 1);
         (before.matches('\n').count() + 1, before[start..].chars().count() + 1)
     }
 
-    fn name(&self, place: &Place) -> String {
+    fn name(&self, place: &FilePlace) -> String {
         let (line, column) = self.position(place);
         format!("{}:{line}:{column}", self.files[place.file].0)
     }
 }
 
 /// Finds the parts of elements again that descriptions were read from.
-pub(crate) struct Places<'s> {
+pub(crate) struct ElementPlaces<'s> {
     documents: Vec<Document<'s>>,
     /// Elements by file and first byte.
     elements: BTreeMap<(usize, usize), NodeId>,
 }
 
-impl<'s> Places<'s> {
+impl<'s> ElementPlaces<'s> {
     /// Reads the files again.
-    pub(crate) fn of(sources: &'s Sources) -> Self {
+    pub(crate) fn of(sources: &'s RobotSources) -> Self {
         let documents = sources.files.iter().filter_map(|(_, text)| Document::parse(text).ok());
         let documents: Vec<_> = documents.collect();
         let mut elements = BTreeMap::new();
@@ -81,25 +89,26 @@ impl<'s> Places<'s> {
                 elements.insert((file, node.range().start), node.id());
             }
         }
-        Places { documents, elements }
+        ElementPlaces { documents, elements }
     }
 
     /// The place of a part; `None` for what code describes.
-    pub(crate) fn find(&self, origin: Origin, part: &Part) -> Option<Place> {
+    pub(crate) fn find(&self, origin: ElementOrigin, part: &ElementPart) -> Option<FilePlace> {
         let (file, at) = origin.at?;
         let element = self.documents.get(file)?.get_node(*self.elements.get(&(file, at))?)?;
         let value = |element: Node<'_, '_>, name| Some(element.attribute_node(name)?.range_value());
         let range = match part {
-            Part::Value(attribute) => value(element, *attribute),
-            Part::Child { element: child, key: (key, name), attribute } => {
+            ElementPart::Value(attribute) => value(element, *attribute),
+            ElementPart::Child { element: child, key: (key, name), attribute } => {
                 let is_it = |node: &Node<'_, '_>| {
-                    node.has_tag_name(*child) && node.attribute(*key) == Some(name)
+                    node.has_tag_name(*child)
+                        && (name.is_empty() || node.attribute(*key) == Some(name))
                 };
                 let found = element.descendants().find(is_it);
                 found.map(|child| value(child, *attribute).unwrap_or(tag_name(child)))
             }
         };
-        Some(Place { file, range: range.unwrap_or_else(|| tag_name(element)) })
+        Some(FilePlace { file, range: range.unwrap_or_else(|| tag_name(element)) })
     }
 }
 
@@ -112,7 +121,7 @@ pub(crate) fn tag_name(element: Node<'_, '_>) -> Range<usize> {
 }
 
 /// Renders findings in the order of their places.
-pub(crate) fn report(findings: &[Finding], sources: &Sources) -> String {
+pub(crate) fn report(findings: &[RobotFinding], sources: &RobotSources) -> String {
     let theme = GraphicalTheme::unicode_nocolor();
     let handler = GraphicalReportHandler::new_themed(theme).with_width(WIDTH);
     let mut text = String::new();
@@ -132,14 +141,14 @@ pub(crate) fn report(findings: &[Finding], sources: &Sources) -> String {
 /// A finding as miette renders it.
 #[derive(Debug)]
 struct ShownFinding<'a> {
-    finding: &'a Finding,
+    finding: &'a RobotFinding,
     source: Option<NamedSource<Arc<str>>>,
     labels: Vec<LabeledSpan>,
     help: Option<String>,
 }
 
 impl<'a> ShownFinding<'a> {
-    fn of(finding: &'a Finding, sources: &Sources) -> Self {
+    fn of(finding: &'a RobotFinding, sources: &RobotSources) -> Self {
         let shown = finding.labels.first().map(|(place, _)| place.file);
         let source = shown.map(|file| {
             let (name, text) = &sources.files[file];

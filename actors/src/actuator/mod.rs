@@ -18,7 +18,6 @@ pub(crate) use table::{ActuatorTable, DeclaredActuator};
 use crate::messaging::error::decode_kind;
 use crate::messaging::sender::Sender;
 use crate::platform;
-use crate::registry::Registry;
 use crate::settings::LEASE;
 use blastema_core::contract::codec;
 use blastema_core::lease::{LeaseRules, StopBy};
@@ -217,13 +216,13 @@ impl<M: Contract> fmt::Debug for Commander<M> {
 
 /// A commander, and the task that renews its lease: where that runs, the commander lives.
 pub(crate) fn commander<M: Contract>(
-    registry: &Registry,
-    actuator: &str,
+    actuator: String,
+    sender: Sender<ActuatorCommand>,
     (name, incarnation): (String, Incarnation),
-) -> Result<(Commander<M>, impl Future<Output = ()> + 'static + use<M>), DeliveryError> {
+) -> (Commander<M>, impl Future<Output = ()> + 'static + use<M>) {
     let state = Arc::new(CommanderState {
-        actuator: actuator.to_owned(),
-        sender: registry.sender::<ActuatorCommand>(actuator)?,
+        actuator,
+        sender,
         identity: ContractIdentity::of::<M>().brief().encode(),
         name,
         incarnation,
@@ -231,7 +230,7 @@ pub(crate) fn commander<M: Contract>(
         claimed: Notify::new(),
     });
     let renewing = renew_lease(Arc::downgrade(&state));
-    Ok((Commander(state, PhantomData), renewing))
+    (Commander(state, PhantomData), renewing)
 }
 
 /// Renews the lease, a quarter of it after the last time, so that three that are lost in a row are

@@ -15,6 +15,7 @@ use crate::host::spec::ChildSpec;
 use crate::registry::ContractPort;
 use crate::settings::{COMMAND_TIMEOUT, LEASE, SHUTDOWN_WITHIN};
 use blastema_core::lease::Lease;
+use blastema_core::port::PortRole;
 use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
 use blastema_core::{Contract, DeliveryError, ObjectName};
@@ -166,7 +167,7 @@ impl<C: Component> Ports<C> {
             (spec.declared(), ContractPort::open::<C, M> as PortConstructor<C>, apply::<M> as _);
         self.feature::<ActuatorPorts<C>>().declared.push(port);
         self.max_wait = self.feature::<ActuatorPorts<C>>().shortest_timeout();
-        self
+        self.declare::<M>(M::NAME.into(), PortRole::Commanded)
     }
 
     /// Changes an actuator that is declared.
@@ -203,7 +204,8 @@ impl<C: Component> Context<C> {
         let environment = &self.cell.record.environment;
         let own = environment.registry.full_name(self.name());
         let who = (own, self.incarnation());
-        let (commander, renewing) = super::commander(&environment.registry, actuator, who)?;
+        let way = environment.registry.sender(actuator)?;
+        let (commander, renewing) = super::commander(actuator.to_owned(), way, who);
         self.spawn(renewing);
         Ok(commander)
     }

@@ -8,7 +8,7 @@ use crate::arbiter::deadline::Cancel;
 use crate::arbiter::heartbeat;
 use crate::arbiter::pool::ArbiterSlot;
 use crate::component::cold_state::ColdState;
-use crate::component::control::CommandQueue;
+use crate::component::control::{CommandQueue, HostCommand};
 use crate::component::declaration::CellListener;
 use crate::component::envelope::{BoxedEnvelope, Times, enqueue_time, seal_message};
 use crate::component::exits::DueExits;
@@ -408,6 +408,54 @@ impl<C: Component> ComponentCell<C> {
 
     pub(crate) fn set_subscriptions(&self, subscriptions: Subscriptions<C>) {
         *lock(&self.subscriptions) = subscriptions;
+    }
+
+    /// Has the hub of this arbiter deliver the events of the component's subscriptions, or of those
+    /// that have no hub yet.
+    pub(crate) fn attach(self: &Arc<Self>, only_new: bool) {
+        for subscription in self.subscriptions().iter() {
+            if only_new && subscription.is_attached() {
+                continue;
+            }
+            subscription.attach(self);
+            // It may have been disconnected meanwhile.
+            if !self.subscriptions().iter().any(|kept| Arc::ptr_eq(kept, subscription)) {
+                subscription.end(self);
+            }
+        }
+    }
+
+    /// Adds a subscription to this topic that is like the one of this number.
+    pub(crate) fn add_subscription(
+        &self,
+        like: usize,
+        topic: &ObjectName,
+    ) -> Result<(), DeliveryError> {
+        let declared = self.subscriptions();
+        let added = declared[like].on(&self.record.environment, topic)?;
+        let mut subscriptions = lock(&self.subscriptions);
+        if subscriptions.iter().any(|known| known.topic() == topic) {
+            let name = &self.record.name;
+            let reason = format!("{name} listens to the topic {topic} of this port already");
+            return Err(DeliveryError::InvalidName { reason });
+        }
+        *subscriptions = subscriptions.iter().cloned().chain([added]).collect();
+        drop(subscriptions);
+        // Its own arbiter attaches it. Without an incarnation, the next one does.
+        if let Some(control) = self.control() {
+            control.send(HostCommand::Attach);
+        }
+        Ok(())
+    }
+
+    /// Ends the subscription to this topic.
+    pub(crate) fn remove_subscription(&self, topic: &ObjectName) {
+        let mut subscriptions = lock(&self.subscriptions);
+        let (ended, kept): (Vec<_>, Vec<_>) =
+            subscriptions.iter().cloned().partition(|known| known.topic() == topic);
+        *subscriptions = kept.into();
+        drop(subscriptions);
+        ended.iter().for_each(|subscription| subscription.end(self));
     }
 
     /// Forbids the component to send and receive, or allows it again.

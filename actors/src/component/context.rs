@@ -35,8 +35,9 @@ use std::time::Duration;
 pub struct Context<C: Component> {
     pub(crate) cell: Arc<ComponentCell<C>>,
     pub(crate) state: Rc<IncarnationState<C>>,
-    /// Topics under their contract's own name, looked up once.
-    pub(crate) publishers: RefCell<Vec<(TypeId, Rc<dyn Any>)>>,
+    /// Publishers on topics under their contract's own name, and the handles of out ports with the
+    /// port's name: made once.
+    pub(crate) handles: RefCell<Vec<(TypeId, Option<Box<str>>, Rc<dyn Any>)>>,
     /// Boxed, since few components watch others.
     #[cfg(feature = "network")]
     pub(super) far_watches: Option<Box<FarWatches>>,
@@ -47,7 +48,7 @@ impl<C: Component> Context<C> {
         Context {
             cell,
             state,
-            publishers: RefCell::default(),
+            handles: RefCell::default(),
             #[cfg(feature = "network")]
             far_watches: None,
         }

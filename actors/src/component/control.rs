@@ -17,6 +17,8 @@ pub(crate) enum HostCommand {
     Reset,
     /// Return to work, or leave it.
     Activate(bool),
+    /// Take the events of subscriptions that were added.
+    Attach,
     /// A test has it panic.
     Panic,
 }

@@ -1,14 +1,19 @@
-//! What a component takes, declared once for all its incarnations.
+//! What a component takes and gives, declared once for all its incarnations.
 
 use crate::component::cell::ComponentCell;
 use crate::component::declaration::Declarations;
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
 use crate::messaging::queue::WhenFull;
+use crate::platform::panics;
 use crate::registry::ContractPort;
+use crate::registry::ports::DeclaredPort;
+use blastema_core::parameters::ParameterDescription;
+use blastema_core::port::{PortDescription, PortRole, TypeDescription};
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_core::{Contract, Event, ObjectName, Request};
+use blastema_core::{Contract, ContractIdentity, Event, NameError, ObjectName, Request};
 use std::any::{Any, TypeId};
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -18,8 +23,10 @@ pub(crate) type PortConstructor<C> = fn(&Arc<ComponentCell<C>>) -> ContractPort;
 /// The ports of one component: filled in `Component::ports`.
 pub struct Ports<C: Component> {
     open: Vec<PortConstructor<C>>,
-    /// The contracts that they are for.
-    taken: Vec<&'static str>,
+    /// All that can be connected.
+    declared: Vec<DeclaredPort>,
+    /// Describes its parameters.
+    pub(crate) parameters: Option<fn() -> Vec<ParameterDescription>>,
     /// The contracts that have a queue of their own, with the component's capacity where none is
     /// given.
     queues: SortedMap<TypeId, (Option<usize>, WhenFull)>,
@@ -32,10 +39,44 @@ pub struct Ports<C: Component> {
 impl<C: Component> Ports<C> {
     /// What the component declares.
     pub(crate) fn of() -> Self {
-        let (open, taken, queues, features) = Default::default();
-        let mut ports = Ports { open, taken, queues, features, max_wait: None };
+        let (open, declared, parameters, queues, features) = Default::default();
+        let mut ports = Ports { open, declared, parameters, queues, features, max_wait: None };
         C::ports(&mut ports);
         ports
+    }
+
+    /// Adds a port that can be connected.
+    pub(crate) fn declare<M: Contract>(
+        &mut self,
+        name: Cow<'static, str>,
+        role: PortRole,
+    ) -> &mut Self {
+        self.declared.push(DeclaredPort { name, role, identity: ContractIdentity::of::<M>() });
+        self
+    }
+
+    /// Sets the name of the port that was declared last, in
+    /// [addresses of ports](crate::manual::components#ports); it is else that of the contract.
+    ///
+    /// ```
+    /// # use blastema::prelude::*;
+    /// # #[derive(Debug, Request)] #[contract(reply = f32)] struct Nearest;
+    /// # struct Map;
+    /// # impl Handle<Nearest> for Map {
+    /// #     async fn handle(&mut self, _: Nearest, _: &mut Context<Self>) -> f32 { 0.8 }
+    /// # }
+    /// impl Component for Map {
+    ///     fn ports(ports: &mut Ports<Self>) {
+    ///         ports.serve::<Nearest>().named("nearest");
+    ///     }
+    /// }
+    /// # fn main() {}
+    /// ```
+    pub fn named(&mut self, name: &str) -> &mut Self {
+        if let Some(port) = self.declared.last_mut() {
+            port.name = Cow::Owned(name.to_owned());
+        }
+        self
     }
 
     /// Serves this request to every object that uses the component's name, on this and on other
@@ -45,8 +86,7 @@ impl<C: Component> Ports<C> {
         C: Handle<M>,
     {
         self.open.push(ContractPort::open::<C, M>);
-        self.taken.push(M::NAME);
-        self
+        self.declare::<M>(M::NAME.into(), PortRole::Serves)
     }
 
     /// Accepts this event, or command, from every object that uses the component's name.
@@ -55,8 +95,7 @@ impl<C: Component> Ports<C> {
         C: Handle<M>,
     {
         self.open.push(ContractPort::open::<C, M>);
-        self.taken.push(M::NAME);
-        self
+        self.declare::<M>(M::NAME.into(), PortRole::Serves)
     }
 
     /// Gives messages of this contract a queue of their own, whether they are served, accepted or
@@ -112,16 +151,77 @@ impl<C: Component> Ports<C> {
 
     /// Finds what contradicts itself.
     pub(crate) fn check(&self, component: &ObjectName) -> Result<(), SpecError> {
-        let mut served = SortedSet::new();
-        if let Some(&contract) = self.taken.iter().find(|name| !served.insert(**name)) {
-            let (name, ports) = (component.clone(), "both by serve or accept");
-            return Err(SpecError::PortTwice { name, contract, ports });
+        let (mut served, mut names) = (SortedSet::new(), SortedSet::new());
+        for DeclaredPort { name: port, role, identity } in &self.declared {
+            let (component, contract) = (component.clone(), identity.name);
+            if *role == PortRole::Serves && !served.insert(contract) {
+                let (name, ports) = (component, "both by serve or accept");
+                return Err(SpecError::PortTwice { name, contract, ports });
+            }
+            let refused = |why| SpecError::Port { name: component, port: port.to_string(), why };
+            if let Err(error) = ObjectName::new(port) {
+                return Err(refused(error.to_string()));
+            }
+            // Several topics of one contract may be listened to.
+            let is_known = !names.insert((role.is_out(), port)) && *port != contract;
+            if is_known {
+                return Err(refused("another port has this name: give each its own".to_owned()));
+            }
         }
         self.features.iter().try_for_each(|feature| feature.check(component, &served))
     }
 
     /// Makes what features add. The component is registered already.
     pub(crate) fn bind(self, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
+        let name = cell.record.name.clone();
+        let declared = cell.record.environment.registry.declare_ports(&name, self.declared);
+        let refused = |(port, error): (String, NameError)| SpecError::Port {
+            name,
+            port,
+            why: error.to_string(),
+        };
+        declared.map_err(refused)?;
         self.features.into_iter().try_for_each(|feature| feature.bind(cell))
     }
+}
+
+/// Describes a type of components: its parameters and its ports. Nothing is started, and no instance
+/// is made.
+///
+/// # Errors
+/// Its [`Component::ports`] panics: where, and the panic's text.
+///
+/// # Examples
+/// ```
+/// use blastema::prelude::*;
+///
+/// #[derive(Clone, Debug, Event)]
+/// struct Scan {
+///     #[contract(unit = "m")]
+///     nearest: f32,
+/// }
+///
+/// struct Laser;
+///
+/// impl Component for Laser {
+///     fn ports(ports: &mut Ports<Self>) {
+///         ports.publishes::<Scan>("scan");
+///     }
+/// }
+///
+/// let laser = blastema::describe::<Laser>()?;
+/// let gives = laser.gives.expect("it declares what it gives");
+/// assert_eq!((gives[0].name.as_str(), gives[0].fields[0].unit.as_deref()), ("scan", Some("m")));
+/// # Ok::<(), String>(())
+/// ```
+pub fn describe<C: Component>() -> Result<TypeDescription, String> {
+    let ports = panics::caught(Ports::<C>::of)?;
+    let described = ports.declared.iter().map(DeclaredPort::describe);
+    let (gives, takes): (Vec<PortDescription>, Vec<_>) =
+        described.partition(|port| port.role.is_out());
+    Ok(TypeDescription {
+        parameters: ports.parameters.map(|describe| describe()).unwrap_or_default(),
+        takes,
+        gives: (!gives.is_empty()).then_some(gives),
+    })
 }

@@ -122,6 +122,16 @@ pub enum SpecError {
         /// The topic.
         topic: String,
     },
+    /// A port has a name that cannot be, or that another port has.
+    #[error("the port `{port}` of {name}: {why}")]
+    Port {
+        /// The component.
+        name: ObjectName,
+        /// The port.
+        port: String,
+        /// What is wrong, and what to write.
+        why: String,
+    },
     /// Two ports have contracts of one name, so only one of them could be reached.
     #[error("{name} has two ports for {contract:?}, {ports}: leave one of them out")]
     PortTwice {

@@ -2,6 +2,8 @@
 
 use crate::component::Component;
 use crate::component::cell::ComponentCell;
+use crate::component::environment::ComponentEnvironment;
+use blastema_core::{DeliveryError, ObjectName};
 use std::sync::Arc;
 
 /// A component's subscription to one topic, for all its incarnations.
@@ -11,6 +13,16 @@ pub(crate) trait Subscription<C: Component>: Send + Sync {
     fn attach(&self, cell: &Arc<ComponentCell<C>>);
     /// From now on none are.
     fn end(&self, cell: &ComponentCell<C>);
+    /// The topic.
+    fn topic(&self) -> &ObjectName;
+    /// Whether events are delivered.
+    fn is_attached(&self) -> bool;
+    /// A subscription of the same contract and condition to another topic.
+    fn on(
+        &self,
+        environment: &ComponentEnvironment,
+        topic: &ObjectName,
+    ) -> Result<Arc<dyn Subscription<C>>, DeliveryError>;
 }
 
 /// A component's subscriptions.

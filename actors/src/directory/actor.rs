@@ -479,7 +479,7 @@ mod tests {
     use super::*;
     use crate::directory::Claim;
     use crate::messaging::dead_letters::DeadLetterLog;
-    use crate::registry::lookup::NameResolver;
+    use crate::registry::remote::NameResolver;
     use crate::runtime::reports::FaultReports;
     use blastema_core::directory::ClaimPolicy;
     use blastema_doubles::{Probe, advance, paused, settle};

@@ -4,7 +4,7 @@
 //!  Claim ── ClaimCommand ──► DirectoryActor ◄── messages ──► those of other nodes
 //!                              │ Held, RecordAdded, RecordRemoved
 //!                              ▼
-//!  GlobalNameSender ── who? ── DirectoryTable    `*:map` is sent to the holder of `map`
+//!  CurrentSender    ── who? ── DirectoryTable    `*:map` is sent to the holder of `map`
 //!  services, rows ─── where? ─┘
 //! ```
 
@@ -16,7 +16,7 @@ pub use blastema_core::directory::{ClaimPolicy, Holder, NameHeld};
 
 pub(crate) use table::{ClaimCommand, DirectoryTable};
 
-use crate::registry::lookup::NameResolver;
+use crate::registry::remote::NameResolver;
 use blastema_core::directory::{ClaimRefused, ClaimRequest};
 use blastema_core::{Incarnation, NameError, NodeName, ObjectAddress, ObjectName};
 use std::fmt;

@@ -2,7 +2,7 @@
 
 use super::{ClaimRow, ClaimState, NodeRow};
 use crate::platform;
-use crate::registry::lookup::NameResolver;
+use crate::registry::remote::NameResolver;
 use actix::{Message, Recipient};
 use blastema_core::directory::{ClaimRequest, DirectoryKey, Holder};
 use blastema_core::sorted::{SortedMap, SortedSet};

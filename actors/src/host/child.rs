@@ -260,6 +260,14 @@ impl<C: Component> Watchable for ComponentCell<C> {
         }
     }
 
+    fn listen(self: Arc<Self>, like: usize, topic: &ObjectName) -> Result<(), DeliveryError> {
+        self.add_subscription(like, topic)
+    }
+
+    fn stop_listening(&self, topic: &ObjectName) {
+        self.remove_subscription(topic);
+    }
+
     fn watch(&self, watcher: Watcher) {
         let watcher = Arc::new(watcher);
         self.record.cold().watchers.join(watcher.clone());
@@ -290,9 +298,7 @@ impl<C: Component> PendingStart<C> {
             arbiter.vacate();
             return None;
         }
-        for subscription in cell.subscriptions().iter() {
-            subscription.attach(&cell);
-        }
+        cell.attach(false);
         let incarnation = self.incarnation;
         let (report, control) = (self.report.clone(), self.control.clone());
         Some(SharedExecutor::new(ComponentExecutor::new(

@@ -44,6 +44,9 @@ impl<C: Component> fmt::Debug for ChildSpec<C> {
 }
 
 impl<C: Component> ChildSpec<C> {
+    /// The capacity of a component's [`queue`](Self::queue), unless that is set.
+    pub const QUEUE: usize = QUEUE.default;
+
     /// A component that `factory` builds for every incarnation.
     ///
     /// Its queue holds 64 messages and refuses more; it shares an arbiter; its guard and the watch

@@ -4,7 +4,7 @@ use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::injection::Injection;
 use blastema_contract::reports::ExitReason;
 use blastema_core::sorted::SortedMap;
-use blastema_core::{Incarnation, Lifecycle, NodeName, ObjectName};
+use blastema_core::{DeliveryError, Incarnation, Lifecycle, NodeName, ObjectName};
 use blastema_macros::{Event, Structure};
 use std::any::Any;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -193,4 +193,10 @@ pub(crate) trait Watchable: Send + Sync {
     }
     /// Puts a fault into it, where it is a component.
     fn inject(&self, _: Injection) {}
+    /// Listens to this topic too, as by the subscription of this number that it declares.
+    fn listen(self: Arc<Self>, _like: usize, _topic: &ObjectName) -> Result<(), DeliveryError> {
+        Ok(())
+    }
+    /// Listens to this topic no longer.
+    fn stop_listening(&self, _topic: &ObjectName) {}
 }

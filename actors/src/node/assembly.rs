@@ -130,6 +130,10 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies);
     let preparation = preparation.map_err(|mut refused| refused.swap_remove(0))?;
     assembly.check_parameters()?;
+    for (from, to) in builder.connections {
+        let connected = assembly.environment.registry.connect_ports(&from, &to);
+        connected.map_err(|why| StartError::Connection { from, to, why })?;
+    }
     #[cfg(feature = "network")]
     assembly.carry_services(builder.networks.services)?;
     assembly.keep_leases();

@@ -59,6 +59,7 @@ pub struct NodeBuilder {
     pub(super) state: watch::Sender<NodeState>,
     pub(super) kept_in: Option<PathBuf>,
     pub(super) parameters: Vec<Configuration>,
+    pub(super) connections: Vec<(String, String)>,
     pub(super) watch_list: SampledComponents,
     #[cfg(feature = "unix")]
     pub(super) shown_at: Option<PathBuf>,
@@ -79,7 +80,7 @@ impl NodeBuilder {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         NodeBuilder {
             name: name.to_owned(),
-            root: SupervisorSpec::new("root", Strategy::OneForOne).rooted(),
+            root: SupervisorSpec::new("", Strategy::OneForOne).rooted(),
             plan: Plan::default(),
             own_kinds: Vec::new(),
             strategies: StrategyTable::default(),
@@ -95,6 +96,7 @@ impl NodeBuilder {
             state: watch::channel(NodeState::Starting).0,
             kept_in: None,
             parameters: Vec::new(),
+            connections: Vec::new(),
             watch_list: SampledComponents::default(),
             #[cfg(feature = "unix")]
             shown_at: None,
@@ -120,6 +122,13 @@ impl NodeBuilder {
     /// Adds a supervisor under the root supervisor, started after the children before it.
     pub fn supervisor(mut self, spec: SupervisorSpec) -> Self {
         self.root = self.root.supervisor(spec);
+        self
+    }
+
+    /// Replaces the root supervisor by one with the children and rules of this spec, whose name is
+    /// not used.
+    pub fn root(mut self, spec: SupervisorSpec) -> Self {
+        self.root = spec.rooted();
         self
     }
 

@@ -9,6 +9,7 @@ use blastema_core::NameError;
 use blastema_core::ObjectName;
 use blastema_core::detection::RegistrationError;
 use blastema_core::detection::dependencies::DependencyError;
+use blastema_core::port::ConnectError;
 use blastema_core::recovery::PlanError;
 #[cfg(feature = "network")]
 use blastema_transports::EndpointError;
@@ -33,6 +34,16 @@ pub enum StartError {
     /// The plan does not answer every fault, or answers one by what does not exist.
     #[error(transparent)]
     Plan(#[from] PlanError),
+    /// Two ports cannot be connected.
+    #[error("{from} cannot be connected to {to}: {why}")]
+    Connection {
+        /// Where the connection begins.
+        from: String,
+        /// Where it ends.
+        to: String,
+        /// What is wrong, and what to write.
+        why: ConnectError,
+    },
     /// The liveness settings of an object are invalid.
     #[error(transparent)]
     Watch(#[from] RegistrationError),

@@ -28,6 +28,7 @@ mod medium_row;
 mod network;
 #[cfg(feature = "network")]
 mod network_row;
+mod ports;
 mod restart;
 #[cfg(feature = "network")]
 mod route_row;
@@ -262,8 +263,8 @@ impl Node {
         own: &str,
     ) -> Result<Commander<M>, DeliveryError> {
         let who = (format!("{}:{own}", self.0.name), self.0.incarnation);
-        let (commander, renewing) =
-            actuator::commander(&self.0.environment.registry, actuator, who)?;
+        let way = self.0.environment.registry.sender(actuator)?;
+        let (commander, renewing) = actuator::commander(actuator.to_owned(), way, who);
         actix_rt::spawn(renewing);
         Ok(commander)
     }

@@ -138,9 +138,10 @@ impl SupervisorSpec {
         self
     }
 
-    /// This one's end is the node's safe state.
+    /// It is called `root`, and its end is the node's safe state.
     pub(super) fn rooted(mut self) -> Self {
         self.rules.root = true;
+        "root".clone_into(&mut self.name);
         self
     }
 }

@@ -1,58 +1,54 @@
-//! What stands behind a `Sender` of a global name: sends to the holder at the time of sending.
+//! What stands behind a `Sender` whose receiver may change: sends to the one at the time of sending.
 
 use crate::messaging::error::{RequestError, SendError};
 use crate::messaging::reply::ReplyFuture;
 use crate::messaging::sender::Sender;
 use crate::messaging::sink::MessageSink;
 use crate::registry::Registry;
-use blastema_core::directory::Holder;
-use blastema_core::{Contract, DeliveryError, MessageId, ObjectName};
+use blastema_core::{Contract, DeliveryError, MessageId};
 use std::future::Future;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
 
-/// Finds who holds a name of the whole robot.
-pub(crate) trait NameResolver: Send + Sync {
-    /// Who holds the name now.
-    fn holder(&self, name: &ObjectName) -> Option<Holder>;
-    /// Changes whenever another object holds some name.
-    fn revision(&self) -> watch::Receiver<u64>;
+/// Finds the present receiver: the holder of a name of the whole robot, or what a port is connected
+/// to.
+pub(crate) trait CurrentReceiver: Send + Sync {
+    /// Its name or address, and a number that changes where it is another one of the same name.
+    fn current(&self) -> Result<(String, u64), DeliveryError>;
+    /// Changes whenever it may be another one.
+    fn changes(&self) -> watch::Receiver<u64>;
 }
 
-/// Messages of one contract to the holder of a name.
-pub(crate) struct GlobalNameSender<M: Contract> {
-    name: ObjectName,
+/// Messages of one contract to the present receiver.
+pub(crate) struct CurrentSender<M: Contract, R> {
+    receiver: R,
     registry: Registry,
-    names: Arc<dyn NameResolver>,
     /// Who was sent to last, and how.
-    last: Mutex<Option<(Holder, Sender<M>)>>,
+    last: Mutex<Option<((String, u64), Sender<M>)>>,
 }
 
-impl<M: Contract> GlobalNameSender<M> {
-    pub(crate) fn new(name: ObjectName, registry: Registry, names: Arc<dyn NameResolver>) -> Self {
-        GlobalNameSender { name, registry, names, last: Mutex::default() }
+impl<M: Contract, R: CurrentReceiver> CurrentSender<M, R> {
+    pub(crate) fn new(receiver: R, registry: Registry) -> Self {
+        CurrentSender { receiver, registry, last: Mutex::default() }
     }
 
-    /// The sender to the present holder of the name.
     fn present(&self) -> Result<Sender<M>, DeliveryError> {
-        let holder = self.names.holder(&self.name);
-        let holder =
-            holder.ok_or_else(|| DeliveryError::Unclaimed { name: self.name.to_string() })?;
+        let current = self.receiver.current()?;
         let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((known, sender)) = last.as_ref()
-            && *known == holder
+            && *known == current
         {
             return Ok(sender.clone());
         }
-        let sender = self.registry.sender::<M>(&format!("{}:{}", holder.node, holder.object))?;
-        *last = Some((holder, sender.clone()));
+        let sender = self.registry.sender::<M>(&current.0)?;
+        *last = Some((current, sender.clone()));
         Ok(sender)
     }
 }
 
-impl<M: Contract> MessageSink<M> for GlobalNameSender<M> {
+impl<M: Contract, R: CurrentReceiver> MessageSink<M> for CurrentSender<M, R> {
     fn tell(&self, message: M) -> Result<(), SendError<M>> {
         match self.present() {
             Ok(sender) => sender.0.tell(message),
@@ -69,12 +65,12 @@ impl<M: Contract> MessageSink<M> for GlobalNameSender<M> {
 
     fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
         Box::pin(async move {
-            let mut revision = self.names.revision();
-            // The next message may go to another holder than the one that is full now.
+            let mut changes = self.receiver.changes();
+            // The next message may go to another receiver than the one that is full now.
             if let Ok(sender) = self.present() {
                 tokio::select! {
                     () = sender.0.space() => {}
-                    _ = revision.changed() => {}
+                    _ = changes.changed() => {}
                 }
             }
         })

@@ -1,7 +1,7 @@
 //! Objects of other nodes: their names, and the way to them.
 
 use super::encoding::encoding;
-use super::lookup::{GlobalNameSender, NameResolver};
+use super::lookup::{CurrentReceiver, CurrentSender};
 use super::{Inner, Registry};
 use crate::messaging::error::{Receiver, RequestError, SendError};
 use crate::messaging::reply::{ReplyFuture, Responder};
@@ -10,6 +10,7 @@ use crate::messaging::sink::MessageSink;
 use crate::platform::panics;
 use crate::registry::ReplyTo;
 use blastema_core::contract::codec;
+use blastema_core::directory::Holder;
 use blastema_core::{
     Contract, ContractIdentity, DeliveryError, GatherBuffer, MessageId, NodeName, ObjectAddress,
     ObjectName,
@@ -19,6 +20,7 @@ use std::marker::PhantomData;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::watch;
 use tracing::error;
 
 /// Before a name that is claimed, in the place of a node: whichever holds it.
@@ -57,6 +59,33 @@ pub(crate) trait RemoteStub: Send + Sync {
     fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>>;
 }
 
+/// Finds who holds a name of the whole robot.
+pub(crate) trait NameResolver: Send + Sync {
+    /// Who holds the name now.
+    fn holder(&self, name: &ObjectName) -> Option<Holder>;
+    /// Changes whenever another object holds some name.
+    fn revision(&self) -> watch::Receiver<u64>;
+}
+
+/// The holder of a name of the whole robot.
+pub(super) struct Claimed {
+    name: ObjectName,
+    names: Arc<dyn NameResolver>,
+}
+
+impl CurrentReceiver for Claimed {
+    fn current(&self) -> Result<(String, u64), DeliveryError> {
+        let holder = self.names.holder(&self.name);
+        let holder =
+            holder.ok_or_else(|| DeliveryError::Unclaimed { name: self.name.to_string() })?;
+        Ok((holder.to_string(), holder.epoch))
+    }
+
+    fn changes(&self) -> watch::Receiver<u64> {
+        self.names.revision()
+    }
+}
+
 /// The ways to what this node does not have itself.
 #[derive(Default)]
 pub(super) struct RemoteNames {
@@ -91,9 +120,9 @@ impl Inner {
         let Some((node, claimed)) = name.split_once(':') else { return Ok(None) };
         if node == ANY_NODE {
             let unknown = || DeliveryError::Unknown { name: name.to_owned() };
-            let claimed = ObjectName::new(claimed).map_err(|_| unknown())?;
+            let name = ObjectName::new(claimed).map_err(|_| unknown())?;
             let names = self.remote.names.clone().ok_or_else(unknown)?;
-            return Ok(Some(RemoteWay::Claimed(claimed, names)));
+            return Ok(Some(RemoteWay::Claimed(Claimed { name, names })));
         }
         let (Some(stubs), Ok(to)) = (&self.remote.stubs, name.parse::<ObjectAddress>()) else {
             return Ok(None);
@@ -107,7 +136,7 @@ pub(super) enum RemoteWay {
     /// To an object of another node.
     Stub(ObjectAddress, Arc<dyn StubFactory>),
     /// To the holder of a name.
-    Claimed(ObjectName, Arc<dyn NameResolver>),
+    Claimed(Claimed),
 }
 
 impl RemoteWay {
@@ -117,8 +146,8 @@ impl RemoteWay {
                 let stub = stubs.stub(to.clone(), ContractIdentity::of::<M>());
                 Sender(Arc::new(Outlet::<M> { stub, to, sends: PhantomData }))
             }
-            RemoteWay::Claimed(name, names) => {
-                Sender(Arc::new(GlobalNameSender::<M>::new(name, registry.clone(), names)))
+            RemoteWay::Claimed(holder) => {
+                Sender(Arc::new(CurrentSender::<M, _>::new(holder, registry.clone())))
             }
         }
     }

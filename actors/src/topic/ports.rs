@@ -10,9 +10,11 @@ use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
 use crate::component::subscription::{Subscription, Subscriptions};
 use crate::component::{Component, Handle};
+use blastema_core::port::PortRole;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{DeliveryError, Event, FaultKind, Instant, ObjectName};
 use std::any::TypeId;
+use std::borrow::Cow;
 use std::panic::Location;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -67,7 +69,8 @@ impl<C: Component> Ports<C> {
     where
         C: Handle<E>,
     {
-        ListenPort { ports: self, topic: E::NAME.to_owned(), only_if: None, at: Location::caller() }
+        let (topic, named) = (E::NAME.to_owned(), E::NAME.into());
+        ListenPort { ports: self, topic, named, only_if: None, at: Location::caller() }
     }
 }
 
@@ -75,6 +78,7 @@ impl<C: Component> Ports<C> {
 pub struct ListenPort<'a, C: Handle<E>, E: Event> {
     ports: &'a mut Ports<C>,
     topic: String,
+    named: Cow<'static, str>,
     only_if: Option<EventFilter<E>>,
     at: &'static Location<'static>,
 }
@@ -92,6 +96,14 @@ impl<C: Handle<E>, E: Event> ListenPort<'_, C, E> {
         topic.clone_into(&mut self.topic);
         self
     }
+
+    /// Sets the port's name in [addresses of ports](crate::manual::components#ports), which is else
+    /// that of the contract. It takes the events of its topic, and those of each port that is
+    /// connected to it.
+    pub fn named(mut self, name: &str) -> Self {
+        self.named = Cow::Owned(name.to_owned());
+        self
+    }
 }
 
 impl<C: Handle<E>, E: Event> Drop for ListenPort<'_, C, E> {
@@ -101,9 +113,10 @@ impl<C: Handle<E>, E: Event> Drop for ListenPort<'_, C, E> {
         let name = topic.clone();
         let bind = move |topics: &Topics| {
             let topic = topics.topic::<E>(&topic, at)?;
-            Ok(Arc::new(TopicSubscription::new(topic, only_if)) as Arc<dyn Subscription<C>>)
+            Ok(Arc::new(TopicSubscription::new(topic, only_if, at)) as Arc<dyn Subscription<C>>)
         };
         self.ports.keep_latched::<E>();
+        self.ports.declare::<E>(std::mem::take(&mut self.named), PortRole::Listens);
         let declared = self.ports.feature::<ListenPorts<C>>();
         declared.0.push((name, E::NAME, Box::new(bind)));
     }
@@ -128,16 +141,17 @@ impl<C: Component> Context<C> {
 
     #[track_caller]
     fn publish_stamped<E: Event>(&self, event: E, captured_at: Option<Instant>) {
-        let mut publishers = self.publishers.borrow_mut();
-        let known = publishers.iter().find(|(of, _)| *of == TypeId::of::<E>());
-        if let Some(publisher) = known.and_then(|(_, any)| any.downcast_ref::<Publisher<E>>()) {
+        let mut handles = self.handles.borrow_mut();
+        let of_topic = TypeId::of::<Publisher<E>>();
+        let known = handles.iter().find(|(of, port, _)| *of == of_topic && port.is_none());
+        if let Some(publisher) = known.and_then(|(.., any)| any.downcast_ref::<Publisher<E>>()) {
             publisher.publish_or_count(event, captured_at);
             return;
         }
         match self.publisher::<E>(E::NAME) {
             Ok(publisher) => {
                 publisher.publish_or_count(event, captured_at);
-                publishers.push((TypeId::of::<E>(), Rc::new(publisher)));
+                handles.push((of_topic, None, Rc::new(publisher)));
             }
             Err(why) => self.declare_fault(FaultKind::ContractMismatch, why.to_string()),
         }

@@ -3,14 +3,15 @@
 use super::entry::Resident;
 use super::hub::ListenerEntry;
 use super::hub_queue::HubQueue;
-use super::{EventFilter, Topic, lock};
+use super::{EventFilter, Topic, Topics, lock};
 use crate::component::cell::ComponentCell;
+use crate::component::environment::ComponentEnvironment;
 use crate::component::subscription::Subscription;
 use crate::component::{Component, Handle};
 use crate::platform::panics::PanicGuard;
-use blastema_core::{DeliveryError, Event, Incarnation};
+use blastema_core::{DeliveryError, Event, Incarnation, ObjectName};
 use std::cell::{Cell, RefCell};
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::panic::{AssertUnwindSafe, Location, catch_unwind};
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex};
@@ -19,6 +20,8 @@ use std::sync::{Arc, Mutex};
 pub(crate) struct TopicSubscription<E: Event> {
     topic: Arc<Topic<E>>,
     only_if: Option<EventFilter<E>>,
+    /// Where the program declares it.
+    at: &'static Location<'static>,
     /// The number of the entry that is served now; 0 for none.
     present: Arc<AtomicU64>,
     /// Its hub.
@@ -38,8 +41,12 @@ struct At<E> {
 }
 
 impl<E: Event> TopicSubscription<E> {
-    pub(crate) fn new(topic: Arc<Topic<E>>, only_if: Option<EventFilter<E>>) -> Self {
-        TopicSubscription { topic, only_if, present: Arc::default(), hub: Mutex::default() }
+    pub(crate) fn new(
+        topic: Arc<Topic<E>>,
+        only_if: Option<EventFilter<E>>,
+        at: &'static Location<'static>,
+    ) -> Self {
+        TopicSubscription { topic, only_if, at, present: Arc::default(), hub: Mutex::default() }
     }
 }
 
@@ -107,6 +114,23 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
         if let Some(is_first) = joins {
             self.topic.listener_changed(&cell.record.name, true, is_first);
         }
+    }
+
+    fn topic(&self) -> &ObjectName {
+        &self.topic.key.topic
+    }
+
+    fn is_attached(&self) -> bool {
+        lock(&self.hub).is_some()
+    }
+
+    fn on(
+        &self,
+        environment: &ComponentEnvironment,
+        topic: &ObjectName,
+    ) -> Result<Arc<dyn Subscription<C>>, DeliveryError> {
+        let topic = environment.extensions.get::<Topics>().topic::<E>(topic.as_str(), self.at)?;
+        Ok(Arc::new(TopicSubscription::new(topic, self.only_if.clone(), self.at)))
     }
 
     fn end(&self, cell: &ComponentCell<C>) {

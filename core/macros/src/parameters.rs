@@ -53,7 +53,7 @@ pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
     };
     let mut variable = input.clone();
     let (mut defaults, mut descriptions) = (Vec::new(), Vec::new());
-    let (mut arms, mut checks) = (Vec::new(), Vec::new());
+    let (mut arms, mut values, mut checks) = (Vec::new(), Vec::new(), Vec::new());
     for (at, field) in fields.named.iter().enumerate() {
         let ParameterAttributes { default, range, unit } =
             ParameterAttributes::parse(&field.attrs)?;
@@ -83,6 +83,7 @@ pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
         descriptions.push(quote! {
             #facade::core::parameters::ParameterField {
                 name: #name,
+                takes: <#of as #facade::core::parameters::ParameterType>::EXPECTED,
                 unit: #unit,
                 range: #written,
             }
@@ -92,6 +93,11 @@ pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
                 self.#ident = #facade::core::parameters::read(key, value)?;
                 ::std::result::Result::Ok(())
             }
+        });
+        values.push(quote! {
+            #name => ::std::option::Option::Some(
+                #facade::core::parameters::ParameterType::value(&self.#ident),
+            ),
         });
         checks.extend(range.map(|range| {
             quote! {
@@ -138,6 +144,16 @@ pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
             fn check(&self) -> ::std::result::Result<(), #error> {
                 #(#checks)*
                 ::std::result::Result::Ok(())
+            }
+
+            fn value(
+                &self,
+                key: &str,
+            ) -> ::std::option::Option<#facade::core::parameters::ParameterValue> {
+                match key {
+                    #(#values)*
+                    _ => ::std::option::Option::None,
+                }
             }
         }
     })

@@ -236,6 +236,19 @@ impl ContractIdentity {
     /// # Errors
     /// [`Difference`] says field by field what differs, as far as the peer sent its structure.
     pub fn check(&self, peer: &PeerIdentity) -> Result<(), Difference> {
+        // The structure is needed only to show what differs.
+        let differs = self.fingerprint != peer.fingerprint;
+        let structure = differs.then(|| PeerStructure::of(self.message, self.reply));
+        PeerIdentity { structure, ..self.brief() }.check(peer)
+    }
+}
+
+impl PeerIdentity {
+    /// Lets the two parties bind only if they mean the same.
+    ///
+    /// # Errors
+    /// [`Difference`] says field by field what differs, as far as both structures are known.
+    pub fn check(&self, peer: &PeerIdentity) -> Result<(), Difference> {
         let mut lines = Vec::new();
         if self.name != peer.name {
             lines.push(format!("name `{}` here, `{}` there", self.name, peer.name));
@@ -252,13 +265,12 @@ impl ContractIdentity {
         if lines.is_empty() {
             return Ok(());
         }
-        Err(Difference { contract: self.name.into(), lines })
+        Err(Difference { contract: self.name.clone(), lines })
     }
 
     fn structural_lines(&self, peer: &PeerIdentity) -> Vec<String> {
         let mut lines = Vec::new();
-        if let Some(there) = &peer.structure {
-            let here = PeerStructure::of(self.message, self.reply);
+        if let (Some(here), Some(there)) = (&self.structure, &peer.structure) {
             lines.extend(compare(ContractPart::Message, &here.message, &there.message));
             lines.extend(compare(ContractPart::Reply, &here.reply, &there.reply));
         }
@@ -270,9 +282,7 @@ impl ContractIdentity {
         }
         lines
     }
-}
 
-impl PeerIdentity {
     /// The bytes that travel.
     pub fn encode(&self) -> Vec<u8> {
         codec::encode_unbounded(self)

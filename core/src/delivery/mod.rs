@@ -313,6 +313,14 @@ pub enum DeliveryError {
         /// The contract of the command.
         contract: String,
     },
+    /// The port of the sender's component is not connected.
+    #[error(
+        "the port {port} is not connected: write `.connect(\"{port}\", \"COMPONENT#PORT\")` at its node"
+    )]
+    Unconnected {
+        /// The port.
+        port: String,
+    },
 }
 
 /// Prints the text of `Display`: a `main` that returns this error, and `unwrap`, print by `Debug`.
@@ -386,6 +394,7 @@ impl DeliveryError {
             | DeliveryError::LeaseEnded { .. }
             | DeliveryError::Superseded { .. }
             | DeliveryError::Unclaimed { .. }
+            | DeliveryError::Unconnected { .. }
             | DeliveryError::NameTaken { .. }
             | DeliveryError::AgeUnknown { .. }
             | DeliveryError::Forbidden { .. } => Outcome::NotTaken,

@@ -77,8 +77,7 @@ impl<C: Component> ComponentExecutor<C> {
                 self.state = Rc::new(IncarnationState::new(next, self.slot.activity));
                 self.lifecycle = IncarnationLifecycle::new();
                 self.begin_incarnation();
-                let subscriptions = self.cell.subscriptions();
-                subscriptions.iter().for_each(|subscription| subscription.attach(&self.cell));
+                self.cell.attach(false);
             }
             None => self.over = true,
         }

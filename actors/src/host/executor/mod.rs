@@ -190,6 +190,9 @@ impl<C: Component> ComponentExecutor<C> {
                 HostCommand::MakeWay => self.lifecycle.handle_stop(StopOrder::MakeWay),
                 HostCommand::Reset => self.lifecycle.handle_reset(),
                 HostCommand::Activate(active) => self.lifecycle.handle_activate(active),
+                // The arbiter of the next incarnation attaches them all.
+                HostCommand::Attach if self.is_abandoned() => {}
+                HostCommand::Attach => self.cell.attach(true),
                 HostCommand::Panic => {
                     drop(self.die_of(Box::new("it was told to panic"), "an injected fault"));
                 }

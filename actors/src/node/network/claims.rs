@@ -2,7 +2,7 @@
 
 use crate::directory::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch};
 use crate::node::Node;
-use crate::registry::lookup::NameResolver;
+use crate::registry::remote::NameResolver;
 use blastema_core::directory::ClaimRequest;
 use blastema_core::{NameError, ObjectName};
 

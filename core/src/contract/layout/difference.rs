@@ -304,7 +304,7 @@ fn kind(fields: &Fields<u32>) -> &'static str {
 }
 
 /// A type in words, cut short where it is long.
-fn type_text(types: &[Shape<u32>], index: u32) -> String {
+pub(super) fn type_text(types: &[Shape<u32>], index: u32) -> String {
     let mut text = String::new();
     write_type(types, index, &mut text);
     if text.chars().count() > TYPE_TEXT_LIMIT {

@@ -13,6 +13,7 @@ mod described;
 
 pub mod description;
 pub mod difference;
+pub mod fields;
 
 pub use described::ArrayField;
 

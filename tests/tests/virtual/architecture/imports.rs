@@ -20,6 +20,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("net", &["platform", "runtime", "arbiter", "messaging", "registry", "topic"]),
     ("variable", TO_NET),
     ("actuator", TO_NET),
+    ("port", TO_ACTUATOR),
     ("directory", TO_NET),
     ("service", TO_DIRECTORY),
     ("bridge", TO_NET),
@@ -56,6 +57,7 @@ const TO_DIRECTORY: &[&str] = &[
     "net",
     "directory",
 ];
+const TO_ACTUATOR: &[&str] = &["messaging", "registry", "component", "topic", "actuator"];
 /// The top layer imports all others.
 const TOP: &str = "node";
 /// What every layer may name: the atomics, the table of settings, and the pages of the manual.

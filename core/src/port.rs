@@ -1,0 +1,476 @@
+//! Ports of components, and which of them can be connected.
+//!
+//! ```text
+//!  publishes ─► listens      a subscription; the listener's node makes the connection
+//!  commands  ─► commanded    the actuator that a commander leads to; the commander's node makes it
+//!  asks      ─► serves       the object that a sender leads to; the asker's node makes it
+//! ```
+//!
+//! A component declares its ports. Connections are made from outside, so that a component does not
+//! know which components are at the other ends.
+
+use crate::contract::layout::fields::FieldDescription;
+use crate::parameters::ParameterDescription;
+use crate::suggestion::nearest;
+use crate::{
+    ContractIdentity, DeliveryError, Difference, NameError, NodeName, ObjectName, PeerIdentity,
+};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
+
+/// What passes through a port, and in which direction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PortRole {
+    /// Gives events.
+    Publishes,
+    /// Gives commands to one actuator.
+    Commands,
+    /// Gives requests, or other messages, to one object.
+    Asks,
+    /// Takes events.
+    Listens,
+    /// Takes commands: an actuator.
+    Commanded,
+    /// Takes requests, or other messages.
+    Serves,
+}
+
+impl PortRole {
+    /// Whether messages leave the component here, so that a connection begins at it.
+    pub fn is_out(self) -> bool {
+        matches!(self, PortRole::Publishes | PortRole::Commands | PortRole::Asks)
+    }
+
+    /// Whether the node of this end makes the connection.
+    pub fn connects(self) -> bool {
+        matches!(self, PortRole::Listens | PortRole::Commands | PortRole::Asks)
+    }
+
+    /// The role at the other end of a connection.
+    pub fn other_end(self) -> PortRole {
+        match self {
+            PortRole::Publishes => PortRole::Listens,
+            PortRole::Listens => PortRole::Publishes,
+            PortRole::Commands => PortRole::Commanded,
+            PortRole::Commanded => PortRole::Commands,
+            PortRole::Asks => PortRole::Serves,
+            PortRole::Serves => PortRole::Asks,
+        }
+    }
+}
+
+impl fmt::Display for PortRole {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            PortRole::Publishes => "publishes",
+            PortRole::Commands => "commands",
+            PortRole::Asks => "asks",
+            PortRole::Listens => "listens to",
+            PortRole::Commanded => "is commanded by",
+            PortRole::Serves => "serves",
+        })
+    }
+}
+
+/// Where a port is: `laser#scan` on the own node, or `base:laser#scan`.
+///
+/// ```
+/// use blastema_core::port::PortAddress;
+///
+/// let scan: PortAddress = "base:laser#scan".parse()?;
+/// assert_eq!((scan.object.as_str(), scan.port.as_str()), ("laser", "scan"));
+/// assert_eq!(scan.to_string(), "base:laser#scan");
+/// # Ok::<(), blastema_core::port::ConnectError>(())
+/// ```
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct PortAddress {
+    /// The node, if it is named.
+    pub node: Option<NodeName>,
+    /// The component.
+    pub object: ObjectName,
+    /// The port of the component.
+    pub port: ObjectName,
+}
+
+impl PortAddress {
+    /// The same port, with its node left out where that is `own`.
+    #[must_use]
+    pub fn seen_from(mut self, own: Option<&NodeName>) -> Self {
+        self.node = self.node.filter(|node| Some(node) != own);
+        self
+    }
+
+    /// The component, with its node in front where that is named.
+    pub fn component(&self) -> String {
+        match &self.node {
+            Some(node) => format!("{node}:{}", self.object),
+            None => self.object.to_string(),
+        }
+    }
+
+    /// The topic of the events of an out port: `base/laser/scan`.
+    ///
+    /// # Errors
+    /// The names are too long together.
+    pub fn topic(&self, own: Option<&NodeName>) -> Result<ObjectName, NameError> {
+        let node = self.node.as_ref().or(own);
+        let node = node.map(|node| format!("{node}/")).unwrap_or_default();
+        ObjectName::new(&format!("{node}{}/{}", self.object, self.port))
+    }
+}
+
+impl FromStr for PortAddress {
+    type Err = ConnectError;
+
+    fn from_str(text: &str) -> Result<Self, ConnectError> {
+        let address = || ConnectError::Address { text: text.to_owned() };
+        let (object, port) = text.split_once('#').ok_or_else(address)?;
+        let (node, object) = match object.split_once(':') {
+            Some((node, object)) => (Some(NodeName::new(node)?), object),
+            None => (None, object),
+        };
+        Ok(PortAddress { node, object: ObjectName::new(object)?, port: ObjectName::new(port)? })
+    }
+}
+
+impl TryFrom<String> for PortAddress {
+    type Error = ConnectError;
+
+    fn try_from(text: String) -> Result<Self, ConnectError> {
+        text.parse()
+    }
+}
+
+impl From<PortAddress> for String {
+    fn from(address: PortAddress) -> String {
+        address.to_string()
+    }
+}
+
+impl fmt::Display for PortAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}#{}", self.component(), self.port)
+    }
+}
+
+impl fmt::Debug for PortAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{self}")
+    }
+}
+
+/// A connection between two ports.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct PortConnection {
+    /// The out port, where its messages come from.
+    pub from: PortAddress,
+    /// The port where they go.
+    pub to: PortAddress,
+}
+
+impl fmt::Display for PortConnection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} -> {}", self.from, self.to)
+    }
+}
+
+/// A port of a type of components.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PortDescription {
+    /// Its name in addresses.
+    pub name: String,
+    /// What it does.
+    pub role: PortRole,
+    /// The contract of its messages.
+    pub contract: PeerIdentity,
+    /// The fields of a message.
+    pub fields: Vec<FieldDescription>,
+    /// The fields of a reply; none where there is no reply.
+    pub reply: Vec<FieldDescription>,
+}
+
+impl PortDescription {
+    /// Describes a port.
+    pub fn new(name: &str, role: PortRole, contract: &ContractIdentity) -> Self {
+        let contract = contract.full();
+        let structure = contract.structure.as_ref();
+        PortDescription {
+            name: name.to_owned(),
+            role,
+            fields: structure.map(|known| known.message.fields()).unwrap_or_default(),
+            reply: structure.map(|known| known.reply.fields()).unwrap_or_default(),
+            contract,
+        }
+    }
+}
+
+/// What a type of components takes and gives, and how it is set.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TypeDescription {
+    /// Its parameters.
+    pub parameters: Vec<ParameterDescription>,
+    /// The ports by which messages reach it.
+    pub takes: Vec<PortDescription>,
+    /// The out ports; `None` where the type declares none, so that it is not known what it gives.
+    pub gives: Option<Vec<PortDescription>>,
+}
+
+impl TypeDescription {
+    /// The port at this address, which is of a component of this type: an out port where the
+    /// connection begins, another one where it ends.
+    ///
+    /// # Errors
+    /// [`ConnectError::NoPort`] names those that there are.
+    pub fn port(
+        &self,
+        address: &PortAddress,
+        is_out: bool,
+    ) -> Result<&PortDescription, ConnectError> {
+        let ports = if is_out { self.gives.as_deref().unwrap_or_default() } else { &self.takes };
+        let found = ports.iter().find(|port| port.name == address.port.as_str());
+        let declared = || ports.iter().map(|port| port.name.clone()).collect();
+        found.ok_or_else(|| ConnectError::no_port(address, is_out, declared()))
+    }
+}
+
+/// Decides whether a connection from the one port to the other can be.
+///
+/// # Errors
+/// The roles do not fit, or the contracts differ.
+pub fn check_connection(from: &PortDescription, to: &PortDescription) -> Result<(), ConnectError> {
+    if !from.role.is_out() || to.role != from.role.other_end() {
+        return Err(ConnectError::Roles { from: from.role, to: to.role });
+    }
+    from.contract.check(&to.contract).map_err(ConnectError::Differ)
+}
+
+/// Why ports cannot be connected, or a port not be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConnectError {
+    /// The text names no port.
+    #[error("`{text}` names no port: write `COMPONENT#PORT`, as in `laser#scan`")]
+    Address {
+        /// The text.
+        text: String,
+    },
+    /// A part of an address is no name.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// There is no such component on this node.
+    #[error("there is no component `{name}` on this node{}", meant(.nearest.as_ref()))]
+    NoComponent {
+        /// The name that was given.
+        name: ObjectName,
+        /// The name that may have been meant.
+        nearest: Option<String>,
+    },
+    /// The component has no such port in this direction.
+    #[error("{component} {verb} no port `{port}`{}: {}", meant(.nearest.as_ref()), listed(.verb, .declared))]
+    NoPort {
+        /// The component.
+        component: String,
+        /// `gives` for out ports, `takes` for the others.
+        verb: &'static str,
+        /// The port that was looked for.
+        port: ObjectName,
+        /// The port that may have been meant.
+        nearest: Option<String>,
+        /// All that there are.
+        declared: Vec<String>,
+    },
+    /// Messages do not pass from a port of the first role to one of the second.
+    #[error(
+        "a port that {from} something cannot be connected to one that {to} something: {}",
+        fitting(*.from)
+    )]
+    Roles {
+        /// What the port does at which the connection begins.
+        from: PortRole,
+        /// What the other one does.
+        to: PortRole,
+    },
+    /// The contracts of the two ports differ; "here" is where the connection begins.
+    #[error("the ports do not fit: {0}")]
+    Differ(Difference),
+    /// The handle is for a port that does something else.
+    #[error(
+        "{port} {declared} `{contract}`, and is used as one that {wanted} `{with}`: take it as \
+         `{}<_>`, with the type of `{contract}`",
+        handle(*.declared)
+    )]
+    Handle {
+        /// The port.
+        port: PortAddress,
+        /// What it does.
+        declared: PortRole,
+        /// Its contract.
+        contract: String,
+        /// What the handle does.
+        wanted: PortRole,
+        /// The contract of the handle.
+        with: String,
+    },
+    /// Another node makes this connection.
+    #[error("{what}: connect them on node {node}")]
+    Elsewhere {
+        /// Why it cannot be made here.
+        what: &'static str,
+        /// The node that makes it.
+        node: NodeName,
+    },
+    /// The two ports are connected.
+    #[error("they are connected already")]
+    Twice,
+    /// The out port is connected, and leads to one port at a time.
+    #[error("the port is connected to {to}, and leads to one port at a time: disconnect it first")]
+    Taken {
+        /// What it is connected to.
+        to: PortAddress,
+    },
+    /// The two ports are not connected.
+    #[error("they are not connected")]
+    NotConnected,
+    /// The component has as many connections as a component may have.
+    #[error("{component} has {limit} connections, and no component has more")]
+    TooMany {
+        /// The component.
+        component: ObjectName,
+        /// The limit.
+        limit: usize,
+    },
+    /// What the connection, or the port, leads to refuses it.
+    #[error("{0}")]
+    Refused(DeliveryError),
+}
+
+impl ConnectError {
+    /// The component at this address has no such port in this direction.
+    pub fn no_port(address: &PortAddress, is_out: bool, declared: Vec<String>) -> Self {
+        let nearest = nearest(address.port.as_str(), declared.iter().map(String::as_str));
+        ConnectError::NoPort {
+            component: address.component(),
+            verb: if is_out { "gives" } else { "takes" },
+            port: address.port.clone(),
+            nearest: nearest.map(str::to_owned),
+            declared,
+        }
+    }
+}
+
+fn meant(nearest: Option<&String>) -> String {
+    nearest.map(|nearest| format!("; did you mean `{nearest}`?")).unwrap_or_default()
+}
+
+fn listed(verb: &str, declared: &[String]) -> String {
+    match (declared, verb) {
+        ([], "gives") => {
+            "it declares none; write `ports.publishes::<…>(…)`, `commands` or `asks` in its `fn ports`"
+                .into()
+        }
+        ([], _) => "it declares none".into(),
+        (declared, verb) => format!("it {verb} `{}`", declared.join("`, `")),
+    }
+}
+
+fn fitting(from: PortRole) -> String {
+    match from.is_out() {
+        true => format!("this one leads to a port that {} them", from.other_end()),
+        false => "a connection begins at a port that publishes, commands or asks".into(),
+    }
+}
+
+fn handle(role: PortRole) -> &'static str {
+    match role {
+        PortRole::Publishes => "Publisher",
+        PortRole::Commands => "Commander",
+        _ => "Sender",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::PortRole::{Asks, Commanded, Commands, Listens, Publishes, Serves};
+    use super::*;
+    use crate::Delivery;
+
+    fn port(name: &str, role: PortRole, contract: &str) -> PortDescription {
+        let contract = PeerIdentity {
+            name: contract.into(),
+            version: 1,
+            delivery: Delivery::Reliable,
+            bulk: false,
+            fingerprint: 7,
+            structure: None,
+        };
+        PortDescription { name: name.into(), role, contract, fields: vec![], reply: vec![] }
+    }
+
+    #[test]
+    fn an_address_names_a_component_and_its_port() {
+        let check = |text: &str, said: &str| match text.parse::<PortAddress>() {
+            Ok(address) => assert_eq!(address.to_string(), said),
+            Err(error) => assert!(error.to_string().contains(said), "{error}"),
+        };
+
+        check("laser#scan", "laser#scan");
+        check("base:arm/left.1#laser/scan", "base:arm/left.1#laser/scan");
+        check("laser.scan", "write `COMPONENT#PORT`");
+        check("laser#", "is empty");
+        check("#scan", "is empty");
+        check("ba se:laser#scan", "holds ' '");
+        check("laser#a#b", "holds '#'");
+    }
+
+    #[test]
+    fn an_out_port_has_a_topic_of_its_own_on_its_node() {
+        let own = NodeName::new("base").ok();
+        let address = |text: &str| text.parse::<PortAddress>().expect("an address");
+        let topic = |text: &str| address(text).topic(own.as_ref()).map(String::from);
+
+        assert_eq!(topic("laser#scan").as_deref(), Ok("base/laser/scan"));
+        assert_eq!(topic("arm:eye/left#image").as_deref(), Ok("arm/eye/left/image"));
+        let long = format!("{}#scan", "l".repeat(128));
+        assert!(matches!(topic(&long), Err(NameError::TooLong { .. })));
+        let seen = |text: &str| address(text).seen_from(own.as_ref()).to_string();
+        assert_eq!((seen("base:a#b"), seen("arm:a#b")), ("a#b".into(), "arm:a#b".into()));
+    }
+
+    #[test]
+    fn ports_are_connected_where_messages_of_one_contract_pass() {
+        let roles = [Publishes, Commands, Asks, Listens, Commanded, Serves];
+
+        for from in roles {
+            for to in roles {
+                let made = check_connection(&port("a", from, "Scan"), &port("b", to, "Scan"));
+                let fits = [(Publishes, Listens), (Commands, Commanded), (Asks, Serves)];
+                assert_eq!(made.is_ok(), fits.contains(&(from, to)), "{from} {to}");
+                assert!(!from.is_out() || from.connects() != from.other_end().connects());
+                assert_eq!(from.other_end().other_end(), from);
+            }
+        }
+        let differs = check_connection(&port("a", Asks, "Scan"), &port("b", Serves, "Range"));
+        let text = differs.expect_err("two contracts").to_string();
+        assert!(text.contains("name `Scan` here, `Range` there"), "{text}");
+    }
+
+    #[test]
+    fn a_missing_port_is_named_with_those_that_there_are() {
+        let takes = vec![port("scan", Listens, "Scan"), port("stop", Serves, "Stop")];
+        let planner = TypeDescription { parameters: vec![], takes, gives: None };
+        let at = |text: &str| text.parse::<PortAddress>().expect("an address");
+        let missing = |text, is_out| planner.port(&at(text), is_out).unwrap_err().to_string();
+
+        assert_eq!(planner.port(&at("planner#stop"), false).map(|port| port.role), Ok(Serves));
+        assert_eq!(
+            missing("base:planner#scna", false),
+            "base:planner takes no port `scna`; did you mean `scan`?: it takes `scan`, `stop`"
+        );
+        assert!(
+            missing("planner#path", true).contains("planner gives no port `path`: it declares")
+        );
+    }
+}
