@@ -9,7 +9,7 @@ use crate::messaging::sender::Sender;
 use crate::registry::lookup::CurrentSender;
 use crate::registry::ports::OutEnd;
 use crate::topic::Publisher;
-use blastema_core::port::{ConnectError, PortAddress, PortRole};
+use blastema_core::port::{ConnectError, ConnectionRole, PortAddress};
 use blastema_core::{Contract, ContractIdentity, DeliveryError, Event, ObjectName};
 use std::any::TypeId;
 use std::rc::Rc;
@@ -23,12 +23,12 @@ impl<H: PortHandle> OutPort for H {}
 mod handle {
     use crate::component::Component;
     use crate::component::context::Context;
-    use blastema_core::port::{PortAddress, PortRole};
+    use blastema_core::port::{ConnectionRole, PortAddress};
     use blastema_core::{Contract, DeliveryError};
 
     pub trait PortHandle: Clone + 'static {
         /// What the ports of such handles do.
-        const ROLE: PortRole;
+        const ROLE: ConnectionRole;
         type Message: Contract;
 
         fn open<C: Component>(
@@ -44,7 +44,7 @@ fn sender<C: Component, M: Contract>(cx: &Context<C>, port: PortAddress) -> Send
 }
 
 impl<E: Event> PortHandle for Publisher<E> {
-    const ROLE: PortRole = PortRole::Publishes;
+    const ROLE: ConnectionRole = ConnectionRole::Publishes;
     type Message = E;
 
     fn open<C: Component>(cx: &mut Context<C>, port: PortAddress) -> Result<Self, DeliveryError> {
@@ -54,7 +54,7 @@ impl<E: Event> PortHandle for Publisher<E> {
 }
 
 impl<M: Contract> PortHandle for Commander<M> {
-    const ROLE: PortRole = PortRole::Commands;
+    const ROLE: ConnectionRole = ConnectionRole::Commands;
     type Message = M;
 
     fn open<C: Component>(cx: &mut Context<C>, port: PortAddress) -> Result<Self, DeliveryError> {
@@ -67,7 +67,7 @@ impl<M: Contract> PortHandle for Commander<M> {
 }
 
 impl<M: Contract> PortHandle for Sender<M> {
-    const ROLE: PortRole = PortRole::Asks;
+    const ROLE: ConnectionRole = ConnectionRole::Asks;
     type Message = M;
 
     fn open<C: Component>(cx: &mut Context<C>, port: PortAddress) -> Result<Self, DeliveryError> {

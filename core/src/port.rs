@@ -22,7 +22,7 @@ use std::str::FromStr;
 /// What passes through a port, and in which direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum PortRole {
+pub enum ConnectionRole {
     /// Gives events.
     Publishes,
     /// Gives commands to one actuator.
@@ -37,39 +37,39 @@ pub enum PortRole {
     Serves,
 }
 
-impl PortRole {
+impl ConnectionRole {
     /// Whether messages leave the component here, so that a connection begins at it.
     pub fn is_out(self) -> bool {
-        matches!(self, PortRole::Publishes | PortRole::Commands | PortRole::Asks)
+        matches!(self, ConnectionRole::Publishes | ConnectionRole::Commands | ConnectionRole::Asks)
     }
 
     /// Whether the node of this end makes the connection.
     pub fn connects(self) -> bool {
-        matches!(self, PortRole::Listens | PortRole::Commands | PortRole::Asks)
+        matches!(self, ConnectionRole::Listens | ConnectionRole::Commands | ConnectionRole::Asks)
     }
 
     /// The role at the other end of a connection.
-    pub fn other_end(self) -> PortRole {
+    pub fn other_end(self) -> ConnectionRole {
         match self {
-            PortRole::Publishes => PortRole::Listens,
-            PortRole::Listens => PortRole::Publishes,
-            PortRole::Commands => PortRole::Commanded,
-            PortRole::Commanded => PortRole::Commands,
-            PortRole::Asks => PortRole::Serves,
-            PortRole::Serves => PortRole::Asks,
+            ConnectionRole::Publishes => ConnectionRole::Listens,
+            ConnectionRole::Listens => ConnectionRole::Publishes,
+            ConnectionRole::Commands => ConnectionRole::Commanded,
+            ConnectionRole::Commanded => ConnectionRole::Commands,
+            ConnectionRole::Asks => ConnectionRole::Serves,
+            ConnectionRole::Serves => ConnectionRole::Asks,
         }
     }
 }
 
-impl fmt::Display for PortRole {
+impl fmt::Display for ConnectionRole {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            PortRole::Publishes => "publishes",
-            PortRole::Commands => "commands",
-            PortRole::Asks => "asks",
-            PortRole::Listens => "listens to",
-            PortRole::Commanded => "is commanded by",
-            PortRole::Serves => "serves",
+            ConnectionRole::Publishes => "publishes",
+            ConnectionRole::Commands => "commands",
+            ConnectionRole::Asks => "asks",
+            ConnectionRole::Listens => "listens to",
+            ConnectionRole::Commanded => "is commanded by",
+            ConnectionRole::Serves => "serves",
         })
     }
 }
@@ -183,7 +183,7 @@ pub struct PortDescription {
     /// Its name in addresses.
     pub name: String,
     /// What it does.
-    pub role: PortRole,
+    pub role: ConnectionRole,
     /// The contract of its messages.
     pub contract: PeerIdentity,
     /// The fields of a message.
@@ -194,7 +194,7 @@ pub struct PortDescription {
 
 impl PortDescription {
     /// Describes a port.
-    pub fn new(name: &str, role: PortRole, contract: &ContractIdentity) -> Self {
+    pub fn new(name: &str, role: ConnectionRole, contract: &ContractIdentity) -> Self {
         let contract = contract.full();
         let structure = contract.structure.as_ref();
         PortDescription {
@@ -289,9 +289,9 @@ pub enum ConnectError {
     )]
     Roles {
         /// What the port does at which the connection begins.
-        from: PortRole,
+        from: ConnectionRole,
         /// What the other one does.
-        to: PortRole,
+        to: ConnectionRole,
     },
     /// The contracts of the two ports differ; "here" is where the connection begins.
     #[error("the ports do not fit: {0}")]
@@ -306,11 +306,11 @@ pub enum ConnectError {
         /// The port.
         port: PortAddress,
         /// What it does.
-        declared: PortRole,
+        declared: ConnectionRole,
         /// Its contract.
         contract: String,
         /// What the handle does.
-        wanted: PortRole,
+        wanted: ConnectionRole,
         /// The contract of the handle.
         with: String,
     },
@@ -376,28 +376,28 @@ fn listed(verb: &str, declared: &[String]) -> String {
     }
 }
 
-fn fitting(from: PortRole) -> String {
+fn fitting(from: ConnectionRole) -> String {
     match from.is_out() {
         true => format!("this one leads to a port that {} them", from.other_end()),
         false => "a connection begins at a port that publishes, commands or asks".into(),
     }
 }
 
-fn handle(role: PortRole) -> &'static str {
+fn handle(role: ConnectionRole) -> &'static str {
     match role {
-        PortRole::Publishes => "Publisher",
-        PortRole::Commands => "Commander",
+        ConnectionRole::Publishes => "Publisher",
+        ConnectionRole::Commands => "Commander",
         _ => "Sender",
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::PortRole::{Asks, Commanded, Commands, Listens, Publishes, Serves};
+    use super::ConnectionRole::{Asks, Commanded, Commands, Listens, Publishes, Serves};
     use super::*;
     use crate::Delivery;
 
-    fn port(name: &str, role: PortRole, contract: &str) -> PortDescription {
+    fn port(name: &str, role: ConnectionRole, contract: &str) -> PortDescription {
         let contract = PeerIdentity {
             name: contract.into(),
             version: 1,

@@ -238,7 +238,7 @@ impl Types {
         &self,
         robot: &RobotDescription,
         ports: &PortConnection,
-    ) -> Option<blastema::core::port::PortRole> {
+    ) -> Option<blastema::core::port::ConnectionRole> {
         let node = robot.node(ports.from.node.as_ref()?.as_str())?;
         let components = node.components();
         let component = components.iter().find(|known| known.name == ports.from.object.as_str())?;

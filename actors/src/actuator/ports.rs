@@ -15,7 +15,7 @@ use crate::host::spec::ChildSpec;
 use crate::registry::ContractPort;
 use crate::settings::{COMMAND_TIMEOUT, LEASE, SHUTDOWN_WITHIN};
 use blastema_core::lease::Lease;
-use blastema_core::port::PortRole;
+use blastema_core::port::ConnectionRole;
 use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
 use blastema_core::{Contract, DeliveryError, ObjectName};
@@ -167,7 +167,7 @@ impl<C: Component> Ports<C> {
             (spec.declared(), ContractPort::open::<C, M> as PortConstructor<C>, apply::<M> as _);
         self.feature::<ActuatorPorts<C>>().declared.push(port);
         self.max_wait = self.feature::<ActuatorPorts<C>>().shortest_timeout();
-        self.declare::<M>(M::NAME.into(), PortRole::Commanded)
+        self.declare::<M>(M::NAME.into(), ConnectionRole::Commanded)
     }
 
     /// Changes an actuator that is declared.

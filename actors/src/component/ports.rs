@@ -9,7 +9,7 @@ use crate::platform::panics;
 use crate::registry::ContractPort;
 use crate::registry::ports::DeclaredPort;
 use blastema_core::parameters::ParameterDescription;
-use blastema_core::port::{PortDescription, PortRole, TypeDescription};
+use blastema_core::port::{ConnectionRole, PortDescription, TypeDescription};
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{Contract, ContractIdentity, Event, NameError, ObjectName, Request};
 use std::any::{Any, TypeId};
@@ -49,7 +49,7 @@ impl<C: Component> Ports<C> {
     pub(crate) fn declare<M: Contract>(
         &mut self,
         name: Cow<'static, str>,
-        role: PortRole,
+        role: ConnectionRole,
     ) -> &mut Self {
         self.declared.push(DeclaredPort { name, role, identity: ContractIdentity::of::<M>() });
         self
@@ -86,7 +86,7 @@ impl<C: Component> Ports<C> {
         C: Handle<M>,
     {
         self.open.push(ContractPort::open::<C, M>);
-        self.declare::<M>(M::NAME.into(), PortRole::Serves)
+        self.declare::<M>(M::NAME.into(), ConnectionRole::Serves)
     }
 
     /// Accepts this event, or command, from every object that uses the component's name.
@@ -95,7 +95,7 @@ impl<C: Component> Ports<C> {
         C: Handle<M>,
     {
         self.open.push(ContractPort::open::<C, M>);
-        self.declare::<M>(M::NAME.into(), PortRole::Serves)
+        self.declare::<M>(M::NAME.into(), ConnectionRole::Serves)
     }
 
     /// Gives messages of this contract a queue of their own, whether they are served, accepted or
@@ -154,7 +154,7 @@ impl<C: Component> Ports<C> {
         let (mut served, mut names) = (SortedSet::new(), SortedSet::new());
         for DeclaredPort { name: port, role, identity } in &self.declared {
             let (component, contract) = (component.clone(), identity.name);
-            if *role == PortRole::Serves && !served.insert(contract) {
+            if *role == ConnectionRole::Serves && !served.insert(contract) {
                 let (name, ports) = (component, "both by serve or accept");
                 return Err(SpecError::PortTwice { name, contract, ports });
             }

@@ -7,7 +7,7 @@
 use super::Registry;
 use super::lookup::CurrentReceiver;
 use blastema_core::port::{
-    ConnectError, PortAddress, PortConnection, PortDescription, PortRole, check_connection,
+    ConnectError, ConnectionRole, PortAddress, PortConnection, PortDescription, check_connection,
 };
 use blastema_core::{ContractIdentity, DeliveryError, NameError, ObjectName, suggestion};
 use std::borrow::Cow;
@@ -20,7 +20,7 @@ const CONNECTIONS_MAX: usize = 256;
 #[derive(Clone, Debug)]
 pub(crate) struct DeclaredPort {
     pub(crate) name: Cow<'static, str>,
-    pub(crate) role: PortRole,
+    pub(crate) role: ConnectionRole,
     pub(crate) identity: ContractIdentity,
 }
 
@@ -115,9 +115,9 @@ impl super::Inner {
         other: &PortAddress,
     ) -> Result<MadeConnection, ConnectError> {
         let declared = &self.wiring(&here.object)?.declared;
-        let is_listener = |port: &&DeclaredPort| port.role == PortRole::Listens;
+        let is_listener = |port: &&DeclaredPort| port.role == ConnectionRole::Listens;
         let listens = match declared[place].role {
-            PortRole::Listens => {
+            ConnectionRole::Listens => {
                 let before = declared[..place].iter().filter(is_listener).count();
                 Some((before, other.topic(self.node.as_ref())?))
             }
@@ -175,7 +175,7 @@ impl Registry {
         ports: Vec<DeclaredPort>,
     ) -> Result<(), (String, NameError)> {
         let mut inner = self.lock();
-        for port in ports.iter().filter(|port| port.role == PortRole::Publishes) {
+        for port in ports.iter().filter(|port| port.role == ConnectionRole::Publishes) {
             let of_port = |error| (port.name.to_string(), error);
             let name = ObjectName::new(&port.name).map_err(of_port)?;
             let address = PortAddress { node: None, object: component.clone(), port: name };
@@ -191,7 +191,7 @@ impl Registry {
     pub(crate) fn check_port(
         &self,
         address: &PortAddress,
-        wanted: PortRole,
+        wanted: ConnectionRole,
         with: &ContractIdentity,
     ) -> Result<(), ConnectError> {
         let inner = self.lock();

@@ -10,7 +10,7 @@ use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
 use crate::component::subscription::{Subscription, Subscriptions};
 use crate::component::{Component, Handle};
-use blastema_core::port::PortRole;
+use blastema_core::port::ConnectionRole;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{DeliveryError, Event, FaultKind, Instant, ObjectName};
 use std::any::TypeId;
@@ -116,7 +116,7 @@ impl<C: Handle<E>, E: Event> Drop for ListenPort<'_, C, E> {
             Ok(Arc::new(TopicSubscription::new(topic, only_if, at)) as Arc<dyn Subscription<C>>)
         };
         self.ports.keep_latched::<E>();
-        self.ports.declare::<E>(std::mem::take(&mut self.named), PortRole::Listens);
+        self.ports.declare::<E>(std::mem::take(&mut self.named), ConnectionRole::Listens);
         let declared = self.ports.feature::<ListenPorts<C>>();
         declared.0.push((name, E::NAME, Box::new(bind)));
     }

@@ -5,6 +5,7 @@ mod architecture;
 mod leaving;
 mod manual;
 mod message_log;
+mod ports;
 mod readme;
 mod recovery;
 mod robots;
