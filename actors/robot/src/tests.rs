@@ -44,8 +44,25 @@ fn the_schema_has_the_elements_and_attributes_that_the_reader_takes() {
     let reading = read(Path::new("tests/right/whole.robot.xml"), &[]).expect("it can be read");
     assert!(reading.findings.is_empty(), "{:?}", reading.findings);
     let asked: AskedNames = reading.asked;
-    let of_reader: BTreeMap<String, [Names; 2]> =
-        asked.iter().map(|(element, lists)| (element.clone(), [0, 1].map(|at| set(&lists[at])))).collect();
+    let of_reader: BTreeMap<String, [Names; 2]> = asked
+        .iter()
+        .map(|(element, lists)| (element.clone(), [0, 1].map(|at| set(&lists[at]))))
+        .collect();
 
     assert_eq!(of_reader, of_schema());
+}
+
+#[test]
+fn a_robot_is_drawn_as_text_for_graphviz_and_for_mermaid() {
+    use crate::graph::{GraphFormat, graph};
+    let reading = read(Path::new("tests/right/whole.robot.xml"), &[]).expect("it can be read");
+    for (format, end) in
+        [(GraphFormat::Text, "txt"), (GraphFormat::Dot, "dot"), (GraphFormat::Mermaid, "mmd")]
+    {
+        let (drawn, path) = (graph(&reading.robot, format), format!("tests/right/whole.{end}"));
+        if std::env::var_os("BLASTEMA_BLESS").is_some() {
+            std::fs::write(&path, &drawn).expect("it can be written");
+        }
+        assert_eq!(drawn, std::fs::read_to_string(&path).unwrap_or_default(), "{path}");
+    }
 }
