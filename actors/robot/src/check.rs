@@ -10,7 +10,7 @@ use crate::description::{
 };
 use crate::finding::{ElementPart, ElementPlaces, FINDINGS_MAX, RobotFinding, RobotSources};
 use crate::types::{Types, network_of};
-use blastema::core::port::{PortAddress, PortDescription, check_connection};
+use blastema::core::port::{ConnectionRole, PortAddress, PortDescription, check_connection};
 use blastema::core::suggestion::nearest;
 use blastema::prelude::*;
 use blastema::recovery::PlanError;
@@ -207,31 +207,38 @@ impl<'a> RobotChecker<'a> {
         error: StartError,
     ) -> bool {
         let text = error.to_string();
-        let sentence = text.lines().next().unwrap_or_default().to_owned();
+        let mut sentence = text.lines().next().unwrap_or_default().to_owned();
         let (object, part, help) = match error {
-            StartError::Spec(SpecError::Setting { name, setting, cure, .. }) => {
-                (name, part_of_setting(setting), cure.to_owned())
+            StartError::Spec(SpecError::Setting { name, setting, value, cure }) => {
+                let part = part_of_setting(setting);
+                sentence = format!("`{}` of {name} is {value}", part.attribute());
+                (name, part, cure.to_owned())
             }
             StartError::Spec(SpecError::Parameters { name, error }) => {
                 let key = ("name", key_of(&error).to_owned());
                 let attribute = match &error {
-                    ParameterError::Unknown { .. } => "name",
-                    _ => "value",
+                    ParameterError::Unknown { key, .. } => {
+                        sentence = format!("{name} has no parameter `{key}`");
+                        "name"
+                    }
+                    error => {
+                        sentence = format!("of {name}, {error}");
+                        "value"
+                    }
                 };
                 let part = ElementPart::Child { element: "param", key, attribute };
                 (name.to_string(), part, self.parameter_help(node, name.as_str(), &error))
             }
-            StartError::Spec(SpecError::ActuatorSettings { name, contract, .. }) => {
-                let port = self.actuator_port(node, name.as_str(), &contract);
-                let key = ("port", port);
-                let part = ElementPart::Child { element: "actuator", key, attribute: "port" };
-                (name.to_string(), part, "correct the port, or the field".to_owned())
+            StartError::Spec(SpecError::ActuatorSettings { name, contract, why }) => {
+                sentence = format!("of {name}, {why}");
+                self.actuator(node, name.as_str(), &contract, &mut sentence)
             }
             StartError::Spec(SpecError::Ports { name, .. }) => {
                 (name.to_string(), ElementPart::Value("type"), "mend its `ports`".to_owned())
             }
-            StartError::Setting { setting, cure, .. } => {
+            StartError::Setting { setting, value, cure } => {
                 let part = part_of_setting(setting);
+                sentence = format!("`{}` of node {} is {value}", part.attribute(), node.name);
                 self.find_at("robot::setting", sentence, (node.origin, part), cure.into(), "here");
                 (trial.work_threads, trial.grace) = (None, None);
                 return setting == "work_threads" || setting == "grace";
@@ -244,7 +251,7 @@ impl<'a> RobotChecker<'a> {
         };
         let code = match &part {
             ElementPart::Child { element: "param", .. } => "robot::parameter",
-            ElementPart::Child { element: "actuator", .. } => "robot::actuator",
+            ElementPart::Child { element: "actuator" | "field", .. } => "robot::actuator",
             _ => "robot::setting",
         };
         let mut found = None;
@@ -300,19 +307,49 @@ impl<'a> RobotChecker<'a> {
         }
     }
 
-    /// How the file names the actuator with commands of this contract.
-    fn actuator_port(&self, node: &NodeDescription, name: &str, contract: &str) -> String {
+    /// What is wrong with the settings of an actuator, which are of this contract: the component,
+    /// the port or the field, and what to write.
+    fn actuator(
+        &self,
+        node: &NodeDescription,
+        name: &str,
+        contract: &str,
+        sentence: &mut String,
+    ) -> (String, ElementPart, String) {
         let components = node.components();
         let component = components.iter().find(|component| component.name == name);
         let of = component.and_then(|component| self.types.description(&component.type_name));
-        let ports = of.map(|of| &*of.takes).unwrap_or_default();
+        let ports = of.into_iter().flat_map(|of| &of.takes);
+        let ports = ports.filter(|port| port.role == ConnectionRole::Commanded);
         let named = |port: &str| {
-            let known = ports.iter().find(|known| known.name == port);
-            known.is_some_and(|known| known.contract.name == contract) || port == contract
+            let known = ports.clone().find(|known| known.name == port);
+            known.map_or(contract == port, |known| known.contract.name == contract)
         };
-        let written = component.into_iter().flat_map(|component| &component.actuators);
-        let port = written.map(|(port, _)| port).find(|port| named(port));
-        port.cloned().unwrap_or_else(|| contract.to_owned())
+        let mut written = component.into_iter().flat_map(|component| &component.actuators);
+        let written = written.find(|(port, _)| named(port));
+        let port = written.map_or(contract, |(port, _)| port.as_str());
+        let known: Vec<&str> = ports.clone().map(|port| port.name.as_str()).collect();
+        let mut fields = written.into_iter().flat_map(|(_, settings)| &settings.safe);
+        let field = fields.find(|(field, _)| sentence.contains(&format!("`{field}`")));
+        let (part, help) = match field {
+            _ if !known.contains(&port) => {
+                *sentence = format!("{name} is commanded at no port `{port}`");
+                let key = ("port", port.to_owned());
+                let part = ElementPart::Child { element: "actuator", key, attribute: "port" };
+                (part, hint(port, known))
+            }
+            Some((field, _)) => {
+                let key = ("name", field.clone());
+                let part = ElementPart::Child { element: "field", key, attribute: "value" };
+                (part, "correct the field".to_owned())
+            }
+            None => {
+                let key = ("port", port.to_owned());
+                let part = ElementPart::Child { element: "actuator", key, attribute: "port" };
+                (part, "correct the settings".to_owned())
+            }
+        };
+        (name.to_owned(), part, help)
     }
 
     fn networks(&mut self) {
@@ -624,6 +661,11 @@ fn without(component: &mut ComponentDescription, part: &ElementPart) -> bool {
         ElementPart::Child { element: "liveness", .. } => component.liveness = None,
         ElementPart::Child { element: "param", key: (_, key), .. } => {
             component.parameters.retain(|(name, _)| name != key);
+        }
+        ElementPart::Child { element: "field", key: (_, field), .. } => {
+            for (_, settings) in &mut component.actuators {
+                settings.safe.retain(|(name, _)| name != field);
+            }
         }
         ElementPart::Child { element: "actuator", key: (_, port), .. } => {
             component.actuators.retain(|(name, _)| name != port && !port.is_empty());

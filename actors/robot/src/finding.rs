@@ -50,6 +50,15 @@ pub(crate) enum ElementPart {
     Child { element: &'static str, key: (&'static str, String), attribute: &'static str },
 }
 
+impl ElementPart {
+    /// The attribute that it is about.
+    pub(crate) fn attribute(&self) -> &'static str {
+        match self {
+            ElementPart::Value(attribute) | ElementPart::Child { attribute, .. } => attribute,
+        }
+    }
+}
+
 /// The robot's files.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct RobotSources {

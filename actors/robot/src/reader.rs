@@ -179,7 +179,7 @@ impl Reader<'_> {
         };
         if !path.starts_with(&self.root) {
             let help = "move it there: a robot's files stand below the folder of the outermost one";
-            return wrong(format!("`{name}` is not below {}", self.root.display()), help);
+            return wrong(format!("`{name}` is not below the folder of the robot"), help);
         }
         if self.open.contains(&path) {
             return wrong(format!("`{name}` includes itself"), "delete one of the includes");
@@ -247,7 +247,10 @@ fn arguments(root: &RobotElement<'_>, set: &Settings<'_>) -> Arguments {
         let value = told.or_else(environment).or(default);
         if arguments.values.len() >= ARGUMENTS_MAX || arguments.values.contains_key(&name) {
             let at = [(element.place("name"), "again".to_owned())];
-            let sentence = format!("argument `{name}` is declared twice, or is the 65th");
+            let sentence = match arguments.values.contains_key(&name) {
+                true => format!("argument `{name}` is declared twice"),
+                false => format!("the file declares more than {ARGUMENTS_MAX} arguments"),
+            };
             element.find("robot::twice", sentence, at, Some("rename one, or delete it".into()));
         }
         match value.map(|value| (kind.map_or(Ok(()), |check| check(&value)), value)) {
