@@ -42,6 +42,24 @@ impl fmt::Debug for LoadError {
 
 impl std::error::Error for LoadError {}
 
+/// Returns the program that a robot file names, which has the types of its components.
+///
+/// # Errors
+/// The file cannot be read, is no XML, or names no program.
+pub fn program_of(file: &Path) -> Result<PathBuf, LoadError> {
+    let refused = |report, is_unreadable| LoadError { report, is_unreadable };
+    let read = reader::read(file, &[]);
+    let reading = read.map_err(|UnreadableFile(report)| refused(report, true))?;
+    reading.robot.program.ok_or_else(|| match reading.findings.is_empty() {
+        true => {
+            let help = "add `program=\"…\"` to `robot`, with the path of the program from the \
+                        folder of the file";
+            refused(format!("{} names no program: {help}", file.display()), false)
+        }
+        false => refused(report(&reading.findings, &reading.sources), false),
+    })
+}
+
 /// A robot whose components are compiled into this program.
 #[derive(Parser)]
 struct RobotArguments {
