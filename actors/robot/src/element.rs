@@ -5,7 +5,7 @@
 
 use crate::description::ElementOrigin;
 use crate::finding::{FilePlace, RobotFinding, tag_name};
-use crate::value::Value;
+use crate::value::ParsedValue;
 use blastema::core::suggestion::nearest;
 use roxmltree::Node;
 use std::cell::{Cell, RefCell};
@@ -44,7 +44,7 @@ const NOT_YET: [&str; 26] = [
 
 /// The values of the arguments that a file declares; those of a copy have `copy` as well.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Arguments {
+pub(crate) struct ArgumentValues {
     pub(crate) values: BTreeMap<String, String>,
     /// Declared arguments without a value.
     pub(crate) missing: Vec<String>,
@@ -55,7 +55,7 @@ pub(crate) struct FileReading<'a> {
     pub(crate) file: usize,
     pub(crate) text: &'a str,
     pub(crate) findings: &'a RefCell<Vec<RobotFinding>>,
-    pub(crate) arguments: RefCell<Arguments>,
+    pub(crate) arguments: RefCell<ArgumentValues>,
     /// All names that were asked for: of an element, its attributes and its children.
     pub(crate) asked: &'a RefCell<BTreeMap<String, [Vec<&'static str>; 2]>>,
 }
@@ -93,7 +93,7 @@ impl<'a> RobotElement<'a> {
     pub(crate) fn take<T>(
         &self,
         name: &'static str,
-        parse: impl Fn(&str) -> Value<T>,
+        parse: impl Fn(&str) -> ParsedValue<T>,
     ) -> Option<T> {
         self.attributes.borrow_mut().push(name);
         let attribute = self.node.attribute_node(name)?;
@@ -112,7 +112,7 @@ impl<'a> RobotElement<'a> {
     pub(crate) fn need<T>(
         &self,
         name: &'static str,
-        parse: impl Fn(&str) -> Value<T>,
+        parse: impl Fn(&str) -> ParsedValue<T>,
     ) -> Option<T> {
         if self.node.attribute(name).is_none() {
             let sentence = format!("`{}` has no `{name}`", self.name());

@@ -31,7 +31,7 @@ mod types;
 mod value;
 
 pub use description::RobotDescription;
-pub use program::{LoadError, program_of};
+pub use program::{RobotFileError, program_of};
 pub use types::Types;
 
 /// The schema of a robot file for editors and for `xmllint`, as XSD 1.0. It knows the shape of a

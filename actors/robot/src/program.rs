@@ -22,32 +22,32 @@ const UNREADABLE: u8 = 2;
 
 /// Why a robot file was refused. Its text has all findings.
 #[derive(Clone, PartialEq, Eq)]
-pub struct LoadError {
+pub struct RobotFileError {
     report: String,
     /// The file could not be read at all.
     pub is_unreadable: bool,
 }
 
-impl fmt::Display for LoadError {
+impl fmt::Display for RobotFileError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.report.trim_end())
     }
 }
 
-impl fmt::Debug for LoadError {
+impl fmt::Debug for RobotFileError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{self}")
     }
 }
 
-impl std::error::Error for LoadError {}
+impl std::error::Error for RobotFileError {}
 
 /// Returns the program that a robot file names, which has the types of its components.
 ///
 /// # Errors
 /// The file cannot be read, is no XML, or names no program.
-pub fn program_of(file: &Path) -> Result<PathBuf, LoadError> {
-    let refused = |report, is_unreadable| LoadError { report, is_unreadable };
+pub fn program_of(file: &Path) -> Result<PathBuf, RobotFileError> {
+    let refused = |report, is_unreadable| RobotFileError { report, is_unreadable };
     let read = reader::read(file, &[]);
     let reading = read.map_err(|UnreadableFile(report)| refused(report, true))?;
     reading.robot.program.ok_or_else(|| match reading.findings.is_empty() {
@@ -126,7 +126,11 @@ impl Types {
     ///
     /// # Errors
     /// The file cannot be read, or has mistakes: the text shows all of them with their places.
-    pub fn load(&self, file: &Path, set: &[(&str, &str)]) -> Result<RobotDescription, LoadError> {
+    pub fn load(
+        &self,
+        file: &Path,
+        set: &[(&str, &str)],
+    ) -> Result<RobotDescription, RobotFileError> {
         let own = |(name, value): &(&str, &str)| ((*name).to_owned(), (*value).to_owned());
         self.load_with(file, &set.iter().map(own).collect::<Vec<_>>())
     }
@@ -135,8 +139,8 @@ impl Types {
         &self,
         file: &Path,
         set: &[(String, String)],
-    ) -> Result<RobotDescription, LoadError> {
-        let refused = |report, is_unreadable| LoadError { report, is_unreadable };
+    ) -> Result<RobotDescription, RobotFileError> {
+        let refused = |report, is_unreadable| RobotFileError { report, is_unreadable };
         if let Some(name) = self.twice.first() {
             let text = format!("`{name}` is registered twice: give each type a name of its own");
             return Err(refused(text, false));

@@ -4,9 +4,9 @@ use crate::description::{
     AnswerDescription, ChildDescription, ComponentDescription, ConnectionDescription,
     EndpointDescription, NodeDescription, RobotDescription, RobotNetwork, SupervisorDescription,
 };
-use crate::element::{Arguments, FileReading, RobotElement};
+use crate::element::{ArgumentValues, FileReading, RobotElement};
 use crate::finding::{FilePlace, RobotFinding, RobotSources};
-use crate::value::{self, Value};
+use crate::value::{self, ParsedValue};
 use blastema::core::port::{ConnectError, PortAddress, PortConnection};
 use blastema::detection::{Liveness, Pull, Push};
 use blastema::recovery::{Backoff, Ladder, RecoveryAction, Restart, Strategy, WhenExceeded};
@@ -54,7 +54,7 @@ pub(crate) fn read(path: &Path, set: &[(String, String)]) -> Result<RobotReading
         .map_err(|error| UnreadableFile(format!("{}: {error}", path.display())))?;
     let folder = absolute.parent().unwrap_or(Path::new("/")).to_owned();
     let (findings, asked) = (RefCell::default(), RefCell::default());
-    let mut reader = Reader {
+    let mut reader = RobotReader {
         robot: RobotDescription::default(),
         sources: RobotSources::default(),
         findings: &findings,
@@ -62,8 +62,13 @@ pub(crate) fn read(path: &Path, set: &[(String, String)]) -> Result<RobotReading
         root: folder,
         open: Vec::new(),
     };
-    reader.read_file(path.display().to_string(), absolute, text.into(), &Settings::Outer(set));
-    let Reader { robot, sources, .. } = reader;
+    reader.read_file(
+        path.display().to_string(),
+        absolute,
+        text.into(),
+        &ArgumentSource::Outer(set),
+    );
+    let RobotReader { robot, sources, .. } = reader;
     let (findings, asked) = (findings.into_inner(), asked.into_inner());
     Ok(RobotReading { robot, sources, findings, asked })
 }
@@ -80,14 +85,14 @@ fn read_text(path: &Path) -> Result<String, String> {
 }
 
 /// Where the values of a file's arguments come from, beside their defaults.
-enum Settings<'a> {
+enum ArgumentSource<'a> {
     /// The command line, and then the environment.
     Outer(&'a [(String, String)]),
     /// The element `include`.
     Include(&'a [(String, String)]),
 }
 
-struct Reader<'a> {
+struct RobotReader<'a> {
     robot: RobotDescription,
     sources: RobotSources,
     findings: &'a RefCell<Vec<RobotFinding>>,
@@ -98,8 +103,8 @@ struct Reader<'a> {
     open: Vec<PathBuf>,
 }
 
-impl Reader<'_> {
-    fn read_file(&mut self, name: String, path: PathBuf, text: Arc<str>, set: &Settings<'_>) {
+impl RobotReader<'_> {
+    fn read_file(&mut self, name: String, path: PathBuf, text: Arc<str>, set: &ArgumentSource<'_>) {
         let file = self.sources.files.len();
         self.sources.files.push((name, text.clone()));
         let options = ParsingOptions { nodes_limit: NODES_MAX, ..ParsingOptions::default() };
@@ -128,7 +133,12 @@ impl Reader<'_> {
         self.open.pop();
     }
 
-    fn robot(&mut self, root: &RobotElement<'_>, reading: &FileReading<'_>, set: &Settings<'_>) {
+    fn robot(
+        &mut self,
+        root: &RobotElement<'_>,
+        reading: &FileReading<'_>,
+        set: &ArgumentSource<'_>,
+    ) {
         let schema = root.need("schema", value::count::<u32>);
         if let Some(schema) = schema.filter(|schema| *schema != SCHEMA) {
             let at = [(root.place("schema"), "written for another version".to_owned())];
@@ -140,7 +150,7 @@ impl Reader<'_> {
         }
         *reading.arguments.borrow_mut() = arguments(root, set);
         let name = root.need("name", value::node_name).unwrap_or_default();
-        if let Settings::Outer(_) = set {
+        if let ArgumentSource::Outer(_) = set {
             self.robot.name = name;
             self.robot.program = root.take("program", |text| self.path(text));
             self.robot.keys = root.take("keys", |text| self.path(text));
@@ -158,7 +168,7 @@ impl Reader<'_> {
     }
 
     /// A path from the folder of the outermost file.
-    fn path(&self, text: &str) -> Value<PathBuf> {
+    fn path(&self, text: &str) -> ParsedValue<PathBuf> {
         Ok(self.root.join(text))
     }
 
@@ -190,7 +200,7 @@ impl Reader<'_> {
         }
         let shown = path.strip_prefix(&self.root).unwrap_or(&path).display().to_string();
         match read_text(&path) {
-            Ok(text) => self.read_file(shown, path, text.into(), &Settings::Include(&set)),
+            Ok(text) => self.read_file(shown, path, text.into(), &ArgumentSource::Include(&set)),
             Err(error) => wrong(format!("`{name}`: {error}"), "correct the file"),
         }
     }
@@ -224,14 +234,14 @@ impl Reader<'_> {
 }
 
 /// The arguments of a file with their values.
-fn arguments(root: &RobotElement<'_>, set: &Settings<'_>) -> Arguments {
-    let mut arguments = Arguments::default();
+fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValues {
+    let mut arguments = ArgumentValues::default();
     let given = match set {
-        Settings::Outer(given) | Settings::Include(given) => *given,
+        ArgumentSource::Outer(given) | ArgumentSource::Include(given) => *given,
     };
     for element in root.children(&["argument"]) {
         let Some(name) = element.need("name", value::node_name) else { continue };
-        let kinds: [(&str, fn(&str) -> Value<()>); 5] = [
+        let kinds: [(&str, fn(&str) -> ParsedValue<()>); 5] = [
             ("text", |_| Ok(())),
             ("count", |text| value::count::<u64>(text).map(drop)),
             ("number", |text| value::number(text).map(drop)),
@@ -243,7 +253,8 @@ fn arguments(root: &RobotElement<'_>, set: &Settings<'_>) -> Arguments {
         let default = element.take("default", value::text);
         let variable = format!("BLASTEMA_ARG_{}", name.to_uppercase().replace(['-', '.'], "_"));
         let told = given.iter().rev().find(|(key, _)| *key == name).map(|(_, value)| value.clone());
-        let environment = || env::var(&variable).ok().filter(|_| matches!(set, Settings::Outer(_)));
+        let environment =
+            || env::var(&variable).ok().filter(|_| matches!(set, ArgumentSource::Outer(_)));
         let value = told.or_else(environment).or(default);
         if arguments.values.len() >= ARGUMENTS_MAX || arguments.values.contains_key(&name) {
             let at = [(element.place("name"), "again".to_owned())];

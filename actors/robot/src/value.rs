@@ -17,28 +17,28 @@ pub(crate) struct ValueError {
 }
 
 /// What a text means.
-pub(crate) type Value<T> = Result<T, ValueError>;
+pub(crate) type ParsedValue<T> = Result<T, ValueError>;
 
-fn wrong<T>(sentence: String, label: &str, help: impl Into<String>) -> Value<T> {
+fn wrong<T>(sentence: String, label: &str, help: impl Into<String>) -> ParsedValue<T> {
     Err(ValueError { sentence, label: label.to_owned(), help: help.into() })
 }
 
-pub(crate) fn text(text: &str) -> Value<String> {
+pub(crate) fn text(text: &str) -> ParsedValue<String> {
     Ok(text.to_owned())
 }
 
-pub(crate) fn words(text: &str) -> Value<Vec<String>> {
+pub(crate) fn words(text: &str) -> ParsedValue<Vec<String>> {
     Ok(text.split_whitespace().map(str::to_owned).collect())
 }
 
-pub(crate) fn node_name(text: &str) -> Value<String> {
+pub(crate) fn node_name(text: &str) -> ParsedValue<String> {
     match NodeName::new(text) {
         Ok(_) => Ok(text.to_owned()),
         Err(error) => wrong(error.to_string(), "a name", "write another name"),
     }
 }
 
-pub(crate) fn object_name(text: &str) -> Value<String> {
+pub(crate) fn object_name(text: &str) -> ParsedValue<String> {
     match ObjectName::new(text) {
         Ok(_) => Ok(text.to_owned()),
         Err(error) => wrong(error.to_string(), "a name", "write another name"),
@@ -46,7 +46,7 @@ pub(crate) fn object_name(text: &str) -> Value<String> {
 }
 
 /// One of several words.
-pub(crate) fn word<T: Clone>(what: &str, known: &[(&str, T)], text: &str) -> Value<T> {
+pub(crate) fn word<T: Clone>(what: &str, known: &[(&str, T)], text: &str) -> ParsedValue<T> {
     if let Some((_, meaning)) = known.iter().find(|(word, _)| *word == text) {
         return Ok(meaning.clone());
     }
@@ -59,12 +59,12 @@ pub(crate) fn word<T: Clone>(what: &str, known: &[(&str, T)], text: &str) -> Val
     wrong(format!("`{text}` is not {what}"), &format!("not {what}"), help)
 }
 
-pub(crate) fn flag(text: &str) -> Value<bool> {
+pub(crate) fn flag(text: &str) -> ParsedValue<bool> {
     word("true or false", &[("true", true), ("false", false)], text)
 }
 
 /// A whole number.
-pub(crate) fn count<T: TryFrom<u64>>(text: &str) -> Value<T> {
+pub(crate) fn count<T: TryFrom<u64>>(text: &str) -> ParsedValue<T> {
     let digits = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     match text.parse::<u64>().ok().filter(|_| digits).map(T::try_from) {
         Some(Ok(count)) => Ok(count),
@@ -76,7 +76,7 @@ pub(crate) fn count<T: TryFrom<u64>>(text: &str) -> Value<T> {
     }
 }
 
-pub(crate) fn number(text: &str) -> Value<f64> {
+pub(crate) fn number(text: &str) -> ParsedValue<f64> {
     match text.parse::<f64>() {
         Ok(number) if number.is_finite() => Ok(number),
         _ => wrong(format!("`{text}` is not a number"), "a number", "write a number"),
@@ -84,7 +84,7 @@ pub(crate) fn number(text: &str) -> Value<f64> {
 }
 
 /// A number and one of these units, each with its factor.
-fn with_unit(what: &str, units: &[(&str, f64)], text: &str) -> Value<f64> {
+fn with_unit(what: &str, units: &[(&str, f64)], text: &str) -> ParsedValue<f64> {
     let end = text.find(|c: char| !(c.is_ascii_digit() || c == '.')).unwrap_or(text.len());
     let (digits, unit) = text.split_at(end);
     let factor = units.iter().find(|(known, _)| *known == unit);
@@ -110,7 +110,7 @@ fn with_unit(what: &str, units: &[(&str, f64)], text: &str) -> Value<f64> {
     }
 }
 
-pub(crate) fn duration(text: &str) -> Value<Duration> {
+pub(crate) fn duration(text: &str) -> ParsedValue<Duration> {
     let units = [("ms", 1e-3), ("s", 1.0), ("us", 1e-6), ("ns", 1e-9), ("min", 60.0), ("h", 3.6e3)];
     let seconds = with_unit("a duration", &units, text)?;
     match Duration::try_from_secs_f64(seconds) {
@@ -121,7 +121,7 @@ pub(crate) fn duration(text: &str) -> Value<Duration> {
 }
 
 /// A duration, or `never`.
-pub(crate) fn limit(text: &str) -> Value<Duration> {
+pub(crate) fn limit(text: &str) -> ParsedValue<Duration> {
     match text {
         "never" => Ok(Duration::MAX),
         text => duration(text),
@@ -129,7 +129,7 @@ pub(crate) fn limit(text: &str) -> Value<Duration> {
 }
 
 /// A duration, or `hold`.
-pub(crate) fn command_timeout(text: &str) -> Value<CommandTimeout> {
+pub(crate) fn command_timeout(text: &str) -> ParsedValue<CommandTimeout> {
     match text {
         "hold" => Ok(CommandTimeout::Hold),
         text => duration(text).map(CommandTimeout::After).map_err(|error| {
@@ -139,12 +139,12 @@ pub(crate) fn command_timeout(text: &str) -> Value<CommandTimeout> {
     }
 }
 
-pub(crate) fn rate(text: &str) -> Value<f64> {
+pub(crate) fn rate(text: &str) -> ParsedValue<f64> {
     with_unit("a rate", &[("Hz", 1.0), ("kHz", 1e3)], text)
 }
 
 /// A kind of fault: its words with `-` between them, its code, or a code of the application's own.
-pub(crate) fn fault(text: &str) -> Value<FaultKind> {
+pub(crate) fn fault(text: &str) -> ParsedValue<FaultKind> {
     let known = FaultKind::BUILT_IN.iter().map(|kind| (fault_word(kind), kind));
     let known: Vec<_> = known.collect();
     let built_in = known.iter().find(|(word, kind)| word == text || kind.code() == text);
@@ -175,7 +175,7 @@ pub(crate) fn fault_word(kind: &FaultKind) -> String {
 }
 
 /// An action of a plan; `strategy` stands for one that the application has registered.
-pub(crate) fn action(text: &str) -> Value<Option<RecoveryAction>> {
+pub(crate) fn action(text: &str) -> ParsedValue<Option<RecoveryAction>> {
     let actions = [
         ("observe", Some(RecoveryAction::Observe)),
         ("reset", Some(RecoveryAction::Reset)),
@@ -190,7 +190,7 @@ pub(crate) fn action(text: &str) -> Value<Option<RecoveryAction>> {
 }
 
 /// The numbers of `00..33`, each as wide as the first is written.
-pub(crate) fn copies(text: &str) -> Value<Vec<String>> {
+pub(crate) fn copies(text: &str) -> ParsedValue<Vec<String>> {
     let numbers = text.split_once("..").and_then(|(first, last)| {
         let digits = |part: &str| part.len() <= 4 && part.bytes().all(|byte| byte.is_ascii_digit());
         let parsed = (first.parse::<usize>().ok()?, last.parse::<usize>().ok()?);
