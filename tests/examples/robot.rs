@@ -37,6 +37,8 @@ impl Component for Counter {
 struct DisplayParameters {
     /// The process ends at this count; 0 for never.
     dies_at: u32,
+    /// A file that it writes when it ends in order.
+    ends_in: String,
 }
 
 /// Prints what it hears.
@@ -58,6 +60,10 @@ impl Component for Display {
     }
 
     async fn on_finalize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let file = cx.parameters::<DisplayParameters>()?.ends_in;
+        if !file.is_empty() {
+            std::fs::write(file, "it has ended")?;
+        }
         println!("{} ends", cx.name());
         Ok(())
     }
