@@ -46,7 +46,7 @@ use std::future::Future;
 /// keeps the others waiting. Names and meaning of the hooks are those of the OMG Robotic Technology
 /// Component specification.
 pub trait Component: Sized + 'static {
-    /// Declares what the component takes: requests, events, topics.
+    /// Declares what the component takes, such as requests, events and topics, and its out ports.
     fn ports(ports: &mut Ports<Self>) {
         let _ = ports;
     }

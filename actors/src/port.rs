@@ -1,13 +1,12 @@
 //! The out ports of a component: where it publishes, commands and asks without knowing whom.
 
-use self::handle::PortHandle;
 use crate::actuator::{Commander, commander};
 use crate::component::Component;
 use crate::component::context::Context;
 use crate::component::ports::Ports;
 use crate::messaging::sender::Sender;
 use crate::registry::lookup::CurrentSender;
-use crate::registry::ports::OutEnd;
+use crate::registry::ports::PortReceiver;
 use crate::topic::Publisher;
 use blastema_core::port::{ConnectError, ConnectionRole, PortAddress};
 use blastema_core::{Contract, ContractIdentity, DeliveryError, Event, ObjectName};
@@ -16,34 +15,28 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 /// What a component uses an out port by: a [`Publisher`], a [`Commander`] or a [`Sender`].
-pub trait OutPort: PortHandle {}
+pub trait OutPort: Clone + 'static {
+    /// What the ports of such handles do.
+    #[doc(hidden)]
+    const ROLE: ConnectionRole;
+    /// What passes through.
+    #[doc(hidden)]
+    type Message: Contract;
 
-impl<H: PortHandle> OutPort for H {}
-
-mod handle {
-    use crate::component::Component;
-    use crate::component::context::Context;
-    use blastema_core::port::{ConnectionRole, PortAddress};
-    use blastema_core::{Contract, DeliveryError};
-
-    pub trait PortHandle: Clone + 'static {
-        /// What the ports of such handles do.
-        const ROLE: ConnectionRole;
-        type Message: Contract;
-
-        fn open<C: Component>(
-            cx: &mut Context<C>,
-            port: PortAddress,
-        ) -> Result<Self, DeliveryError>;
-    }
+    /// The handle of a port that was checked.
+    #[doc(hidden)]
+    fn open<C: Component>(cx: &mut Context<C>, port: PortAddress) -> Result<Self, DeliveryError>;
 }
 
 fn sender<C: Component, M: Contract>(cx: &Context<C>, port: PortAddress) -> Sender<M> {
     let registry = cx.cell.record.environment.registry.clone();
-    Sender(Arc::new(CurrentSender::new(OutEnd { registry: registry.clone(), port }, registry)))
+    Sender(Arc::new(CurrentSender::new(
+        PortReceiver { registry: registry.clone(), port },
+        registry,
+    )))
 }
 
-impl<E: Event> PortHandle for Publisher<E> {
+impl<E: Event> OutPort for Publisher<E> {
     const ROLE: ConnectionRole = ConnectionRole::Publishes;
     type Message = E;
 
@@ -53,7 +46,7 @@ impl<E: Event> PortHandle for Publisher<E> {
     }
 }
 
-impl<M: Contract> PortHandle for Commander<M> {
+impl<M: Contract> OutPort for Commander<M> {
     const ROLE: ConnectionRole = ConnectionRole::Commands;
     type Message = M;
 
@@ -66,7 +59,7 @@ impl<M: Contract> PortHandle for Commander<M> {
     }
 }
 
-impl<M: Contract> PortHandle for Sender<M> {
+impl<M: Contract> OutPort for Sender<M> {
     const ROLE: ConnectionRole = ConnectionRole::Asks;
     type Message = M;
 

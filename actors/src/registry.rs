@@ -25,7 +25,7 @@ use blastema_core::{
     MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, suggestion,
 };
 use bytes::Bytes;
-use ports::Wiring;
+use ports::{Connections, DeclaredPort};
 #[cfg(feature = "network")]
 use remote::RemoteNames;
 use std::any::{Any, type_name};
@@ -33,7 +33,6 @@ use std::future::Future;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
-use tokio::sync::watch;
 
 /// Gets the encoded reply, or the reason why there is none. Called once, on any thread.
 pub(crate) type ReplyTo = Box<dyn FnOnce(Result<GatherBuffer, DeliveryError>) + Send>;
@@ -151,7 +150,8 @@ pub struct NameTaken {
 struct Entry {
     ports: SortedMap<&'static str, ContractPort>,
     watchable: Arc<dyn Watchable>,
-    wiring: Wiring,
+    /// What can be connected.
+    declared: Box<[DeclaredPort]>,
 }
 
 impl Entry {
@@ -179,8 +179,7 @@ struct Inner {
     reserved: SortedMap<ObjectName, &'static str>,
     /// Rises whenever a name is given or taken away.
     revision: u64,
-    /// Rises whenever a port is connected or disconnected.
-    reconnected: watch::Sender<u64>,
+    connections: Connections,
     node: Option<NodeName>,
     /// The node was shut down.
     is_shut_down: bool,
@@ -277,7 +276,7 @@ impl Registry {
         if let Some(by) = known.or_else(|| inner.reserved.get(name).copied()) {
             return Err(NameTaken { name: name.clone(), by });
         }
-        inner.objects.insert(name.clone(), Entry { ports, watchable, wiring: Wiring::default() });
+        inner.objects.insert(name.clone(), Entry { ports, watchable, declared: Box::default() });
         inner.revision += 1;
         Ok(())
     }
@@ -308,6 +307,7 @@ impl Registry {
     pub(crate) fn unregister(&self, name: &ObjectName) {
         let mut inner = self.lock();
         let released = inner.objects.remove(name);
+        inner.connections.remove(name);
         inner.revision += 1;
         drop(inner);
         drop(released);

@@ -297,7 +297,8 @@ macro_rules! whole_numbers {
             }
 
             fn value(&self) -> ParameterValue {
-                i64::try_from(*self).map_or(ParameterValue::Float(*self as f64), ParameterValue::Integer)
+                let whole = i64::try_from(*self).map(ParameterValue::Integer);
+                whole.unwrap_or(ParameterValue::Float(*self as f64))
             }
         }
     )*};

@@ -260,16 +260,12 @@ pub enum ConnectError {
     /// A part of an address is no name.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// There is no such component on this node.
-    #[error("there is no component `{name}` on this node{}", meant(.nearest.as_ref()))]
-    NoComponent {
-        /// The name that was given.
-        name: ObjectName,
-        /// The name that may have been meant.
-        nearest: Option<String>,
-    },
     /// The component has no such port in this direction.
-    #[error("{component} {verb} no port `{port}`{}: {}", meant(.nearest.as_ref()), listed(.verb, .declared))]
+    #[error(
+        "{component} {verb} no port `{port}`: {}{}",
+        listed(.verb, .declared),
+        meant(.nearest.as_ref())
+    )]
     NoPort {
         /// The component.
         component: String,
@@ -298,8 +294,7 @@ pub enum ConnectError {
     Differ(Difference),
     /// The handle is for a port that does something else.
     #[error(
-        "{port} {declared} `{contract}`, and is used as one that {wanted} `{with}`: take it as \
-         `{}<_>`, with the type of `{contract}`",
+        "{port} {declared} what it sends, and is not one that {wanted}: take it as `{}<…>`",
         handle(*.declared)
     )]
     Handle {
@@ -307,26 +302,20 @@ pub enum ConnectError {
         port: PortAddress,
         /// What it does.
         declared: ConnectionRole,
-        /// Its contract.
-        contract: String,
         /// What the handle does.
         wanted: ConnectionRole,
-        /// The contract of the handle.
-        with: String,
     },
-    /// Another node makes this connection.
-    #[error("{what}: connect them on node {node}")]
+    /// Another node makes this connection: that of the end that listens, commands or asks.
+    #[error(
+        "the end that listens, commands or asks is on {}: connect them there",
+        of(.node.as_ref())
+    )]
     Elsewhere {
-        /// Why it cannot be made here.
-        what: &'static str,
-        /// The node that makes it.
-        node: NodeName,
+        /// The node.
+        node: Option<NodeName>,
     },
-    /// The two ports are connected.
-    #[error("they are connected already")]
-    Twice,
-    /// The out port is connected, and leads to one port at a time.
-    #[error("the port is connected to {to}, and leads to one port at a time: disconnect it first")]
+    /// The two ports are connected; or the out port, which leads to one port at a time, is.
+    #[error("the port is connected to {to}: disconnect it first")]
     Taken {
         /// What it is connected to.
         to: PortAddress,
@@ -334,15 +323,13 @@ pub enum ConnectError {
     /// The two ports are not connected.
     #[error("they are not connected")]
     NotConnected,
-    /// The component has as many connections as a component may have.
-    #[error("{component} has {limit} connections, and no component has more")]
+    /// The node makes as many connections as a node may.
+    #[error("this node makes {limit} connections, and no node makes more")]
     TooMany {
-        /// The component.
-        component: ObjectName,
         /// The limit.
         limit: usize,
     },
-    /// What the connection, or the port, leads to refuses it.
+    /// There is no such component, or what the port leads to refuses it.
     #[error("{0}")]
     Refused(DeliveryError),
 }
@@ -374,6 +361,10 @@ fn listed(verb: &str, declared: &[String]) -> String {
         ([], _) => "it declares none".into(),
         (declared, verb) => format!("it {verb} `{}`", declared.join("`, `")),
     }
+}
+
+fn of(node: Option<&NodeName>) -> String {
+    node.map_or("another node".to_owned(), |node| format!("node {node}"))
 }
 
 fn fitting(from: ConnectionRole) -> String {
@@ -467,7 +458,7 @@ mod tests {
         assert_eq!(planner.port(&at("planner#stop"), false).map(|port| port.role), Ok(Serves));
         assert_eq!(
             missing("base:planner#scna", false),
-            "base:planner takes no port `scna`; did you mean `scan`?: it takes `scan`, `stop`"
+            "base:planner takes no port `scna`: it takes `scan`, `stop`; did you mean `scan`?"
         );
         assert!(
             missing("planner#path", true).contains("planner gives no port `path`: it declares")

@@ -233,6 +233,9 @@ impl RobotReader<'_> {
     }
 }
 
+/// Whether a text is a value of a type of arguments.
+type CheckValue = fn(&str) -> ParsedValue<()>;
+
 /// The arguments of a file with their values.
 fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValues {
     let mut arguments = ArgumentValues::default();
@@ -241,7 +244,7 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
     };
     for element in root.children(&["argument"]) {
         let Some(name) = element.need("name", value::node_name) else { continue };
-        let kinds: [(&str, fn(&str) -> ParsedValue<()>); 5] = [
+        let kinds: [(&str, CheckValue); 5] = [
             ("text", |_| Ok(())),
             ("count", |text| value::count::<u64>(text).map(drop)),
             ("number", |text| value::number(text).map(drop)),
@@ -604,7 +607,7 @@ fn opened_at(text: &str, name: &str) -> Option<usize> {
             tag.strip_prefix(name).is_some_and(|rest| rest.starts_with([' ', '\n', '\t', '/', '>']))
         };
         let end = tag.find('>').map_or(tag, |end| &tag[..end]);
-        if tag.strip_prefix('/').is_some_and(|tag| is_name(tag)) {
+        if tag.strip_prefix('/').is_some_and(is_name) {
             open.pop();
         } else if is_name(tag) && !end.ends_with('/') {
             open.push(at);

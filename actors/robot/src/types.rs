@@ -39,13 +39,18 @@ use std::sync::Arc;
 pub struct Types {
     components: BTreeMap<String, RegisteredComponent>,
     strategies: BTreeMap<String, Box<dyn Fn(NodeBuilder) -> NodeBuilder>>,
-    safe_outputs: BTreeMap<String, Arc<dyn Fn(&Fault) + Send + Sync>>,
+    safe_outputs: BTreeMap<String, SafeOutputsFn>,
     /// The names that were registered twice.
     pub(crate) twice: Vec<String>,
 }
 
+/// Sets the outputs of a node to their safe values.
+type SafeOutputsFn = Arc<dyn Fn(&Fault) + Send + Sync>;
+/// Adds a component with the settings of its description.
+type AddComponent = Box<dyn Fn(SupervisorSpec, &ComponentDescription) -> SupervisorSpec>;
+
 struct RegisteredComponent {
-    add: Box<dyn Fn(SupervisorSpec, &ComponentDescription) -> SupervisorSpec>,
+    add: AddComponent,
     description: Result<TypeDescription, String>,
 }
 

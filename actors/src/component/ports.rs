@@ -185,8 +185,8 @@ impl<C: Component> Ports<C> {
     }
 }
 
-/// Describes a type of components: its parameters and its ports. Nothing is started, and no instance
-/// is made.
+/// Describes a type of components: its parameters and its ports. Nothing is started, and no
+/// instance is made.
 ///
 /// # Errors
 /// Its [`Component::ports`] panics: where, and the panic's text.

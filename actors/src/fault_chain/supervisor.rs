@@ -414,9 +414,9 @@ impl Handler<ChildReport> for SupervisorActor {
                 machine.handle_start_failed(&object, incarnation, reason, now);
             }
             ChildEvent::Stopped => machine.handle_stopped(&object, incarnation, now),
-            ChildEvent::Reset => machine.handle_reset_done(&object, incarnation, Ok(())),
+            ChildEvent::Reset => machine.handle_reset_done(&object, incarnation, Ok(()), now),
             ChildEvent::ResetFailed { reason } => {
-                machine.handle_reset_done(&object, incarnation, Err(reason));
+                machine.handle_reset_done(&object, incarnation, Err(reason), now);
             }
             ChildEvent::Died { exit, restarted_as } => {
                 machine.handle_died(&object, incarnation, in_order(&exit), restarted_as, now);

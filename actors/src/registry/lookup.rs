@@ -1,4 +1,4 @@
-//! What stands behind a `Sender` whose receiver may change: sends to the one at the time of sending.
+//! What stands behind a `Sender` whose receiver may change: sends to the present one.
 
 use crate::messaging::error::{RequestError, SendError};
 use crate::messaging::reply::ReplyFuture;

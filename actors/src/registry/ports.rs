@@ -1,20 +1,21 @@
 //! The ports of this node's components, and what they are connected to.
 //!
-//! A connection stands at the end that makes it, so that it outlives the incarnations of both ends
-//! and goes with its component. At a listener it is a subscription; at an out port it is where the
-//! port's sender leads.
+//! A connection stands on the node of the end that makes it, so that it outlives the incarnations
+//! of both ends. For a listener it is a subscription; for an out port that commands or asks it is
+//! where the port's sender leads.
 
-use super::Registry;
 use super::lookup::CurrentReceiver;
+use super::{Inner, Registry};
 use blastema_core::port::{
     ConnectError, ConnectionRole, PortAddress, PortConnection, PortDescription, check_connection,
 };
-use blastema_core::{ContractIdentity, DeliveryError, NameError, ObjectName, suggestion};
+use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::{ContractIdentity, DeliveryError, NameError, ObjectName};
 use std::borrow::Cow;
 use tokio::sync::watch;
 
-/// The most connections of one component: each is looked through where a message is sent.
-const CONNECTIONS_MAX: usize = 256;
+/// The most connections that one node makes: some for each of several thousand components.
+const CONNECTION_LIMIT: usize = 16_384;
 
 /// A port as its component declares it.
 #[derive(Clone, Debug)]
@@ -31,136 +32,57 @@ impl DeclaredPort {
     }
 }
 
-/// The ports of one component.
+/// The connections that this node makes.
 #[derive(Default)]
-pub(super) struct Wiring {
-    declared: Box<[DeclaredPort]>,
-    /// By the places of its own ports: the other ends of the connections that it makes.
-    connections: Vec<(usize, PortAddress)>,
+pub(super) struct Connections {
+    /// Those of listeners.
+    listening: SortedSet<PortConnection>,
+    /// Where out ports that command or ask lead.
+    leading: SortedMap<PortAddress, PortAddress>,
+    /// Rises whenever a port is connected or disconnected.
+    changes: watch::Sender<u64>,
 }
 
-impl Wiring {
-    fn place(&self, address: &PortAddress, is_out: bool) -> Result<usize, ConnectError> {
-        let mut ports = self.declared.iter();
-        let is_meant = |port: &DeclaredPort| port.role.is_out() == is_out;
-        let found = ports.position(|port| is_meant(port) && port.name == address.port.as_str());
-        let ports = self.declared.iter().filter(|port| is_meant(port));
-        let declared = || ports.map(|port| port.name.to_string()).collect();
-        found.ok_or_else(|| ConnectError::no_port(address, is_out, declared()))
+impl Connections {
+    /// Forgets the connections that this component made.
+    pub(super) fn remove(&mut self, component: &ObjectName) {
+        self.listening.retain(|known| known.to.object != *component);
+        self.leading.retain(|from, _| from.object != *component);
     }
 }
 
-/// One connection at the end that makes it.
-struct MadeConnection {
-    object: ObjectName,
-    place: usize,
-    other: PortAddress,
-    /// At a listener: which of its subscriptions it is like, and the topic.
-    listens: Option<(usize, ObjectName)>,
-}
-
-impl super::Inner {
-    fn wiring(&self, component: &ObjectName) -> Result<&Wiring, ConnectError> {
-        let known = self.objects.get(component).map(|entry| &entry.wiring);
-        known.ok_or_else(|| {
-            let names = self.objects.keys().map(ObjectName::as_str);
-            let nearest = suggestion::nearest(component.as_str(), names).map(str::to_owned);
-            ConnectError::NoComponent { name: component.clone(), nearest }
-        })
-    }
-
+impl Inner {
     /// The port at one end of a connection; `None` on another node.
-    fn end(
+    fn port(
         &self,
         address: &PortAddress,
         is_out: bool,
-    ) -> Result<Option<(usize, &DeclaredPort)>, ConnectError> {
+    ) -> Result<Option<&DeclaredPort>, ConnectError> {
         if address.node.is_some() {
             return Ok(None);
         }
-        let wiring = self.wiring(&address.object)?;
-        let place = wiring.place(address, is_out)?;
-        Ok(Some((place, &wiring.declared[place])))
+        let unknown = || ConnectError::Refused(self.misspelt(address.object.as_str()));
+        let entry = self.objects.get(&address.object).ok_or_else(unknown)?;
+        let mut ports = entry.declared.iter().filter(|port| port.role.is_out() == is_out);
+        let declared = ports.clone().map(|port| port.name.to_string());
+        let found = ports.find(|port| port.name == address.port.as_str());
+        found.map(Some).ok_or_else(|| ConnectError::no_port(address, is_out, declared.collect()))
     }
 
-    /// Which end makes this connection, after it was compared with the other where both are here.
-    fn made(&self, connection: &PortConnection) -> Result<MadeConnection, ConnectError> {
+    /// Checks that this node can make the connection. Returns whether it is a listener's.
+    fn check_ends(&self, connection: &PortConnection) -> Result<bool, ConnectError> {
         let PortConnection { from, to } = connection;
-        let elsewhere = |what, address: &PortAddress| ConnectError::Elsewhere {
-            what,
-            node: address.node.clone().expect("an end that is not here names its node"),
-        };
-        let (here, place, other) = match (self.end(from, true)?, self.end(to, false)?) {
-            (Some((sends, given)), Some((takes, taken))) => {
+        let of_other = match (self.port(from, true)?, self.port(to, false)?) {
+            (Some(given), Some(taken)) => {
                 check_connection(&given.describe(), &taken.describe())?;
-                if given.role.connects() { (from, sends, to) } else { (to, takes, from) }
+                return Ok(taken.role.connects());
             }
-            (Some((sends, given)), None) if given.role.connects() => (from, sends, to),
-            (None, Some((takes, taken))) if taken.role.connects() => (to, takes, from),
-            (Some(_), None) => {
-                return Err(elsewhere("the listener's node makes the connection", to));
-            }
-            (None, Some(_)) => {
-                return Err(elsewhere("the node that sends makes the connection", from));
-            }
-            (None, None) => return Err(elsewhere("neither port is on this node", to)),
+            (Some(given), None) if given.role.connects() => return Ok(false),
+            (None, Some(taken)) if taken.role.connects() => return Ok(true),
+            (None, Some(_)) => &from.node,
+            (_, None) => &to.node,
         };
-        self.made_at(here, place, other)
-    }
-
-    fn made_at(
-        &self,
-        here: &PortAddress,
-        place: usize,
-        other: &PortAddress,
-    ) -> Result<MadeConnection, ConnectError> {
-        let declared = &self.wiring(&here.object)?.declared;
-        let is_listener = |port: &&DeclaredPort| port.role == ConnectionRole::Listens;
-        let listens = match declared[place].role {
-            ConnectionRole::Listens => {
-                let before = declared[..place].iter().filter(is_listener).count();
-                Some((before, other.topic(self.node.as_ref())?))
-            }
-            _ => None,
-        };
-        Ok(MadeConnection { object: here.object.clone(), place, other: other.clone(), listens })
-    }
-
-    /// Forgets a connection, whether or not the other end is still there.
-    fn forget(&mut self, connection: &PortConnection) -> Result<MadeConnection, ConnectError> {
-        let PortConnection { from, to } = connection;
-        for (own, is_out, other) in [(from, true, to), (to, false, from)] {
-            let Ok(Some((place, _))) = self.end(own, is_out) else { continue };
-            let Some(entry) = self.objects.get_mut(&own.object) else { continue };
-            let connections = &mut entry.wiring.connections;
-            let is_this = |known: &(usize, PortAddress)| known.0 == place && known.1 == *other;
-            if let Some(found) = connections.iter().position(is_this) {
-                connections.remove(found);
-                return self.made_at(own, place, other);
-            }
-        }
-        self.made(connection)?;
-        Err(ConnectError::NotConnected)
-    }
-
-    /// Notes a connection, unless there is one already that stands in its way.
-    fn add(&mut self, made: &MadeConnection) -> Result<(), ConnectError> {
-        let entry = self.objects.get_mut(&made.object).expect("its port was found");
-        let connections = &mut entry.wiring.connections;
-        let present = (made.place, made.other.clone());
-        if connections.contains(&present) {
-            return Err(ConnectError::Twice);
-        }
-        let first = connections.iter().find(|(place, _)| *place == made.place);
-        if let (None, Some((_, to))) = (&made.listens, first) {
-            return Err(ConnectError::Taken { to: to.clone() });
-        }
-        if connections.len() == CONNECTIONS_MAX {
-            let (component, limit) = (made.object.clone(), CONNECTIONS_MAX);
-            return Err(ConnectError::TooMany { component, limit });
-        }
-        connections.push(present);
-        Ok(())
+        Err(ConnectError::Elsewhere { node: of_other.clone() })
     }
 }
 
@@ -182,36 +104,31 @@ impl Registry {
             address.topic(inner.node.as_ref()).map_err(of_port)?;
         }
         if let Some(entry) = inner.objects.get_mut(component) {
-            entry.wiring.declared = ports.into();
+            entry.declared = ports.into();
         }
         Ok(())
     }
 
-    /// Checks that the component has this out port.
+    /// Checks that a component of this node has this out port.
     pub(crate) fn check_port(
         &self,
-        address: &PortAddress,
+        port: &PortAddress,
         wanted: ConnectionRole,
         with: &ContractIdentity,
     ) -> Result<(), ConnectError> {
         let inner = self.lock();
-        let wiring = inner.wiring(&address.object)?;
-        let DeclaredPort { role, identity, .. } = &wiring.declared[wiring.place(address, true)?];
-        if *role != wanted || identity.name != with.name {
-            return Err(ConnectError::Handle {
-                port: address.clone(),
-                declared: *role,
-                contract: identity.name.to_owned(),
-                wanted,
-                with: with.name.to_owned(),
-            });
+        let Some(DeclaredPort { role, identity, .. }) = inner.port(port, true)? else {
+            return Ok(());
+        };
+        if *role != wanted {
+            return Err(ConnectError::Handle { port: port.clone(), declared: *role, wanted });
         }
         identity.check(&with.full()).map_err(ConnectError::Differ)
     }
 
-    /// The topic of a component's out port.
-    pub(crate) fn port_topic(&self, address: &PortAddress) -> Result<ObjectName, DeliveryError> {
-        let topic = address.topic(self.lock().node.as_ref());
+    /// The topic of an out port.
+    pub(crate) fn port_topic(&self, port: &PortAddress) -> Result<ObjectName, DeliveryError> {
+        let topic = port.topic(self.lock().node.as_ref());
         topic.map_err(|error| DeliveryError::InvalidName { reason: error.to_string() })
     }
 
@@ -225,76 +142,95 @@ impl Registry {
     /// Connects two ports.
     pub(crate) fn connect_ports(&self, from: &str, to: &str) -> Result<(), ConnectError> {
         let connection = self.parsed(from, to)?;
+        let PortConnection { from, to } = &connection;
         let mut inner = self.lock();
-        let made = inner.made(&connection)?;
-        inner.add(&made)?;
-        let Some((like, topic)) = &made.listens else {
-            inner.reconnected.send_modify(|times| *times += 1);
+        let is_listeners = inner.check_ends(&connection)?;
+        let Connections { listening, leading, changes } = &mut inner.connections;
+        if listening.len() + leading.len() >= CONNECTION_LIMIT {
+            return Err(ConnectError::TooMany { limit: CONNECTION_LIMIT });
+        }
+        let first = leading.get(from).or(listening.get(&connection).map(|known| &known.to));
+        if let Some(to) = first {
+            return Err(ConnectError::Taken { to: to.clone() });
+        }
+        changes.send_modify(|times| *times += 1);
+        if !is_listeners {
+            leading.insert(from.clone(), to.clone());
             return Ok(());
-        };
-        let listener = inner.objects.get(&made.object).map(|entry| entry.watchable.clone());
+        }
+        listening.insert(connection.clone());
+        let Some(entry) = inner.objects.get(&to.object) else { return Ok(()) };
+        let mut ports = entry.declared.iter().filter(|port| port.role == ConnectionRole::Listens);
+        let like = ports.position(|port| port.name == to.port.as_str()).unwrap_or_default();
+        let listener = entry.watchable.clone();
         drop(inner);
-        // It may have been removed meanwhile.
-        let listening = listener.map_or(Ok(()), |listener| listener.listen(*like, topic));
-        listening.map_err(|why| {
-            let _ = self.lock().forget(&connection);
-            ConnectError::Refused(why)
-        })
-    }
-
-    /// Disconnects two ports.
-    pub(crate) fn disconnect_ports(&self, from: &str, to: &str) -> Result<(), ConnectError> {
-        let connection = self.parsed(from, to)?;
+        let topic = self.port_topic(from);
+        let listening =
+            topic.and_then(|topic| listener.clone().listen(like, &topic).map(|()| topic));
         let mut inner = self.lock();
-        let made = inner.forget(&connection)?;
-        inner.reconnected.send_modify(|times| *times += 1);
-        let listener = inner.objects.get(&made.object).map(|entry| entry.watchable.clone());
-        drop(inner);
-        if let (Some((_, topic)), Some(listener)) = (&made.listens, listener) {
-            listener.stop_listening(topic);
+        match listening {
+            // It was disconnected, or the component removed, meanwhile.
+            Ok(topic) if !inner.connections.listening.contains(&connection) => {
+                drop(inner);
+                listener.stop_listening(&topic);
+            }
+            Ok(_) => {}
+            Err(why) => {
+                inner.connections.listening.remove(&connection);
+                return Err(ConnectError::Refused(why));
+            }
         }
         Ok(())
     }
 
-    /// The connections that this node makes, in the order of their components.
+    /// Disconnects two ports, whether or not the other end is still there.
+    pub(crate) fn disconnect_ports(&self, from: &str, to: &str) -> Result<(), ConnectError> {
+        let connection = self.parsed(from, to)?;
+        let PortConnection { from, to } = &connection;
+        let mut inner = self.lock();
+        let Connections { listening, leading, changes } = &mut inner.connections;
+        let is_listeners = listening.remove(&connection);
+        if leading.get(from) == Some(to) {
+            leading.remove(from);
+        } else if !is_listeners {
+            inner.check_ends(&connection)?;
+            return Err(ConnectError::NotConnected);
+        }
+        changes.send_modify(|times| *times += 1);
+        let listener = inner.objects.get(&to.object).map(|entry| entry.watchable.clone());
+        drop(inner);
+        if let (true, Some(listener), Ok(topic)) = (is_listeners, listener, self.port_topic(from)) {
+            listener.stop_listening(&topic);
+        }
+        Ok(())
+    }
+
+    /// The connections that this node makes: those of listeners, then those of out ports.
     pub(crate) fn connections(&self) -> Vec<PortConnection> {
         let inner = self.lock();
-        let mut connections = Vec::new();
-        for (object, entry) in &inner.objects {
-            for (place, other) in &entry.wiring.connections {
-                let DeclaredPort { name, role, .. } = &entry.wiring.declared[*place];
-                let port = ObjectName::new(name).expect("it was parsed when it was connected");
-                let own = PortAddress { node: None, object: object.clone(), port };
-                let other = other.clone();
-                connections.push(match role.is_out() {
-                    true => PortConnection { from: own, to: other },
-                    false => PortConnection { from: other, to: own },
-                });
-            }
-        }
-        connections
+        let Connections { listening, leading, .. } = &inner.connections;
+        let leading = leading.iter().map(|(from, to)| (from.clone(), to.clone()));
+        let leading = leading.map(|(from, to)| PortConnection { from, to });
+        listening.iter().cloned().chain(leading).collect()
     }
 }
 
 /// An out port of a component of this node, as a way to what it is connected to.
-pub(crate) struct OutEnd {
+pub(crate) struct PortReceiver {
     pub(crate) registry: Registry,
     pub(crate) port: PortAddress,
 }
 
-impl CurrentReceiver for OutEnd {
+impl CurrentReceiver for PortReceiver {
     fn current(&self) -> Result<(String, u64), DeliveryError> {
-        let unconnected = || DeliveryError::Unconnected { port: self.port.to_string() };
         let inner = self.registry.lock();
-        let wiring = inner.wiring(&self.port.object).map_err(|_| unconnected())?;
-        let place = wiring.place(&self.port, true).map_err(|_| unconnected())?;
-        let connected = wiring.connections.iter().find(|(own, _)| *own == place);
-        let (_, to) = connected.ok_or_else(unconnected)?;
+        let unconnected = || DeliveryError::Unconnected { port: self.port.to_string() };
+        let to = inner.connections.leading.get(&self.port).ok_or_else(unconnected)?;
         // A component that was removed and added again has another queue.
         Ok((to.component(), inner.revision))
     }
 
     fn changes(&self) -> watch::Receiver<u64> {
-        self.registry.lock().reconnected.subscribe()
+        self.registry.lock().connections.changes.subscribe()
     }
 }

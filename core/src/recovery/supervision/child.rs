@@ -58,11 +58,11 @@ pub enum ChildState {
     Running,
     /// Something that it needs, such as its device, is not there yet: it tries again by itself.
     Unavailable,
-    /// The child was ordered to reset itself.
+    /// The child was ordered to reset itself, or will be when it is its turn.
     Resetting,
     /// The child was ordered to stop.
     Stopping,
-    /// The incarnation has ended, and the recoverer has not decided yet.
+    /// The incarnation has ended, or could not be reset, and the recoverer has not decided yet.
     Failed,
     /// The child was put into the safe state.
     Resting,
@@ -101,6 +101,10 @@ pub(super) enum ChildPhase {
     Running,
     /// It waits for something that is not there yet, for as long as that takes.
     Unavailable,
+    /// It is in error, and is to be reset when it is its turn in the order of its group.
+    AwaitsReset {
+        call: CallId,
+    },
     Resetting {
         due: Instant,
         call: CallId,
@@ -126,7 +130,8 @@ pub(super) struct SupervisedChild {
     pub(super) incarnation: Incarnation,
     pub(super) state: ChildPhase,
     pub(super) goal: ChildTarget,
-    /// Its incarnation ended for this reason, and the recoverer has not decided yet.
+    /// Its incarnation ended, or could not be reset while its group waits, for this reason, and the
+    /// recoverer has not decided yet.
     pub(super) failed: Option<String>,
     /// Its present or last incarnation has come to work, or waits for what is not there yet.
     pub(super) worked: bool,
@@ -179,7 +184,10 @@ impl SupervisedChild {
             | ChildPhase::Failing { due }
             | ChildPhase::Resetting { due, .. }
             | ChildPhase::Stopping { due } => Some(due),
-            ChildPhase::Down | ChildPhase::Running | ChildPhase::Unavailable => None,
+            ChildPhase::Down
+            | ChildPhase::Running
+            | ChildPhase::Unavailable
+            | ChildPhase::AwaitsReset { .. } => None,
         }
     }
 
@@ -195,9 +203,10 @@ impl SupervisedChild {
     pub(super) fn status(&self) -> ChildStatus {
         let state = match self.state {
             ChildPhase::Starting { .. } | ChildPhase::Failing { .. } => ChildState::Starting,
+            ChildPhase::Running if self.failed.is_some() => ChildState::Failed,
             ChildPhase::Running => ChildState::Running,
             ChildPhase::Unavailable => ChildState::Unavailable,
-            ChildPhase::Resetting { .. } => ChildState::Resetting,
+            ChildPhase::AwaitsReset { .. } | ChildPhase::Resetting { .. } => ChildState::Resetting,
             ChildPhase::Stopping { .. } => ChildState::Stopping,
             ChildPhase::Down => match self.goal {
                 ChildTarget::Run if self.failed.is_some() => ChildState::Failed,

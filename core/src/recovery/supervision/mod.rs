@@ -302,18 +302,29 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// A reset is wanted.
+    /// A reset of a child in error is wanted: the restart of those that keep their instance. It is
+    /// counted as one, and in a group the others end and start again around it.
     pub fn handle_reset(&mut self, name: &ObjectName, call: CallId, now: Instant) {
         let Some(&key) = self.index.get(name) else {
             return self.answer_gave_up(call, name.clone(), GiveUpReason::Unknown);
         };
         let child = self.kept(key);
-        let (name, due) = (child.name.clone(), now + child.rules.ready_within);
+        let name = child.name.clone();
         if child.state != ChildPhase::Running || self.going.contains(&key) {
             return self.answer_gave_up(call, name, GiveUpReason::NoIncarnation);
         }
-        self.set_state(key, ChildPhase::Resetting { due, call });
-        self.outputs.push_back(SupervisorOutput::Reset { child: name });
+        if self.at_work() && !self.count_restart(key, ReplacementCause::Faulty, now) {
+            let reason = self.excess_of(key, ReplacementCause::Faulty);
+            self.answer_gave_up(call, name, GiveUpReason::IntensityExceeded { reason });
+            return self.advance(now);
+        }
+        self.set_state(key, ChildPhase::AwaitsReset { call });
+        match self.rules.strategy {
+            Strategy::OneForAll if self.at_work() => self.renew_from(0),
+            Strategy::RestForOne if self.at_work() => self.renew_from(key),
+            _ => self.reset(key, now),
+        }
+        self.advance(now);
     }
 
     /// The child is to be cut off, or let in again. For a fault of the incarnation `faulty`, one
@@ -405,7 +416,10 @@ impl Supervisor {
         let child = self.kept(key);
         let name = child.name.clone();
         match child.state {
-            ChildPhase::Down | ChildPhase::Failing { .. } | ChildPhase::Stopping { .. } => return,
+            ChildPhase::Down
+            | ChildPhase::Failing { .. }
+            | ChildPhase::Stopping { .. }
+            | ChildPhase::AwaitsReset { .. } => return,
             ChildPhase::Resetting { call, .. } => {
                 // It has taken its recovery into its own hands.
                 self.set_state(key, ChildPhase::Running);
@@ -474,22 +488,21 @@ impl Supervisor {
         name: &ObjectName,
         incarnation: Incarnation,
         outcome: Result<(), String>,
+        now: Instant,
     ) {
         let Some(key) = self.present(name, incarnation) else { return };
-        let child = self.kept(key);
-        let ChildPhase::Resetting { call, .. } = child.state else { return };
-        let (child, incarnation) = (child.name.clone(), child.incarnation);
-        self.set_state(key, ChildPhase::Running);
+        let ChildPhase::Resetting { call, .. } = self.kept(key).state else { return };
         match outcome {
-            Ok(()) => self.outputs.push_back(SupervisorOutput::Recovered {
-                call,
-                child,
-                incarnation: Some(incarnation),
-            }),
-            Err(reason) => {
-                self.answer_gave_up(call, child, GiveUpReason::ResetFailed { reason });
+            Ok(()) => {
+                self.set_state(key, ChildPhase::Running);
+                self.coming.remove(&key);
+                self.grant(key, now);
+                // It is answered when the others of its group are at work, too.
+                self.admit(name, call, Wish::Work);
             }
+            Err(reason) => self.reset_failed(key, call, GiveUpReason::ResetFailed { reason }),
         }
+        self.advance(now);
     }
 
     /// The child's incarnation ended unasked. With `restarted_as`, its guard has
@@ -542,17 +555,22 @@ impl Supervisor {
         let living: Vec<ChildKey> = self.living().collect();
         for key in living {
             let foretold = going.contains(&key) && self.kept(key).rules.supervises;
-            match self.kept(key).state {
+            let (state, in_group) = (self.kept(key).state, self.coming.contains(&key));
+            match state {
                 ChildPhase::Running if !foretold => {
                     self.coming.remove(&key);
                 }
-                ChildPhase::Resetting { .. } => self.set_state(key, ChildPhase::Running),
+                ChildPhase::Resetting { .. } if !in_group => {
+                    self.set_state(key, ChildPhase::Running);
+                }
                 ChildPhase::Unavailable if !foretold => {}
                 ChildPhase::Starting { .. }
                 | ChildPhase::Failing { .. }
                 | ChildPhase::Stopping { .. }
                 | ChildPhase::Down
                 | ChildPhase::Running
+                | ChildPhase::AwaitsReset { .. }
+                | ChildPhase::Resetting { .. }
                 | ChildPhase::Unavailable => {
                     self.abandon(key);
                     if self.at_work() && self.kept(key).goal == ChildTarget::Run {

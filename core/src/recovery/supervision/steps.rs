@@ -35,9 +35,11 @@ impl Supervisor {
                 let starting = self.timed.intersection(&self.coming).next().is_some();
                 let at_work = self.at_work();
                 let child = self.kept(first);
-                if at_work && !starting && child.state == ChildPhase::Down && child.failed.is_none()
-                {
-                    self.start(first, now);
+                match child.state {
+                    _ if !at_work || starting || child.failed.is_some() => {}
+                    ChildPhase::Down => self.start(first, now),
+                    ChildPhase::AwaitsReset { .. } => self.reset(first, now),
+                    _ => {}
                 }
             }
             None if self.phase == Phase::Starting && self.is_up() => {
@@ -52,7 +54,10 @@ impl Supervisor {
     /// not there yet.
     fn is_up(&self) -> bool {
         let up = |child: &SupervisedChild| match child.state {
-            ChildPhase::Running | ChildPhase::Resetting { .. } | ChildPhase::Unavailable => true,
+            ChildPhase::Running
+            | ChildPhase::AwaitsReset { .. }
+            | ChildPhase::Resetting { .. }
+            | ChildPhase::Unavailable => true,
             ChildPhase::Down
             | ChildPhase::Starting { .. }
             | ChildPhase::Failing { .. }
@@ -148,6 +153,11 @@ impl Supervisor {
             return Ok(());
         }
         let child = self.kept(key);
+        if let ChildPhase::AwaitsReset { .. } = child.state {
+            // The recoverer has gone on to its next action.
+            self.set_state(key, ChildPhase::Running);
+        }
+        let child = self.kept(key);
         let waits = child.state == ChildPhase::Down && child.failed.is_none();
         let stops = matches!(child.state, ChildPhase::Stopping { .. }) || self.going.contains(&key);
         if stops {
@@ -195,19 +205,20 @@ impl Supervisor {
         Err(GiveUpReason::IntensityExceeded { reason })
     }
 
-    /// Everybody from `first` on, in start order, is to end and to start again; but for temporary
-    /// children, which only end.
-    fn renew_from(&mut self, first: ChildKey) {
+    /// All children from `first` on, in start order, are to end and to start again. Temporary
+    /// children only end, and one that is to be reset keeps its instance.
+    pub(super) fn renew_from(&mut self, first: ChildKey) {
         let (mut finished, mut going) = (Vec::new(), Vec::new());
         for (&key, child) in self.children.range_mut(first..) {
             if child.goal != ChildTarget::Run {
                 continue;
             }
             child.failed = None;
-            if child.is_alive() {
+            let is_kept = matches!(child.state, ChildPhase::AwaitsReset { .. });
+            if child.is_alive() && !is_kept {
                 going.push(key);
             }
-            if child.rules.restart == Restart::Temporary {
+            if child.rules.restart == Restart::Temporary && !is_kept {
                 child.goal = ChildTarget::Finished;
                 self.coming.remove(&key);
                 if !child.is_alive() {
@@ -357,11 +368,32 @@ impl Supervisor {
             }
             ChildPhase::Resetting { call, .. } => {
                 let limit = rules.ready_within;
-                self.set_state(key, ChildPhase::Running);
-                self.answer_gave_up(call, name, GiveUpReason::Overdue { limit });
+                self.reset_failed(key, call, GiveUpReason::Overdue { limit });
             }
-            ChildPhase::Down | ChildPhase::Running | ChildPhase::Unavailable => {}
+            ChildPhase::Down
+            | ChildPhase::Running
+            | ChildPhase::AwaitsReset { .. }
+            | ChildPhase::Unavailable => {}
         }
+    }
+
+    /// Orders the reset that a child awaits.
+    pub(super) fn reset(&mut self, key: ChildKey, now: Instant) {
+        let child = self.kept(key);
+        let ChildPhase::AwaitsReset { call } = child.state else { return };
+        let (name, due) = (child.name.clone(), now + child.rules.ready_within);
+        self.set_state(key, ChildPhase::Resetting { due, call });
+        self.outputs.push_back(SupervisorOutput::Reset { child: name });
+    }
+
+    /// The child stays in error. In a group those behind it wait until the recoverer has decided.
+    pub(super) fn reset_failed(&mut self, key: ChildKey, call: CallId, why: GiveUpReason) {
+        self.set_state(key, ChildPhase::Running);
+        let holds_up = self.coming.contains(&key);
+        let child = self.kept(key);
+        child.failed = holds_up.then(|| why.to_string());
+        let name = child.name.clone();
+        self.answer_gave_up(call, name, why);
     }
 
     fn start(&mut self, key: ChildKey, now: Instant) {
@@ -415,9 +447,13 @@ impl Supervisor {
         let before = std::mem::replace(&mut child.state, state);
         child.worked |= matches!(state, ChildPhase::Running | ChildPhase::Unavailable);
         let (timed, name) = (child.due().is_some(), child.name.clone());
-        if let (ChildPhase::Resetting { call, .. }, false) = (before, state == ChildPhase::Running)
-        {
-            self.answer_gave_up(call, name, GiveUpReason::NoIncarnation);
+        match (before, state) {
+            (ChildPhase::Resetting { .. }, ChildPhase::Running)
+            | (ChildPhase::AwaitsReset { .. }, ChildPhase::Resetting { .. }) => {}
+            (ChildPhase::Resetting { call, .. } | ChildPhase::AwaitsReset { call }, _) => {
+                self.answer_gave_up(call, name, GiveUpReason::NoIncarnation);
+            }
+            _ => {}
         }
         if timed {
             self.timed.insert(key);
@@ -428,7 +464,12 @@ impl Supervisor {
 
     /// Counts a restart and says whether it is within the intensity. One that is not ends
     /// everything where no child can go on without this one.
-    fn count_restart(&mut self, key: ChildKey, cause: ReplacementCause, now: Instant) -> bool {
+    pub(super) fn count_restart(
+        &mut self,
+        key: ChildKey,
+        cause: ReplacementCause,
+        now: Instant,
+    ) -> bool {
         let within = self.budget.add(key, now);
         if !within && (self.budget.is_shared() || self.kept(key).rules.essential) {
             let reason = self.excess_of(key, cause);
@@ -443,7 +484,7 @@ impl Supervisor {
         within
     }
 
-    fn excess_of(&self, key: ChildKey, cause: ReplacementCause) -> String {
+    pub(super) fn excess_of(&self, key: ChildKey, cause: ReplacementCause) -> String {
         self.children[&key].excess(cause, self.rules.intensity, self.rules.period)
     }
 

@@ -149,6 +149,19 @@ impl Rig {
         self.outputs()
     }
 
+    /// Brings the reset of a child to the point where the child itself is asked to recover.
+    fn reset_in_group(&mut self, child: &str) {
+        let mut outputs = self.reset(child);
+        while let Some(output) = (!outputs.is_empty()).then(|| outputs.remove(0)) {
+            let words: Vec<&str> = output.split(' ').collect();
+            match words[..] {
+                ["stop", other] => outputs.extend(self.stopped(other, 1)),
+                ["start", other, _] => outputs.extend(self.started(other, 2)),
+                _ => {}
+            }
+        }
+    }
+
     fn reset_done(
         &mut self,
         child: &str,
@@ -156,7 +169,7 @@ impl Rig {
         outcome: Result<(), &str>,
     ) -> Vec<String> {
         let outcome = outcome.map_err(Into::into);
-        self.machine.handle_reset_done(&name(child), Incarnation(incarnation), outcome);
+        self.machine.handle_reset_done(&name(child), Incarnation(incarnation), outcome, self.now);
         self.outputs()
     }
 

@@ -328,3 +328,56 @@ mod real {
         });
     }
 }
+
+/// The robot of Biggs, Ando and Kotoku (2011), Fig. 2, and their Listing 1.
+#[blastema_testkit::test]
+async fn an_error_of_a_member_resets_it_and_restarts_the_others_around_it() {
+    let strings = Strings::default();
+    let drive = SupervisorSpec::new("drive", Strategy::OneForAll)
+        .child(strings.spec("local_pp"))
+        .child(strings.spec("global_pp"))
+        .child(strings.spec("motors"));
+    let builder = Node::builder("robot").child(strings.spec("laser")).supervisor(drive);
+    let mut node = TestNode::start(builder).await;
+    let moved = |strings: &Strings| {
+        let mut diary = strings.diary();
+        diary.retain(|line| {
+            ["on_initialize", "on_reset", "on_finalize"].iter().any(|hook| line.ends_with(hook))
+        });
+        diary
+    };
+    moved(&strings);
+
+    ask(&node, "laser", Deed::Fail("no echo".into())).await.expect("it answers before it fails");
+    node.await_recovered(FaultKind::ErrorState, "laser").await;
+    assert_eq!(moved(&strings), ["laser#1 on_reset"]);
+
+    ask(&node, "global_pp", Deed::Fail("no path".into())).await.expect("it answers");
+    node.await_recovered(FaultKind::ErrorState, "global_pp").await;
+    assert_eq!(
+        moved(&strings),
+        [
+            "motors#1 on_finalize",
+            "local_pp#1 on_finalize",
+            "local_pp#2 on_initialize",
+            "global_pp#1 on_reset",
+            "motors#2 on_initialize",
+        ]
+    );
+
+    // A component that cannot be reset is restarted.
+    node.advance(Duration::from_secs(60)).await;
+    strings.pull("global_pp", "on_reset", Pull::Fail("the map is gone"));
+    ask(&node, "global_pp", Deed::Fail("no path".into())).await.expect("it answers");
+    node.await_recovered(FaultKind::ErrorState, "global_pp").await;
+    let moves = moved(&strings);
+    let [.., first, second, third] = &moves[..] else { panic!("{moves:?}") };
+    assert_eq!(second, "global_pp#2 on_initialize", "{moves:?}");
+    assert!(first.starts_with("local_pp#") && first.ends_with(" on_initialize"), "{moves:?}");
+    assert!(third.starts_with("motors#") && third.ends_with(" on_initialize"), "{moves:?}");
+    let of = async |name| incarnation(&node, name).await;
+    assert_eq!((of("laser").await, of("global_pp").await), (1, 2));
+    let tree = node.tree().await.expect("the node is at work");
+    let drive = tree.children[1].below.as_ref().expect("the group answers");
+    assert!(drive.children.iter().all(|leaf| leaf.state == ChildState::Running), "{drive:?}");
+}

@@ -139,3 +139,18 @@ fn a_standing_order_is_withdrawn_before_a_stop_and_while_isolated() {
     assert_eq!(rig.isolate("a", false), ["admit a", "order a x3", "2 recovered a #1"]);
     assert_eq!(rig.end(), ["withdraw a", "stop a"]);
 }
+
+#[test]
+fn a_reset_counts_as_a_restart_does() {
+    let mut rig = Rig::with(Strategy::OneForOne, 2, &[("a", permanent())]);
+    rig.begin();
+    rig.started("a", 1);
+
+    for call in 1..=2 {
+        assert_eq!(rig.reset("a"), ["reset a"]);
+        assert_eq!(rig.reset_done("a", 1, Ok(())), [format!("{call} recovered a #1")]);
+    }
+    let third = rig.reset("a");
+    assert!(third[0].contains("3 gave a up: it is not restarted any more"), "{third:?}");
+    assert!(third.iter().any(|output| output.starts_with("stop a")), "{third:?}");
+}

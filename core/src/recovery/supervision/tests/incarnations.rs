@@ -166,7 +166,9 @@ fn a_temporary_child_that_is_stuck_or_faulty_is_ended_and_let_go() {
 
 #[test]
 fn a_reset_is_passed_on_and_answered() {
-    let mut rig = Rig::serving(Strategy::OneForOne);
+    let mut rig = Rig::with(Strategy::OneForOne, 9, &[("b", permanent())]);
+    rig.begin();
+    rig.started("b", 1);
 
     assert_eq!(rig.reset("b"), ["reset b"]);
     assert_eq!(rig.reset("b"), ["2 gave b up: it has no incarnation that could be reset"]);

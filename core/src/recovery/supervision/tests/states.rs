@@ -98,7 +98,7 @@ fn after_a_restart_of_its_own_children_at_work_stay_and_the_others_start_again()
 #[test]
 fn every_state_takes_every_input_and_comes_to_an_end() {
     type Act = (&'static str, fn(&mut Rig));
-    let states: [Act; 11] = [
+    let states: [Act; 12] = [
         ("running", |_| {}),
         ("starting", |rig| drop(rig.restart("b", ReplacementCause::Died, 1))),
         ("failing", |rig| {
@@ -107,6 +107,7 @@ fn every_state_takes_every_input_and_comes_to_an_end() {
         }),
         ("stopping", |rig| drop(rig.restart("b", ReplacementCause::Faulty, 1))),
         ("resetting", |rig| drop(rig.reset("b"))),
+        ("resetting in its group", |rig| rig.reset_in_group("b")),
         ("failed", |rig| drop(rig.died("b", 1))),
         ("resting", |rig| drop(rig.rest("b", ReplacementCause::Died))),
         ("leaving", |rig| drop(rig.remove("b"))),
@@ -114,7 +115,7 @@ fn every_state_takes_every_input_and_comes_to_an_end() {
         ("ending", |rig| drop(rig.end())),
         ("forsaken", |rig| rig.machine.handle_forsake(rig.now)),
     ];
-    let inputs: [Act; 23] = [
+    let inputs: [Act; 25] = [
         ("nothing", |_| {}),
         ("restart, died", |rig| drop(rig.restart("b", ReplacementCause::Died, 1))),
         ("restart, stuck", |rig| drop(rig.restart("b", ReplacementCause::Stuck, 1))),
@@ -124,6 +125,8 @@ fn every_state_takes_every_input_and_comes_to_an_end() {
         ("restart by hand", |rig| drop(rig.restart_by_hand("b"))),
         ("restart of a", |rig| drop(rig.restart("a", ReplacementCause::Stuck, 1))),
         ("reset", |rig| drop(rig.reset("b"))),
+        ("reset", |rig| drop(rig.reset_done("b", 1, Ok(())))),
+        ("reset failed", |rig| drop(rig.reset_done("b", 1, Err("still hot")))),
         ("rest", |rig| drop(rig.rest("b", ReplacementCause::Faulty))),
         ("rest, stuck", |rig| drop(rig.rest("b", ReplacementCause::Stuck))),
         ("isolate", |rig| drop(rig.isolate("b", true))),
@@ -164,7 +167,6 @@ fn finish(rig: &mut Rig, case: &str) {
         match child.state {
             ChildState::Starting => rig.finish_start(name, incarnation),
             ChildState::Stopping => drop(rig.stopped(name, incarnation)),
-            ChildState::Resetting => drop(rig.reset_done(name, incarnation, Ok(()))),
             ChildState::Failed => drop(rig.restart(name, ReplacementCause::Died, incarnation)),
             // Either another child must move first, or the supervisor does not want to.
             _ if !rig.machine.at_work() => break,
@@ -172,10 +174,14 @@ fn finish(rig: &mut Rig, case: &str) {
                 let moving = table.iter().find(|child| {
                     matches!(child.state, ChildState::Starting | ChildState::Stopping)
                 });
-                let child = moving.unwrap_or_else(|| panic!("{case}: {name} waits for no other"));
+                // One is reset when those behind it have stopped, and those before it have started.
+                let resetting = table.iter().find(|child| child.state == ChildState::Resetting);
+                let child = moving.or(resetting);
+                let child = child.unwrap_or_else(|| panic!("{case}: {name} waits for no other"));
                 let (name, incarnation) = (child.name.as_str(), child.incarnation.0);
                 match child.state {
                     ChildState::Starting => rig.finish_start(name, incarnation),
+                    ChildState::Resetting => drop(rig.reset_done(name, incarnation, Ok(()))),
                     _ => drop(rig.stopped(name, incarnation)),
                 }
             }

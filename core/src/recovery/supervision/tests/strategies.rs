@@ -272,3 +272,38 @@ fn an_ending_supervisor_starts_nothing_and_answers_after_its_restart() {
     assert_eq!(rig.started("b", 2), ["start c #2", "2 recovered b #2"]);
     assert_eq!(rig.started("c", 2), ["all started", "3 recovered c #2"]);
 }
+
+#[test]
+fn one_in_error_is_reset_at_its_place_while_the_others_of_its_group_restart_around_it() {
+    let mut rig = Rig::serving(Strategy::OneForAll);
+
+    assert_eq!(rig.reset("b"), ["stop c"]);
+    assert_eq!(rig.stopped("c", 1), ["stop a"]);
+    assert_eq!(rig.stopped("a", 1), ["start a #2"]);
+    assert_eq!(rig.started("a", 2), ["reset b"]);
+    assert_eq!(rig.reset_done("b", 1, Ok(())), ["start c #2"]);
+    assert_eq!(rig.started("c", 2), ["1 recovered b #1"]);
+
+    let mut rig = Rig::serving(Strategy::RestForOne);
+    assert_eq!(rig.reset("b"), ["stop c"]);
+    assert_eq!(rig.stopped("c", 1), ["reset b"]);
+    // Where the reset fails, the child is restarted, and its group with it.
+    let failed = ["1 gave b up: it could not reset itself: still hot"];
+    assert_eq!(rig.reset_done("b", 1, Err("still hot")), failed);
+    assert_eq!(rig.restart("b", ReplacementCause::Faulty, 1), ["stop b"]);
+    assert_eq!(rig.stopped("b", 1), ["start b #2"]);
+    assert_eq!(rig.started("b", 2), ["start c #2"]);
+    assert_eq!(rig.started("c", 2), ["2 recovered b #2"]);
+}
+
+#[test]
+fn a_reset_that_the_recoverer_does_not_wait_for_gives_way_to_the_restart() {
+    let mut rig = Rig::serving(Strategy::OneForAll);
+    assert_eq!(rig.reset("b"), ["stop c"]);
+
+    let given_up = "1 gave b up: it has no incarnation that could be reset";
+    assert_eq!(rig.restart("b", ReplacementCause::Faulty, 1), [given_up]);
+    assert_eq!(rig.stopped("c", 1), ["stop b"]);
+    assert_eq!(rig.stopped("b", 1), ["stop a"]);
+    assert_eq!(rig.stopped("a", 1), ["start a #2"]);
+}
