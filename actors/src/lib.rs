@@ -168,7 +168,7 @@ pub use platform::sleep;
 
 // Sending, and what becomes of messages.
 pub use crate::actuator::CommandTimeout::Hold;
-pub use crate::actuator::{ActuatorRow, ActuatorSpec, CommandTimeout, Commander};
+pub use crate::actuator::{ActuatorRow, ActuatorSettings, ActuatorSpec, CommandTimeout, Commander};
 pub use crate::host::reference::ActorRef;
 pub use crate::messaging::dead_letters::{DeadLetterLog, DeadLetterSnapshot};
 pub use crate::messaging::death_watch::{Down, DownReason};

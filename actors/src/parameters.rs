@@ -58,6 +58,30 @@ impl Configured {
         Ok(())
     }
 
+    /// Gives a component values that its description writes. A configuration in TOML prevails.
+    pub(crate) fn write(&self, component: &ObjectName, written: Vec<(String, String)>) {
+        if written.is_empty() {
+            return;
+        }
+        let mut inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let values = inner.given.entry(component.to_string()).or_default();
+        for (key, text) in written {
+            values.entry(key).or_insert(ParameterValue::Written(text));
+        }
+    }
+
+    /// Refuses values for a component that has been declared, and takes none.
+    pub(crate) fn check_taken(&self, component: &ObjectName) -> Result<(), SpecError> {
+        let inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let given = inner.given.get(component.as_str());
+        let Some(key) = given.and_then(|values| values.keys().next()) else { return Ok(()) };
+        if inner.takers.contains(component.as_str()) {
+            return Ok(());
+        }
+        let error = ParameterError::Unknown { key: key.clone(), nearest: None, known: Vec::new() };
+        Err(SpecError::Parameters { name: component.clone(), error })
+    }
+
     /// The parameters of this component, which has some.
     fn parameters<P: Parameters>(&self, component: &ObjectName) -> Result<P, ParameterError> {
         let mut inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,6 +1,7 @@
 //! How long to wait before the next attempt.
 
 use crate::random::Random;
+use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
 /// Waiting times that grow from attempt to attempt and differ from case to case.
@@ -18,7 +19,7 @@ use std::time::Duration;
 /// assert_eq!(backoff.delay(3, 7), Duration::from_millis(100));
 /// assert_eq!(backoff.delay(90, 7), Duration::from_secs(5));
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Backoff {
     /// Before the second attempt. Longer spares the robot's computer; shorter recovers sooner.
     pub first: Duration,

@@ -56,7 +56,13 @@ pub trait Parameters: Variable + Default {
     ) -> Result<Self, ParameterError> {
         let (mut parameters, mut given) = (Self::default(), Vec::new());
         for (key, value) in values {
-            parameters.set(key, value)?;
+            match value {
+                ParameterValue::Written(text) => {
+                    let number = without_unit(Self::FIELDS, key, text)?;
+                    parameters.set(key, &ParameterValue::Written(number.to_owned()))?;
+                }
+                value => parameters.set(key, value)?,
+            }
             given.push(key);
         }
         match parameters.check() {
@@ -109,6 +115,9 @@ pub enum ParameterValue {
     Float(f64),
     /// A text.
     Text(String),
+    /// A value as a file or a command line writes it, such as `12 m`: the parameter's type says how
+    /// it is read.
+    Written(String),
 }
 
 impl fmt::Display for ParameterValue {
@@ -118,6 +127,7 @@ impl fmt::Display for ParameterValue {
             ParameterValue::Integer(value) => write!(f, "{value}"),
             ParameterValue::Float(value) => write!(f, "{value:?}"),
             ParameterValue::Text(value) => write!(f, "{value:?}"),
+            ParameterValue::Written(value) => write!(f, "`{value}`"),
         }
     }
 }
@@ -145,6 +155,16 @@ pub enum ParameterError {
         found: String,
         /// What it takes.
         expected: &'static str,
+    },
+    /// The value was written without the parameter's unit, or with another one.
+    #[error("`{key}` is `{found}`, and is given in {unit}: write a number and {unit}")]
+    Unit {
+        /// The parameter.
+        key: &'static str,
+        /// The value that was given.
+        found: String,
+        /// The unit.
+        unit: &'static str,
     },
     /// The value lies outside of the parameter's range.
     #[error("`{key}` is {found}, and must be in {range}{}", in_unit(.unit))]
@@ -209,6 +229,7 @@ impl ParameterType for bool {
     fn of(value: &ParameterValue) -> Option<Self> {
         match value {
             ParameterValue::Bool(value) => Some(*value),
+            ParameterValue::Written(text) => text.parse().ok(),
             _ => None,
         }
     }
@@ -223,7 +244,7 @@ impl ParameterType for String {
 
     fn of(value: &ParameterValue) -> Option<Self> {
         match value {
-            ParameterValue::Text(value) => Some(value.clone()),
+            ParameterValue::Text(value) | ParameterValue::Written(value) => Some(value.clone()),
             _ => None,
         }
     }
@@ -240,6 +261,7 @@ impl ParameterType for f64 {
         match value {
             ParameterValue::Float(value) => Some(*value),
             ParameterValue::Integer(value) => Some(*value as f64),
+            ParameterValue::Written(text) => text.parse().ok(),
             _ => None,
         }
     }
@@ -269,6 +291,7 @@ macro_rules! whole_numbers {
             fn of(value: &ParameterValue) -> Option<Self> {
                 match value {
                     ParameterValue::Integer(value) => (*value).try_into().ok(),
+                    ParameterValue::Written(text) => text.parse().ok(),
                     _ => None,
                 }
             }
@@ -290,6 +313,20 @@ whole_numbers! {
     i16: "a whole number from -32768 to 32767",
     i32: "a whole number from -2147483648 to 2147483647",
     i64: "a whole number"
+}
+
+/// The number of a value that is written with its unit.
+fn without_unit<'a>(
+    fields: &'static [ParameterField],
+    key: &str,
+    text: &'a str,
+) -> Result<&'a str, ParameterError> {
+    let field = fields.iter().find(|field| field.name == key);
+    let Some(&ParameterField { name, unit: Some(unit), .. }) = field else { return Ok(text) };
+    let number = text.strip_suffix(unit).map(str::trim_end);
+    number
+        .filter(|number| number.ends_with(|c: char| c.is_ascii_digit() || c == '.'))
+        .ok_or_else(|| ParameterError::Unit { key: name, found: text.to_owned(), unit })
 }
 
 /// Reads the value of one parameter; called by what is derived.

@@ -1,6 +1,7 @@
 //! Parses the command line.
 
 use clap::{ArgGroup, Args, Parser};
+use std::ffi::OsString;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -58,6 +59,15 @@ Exit status:
      refused; of `check`: a node is off, has an older roster or another key, or is not sealed
   2  the command line or a file was wrong, or the robot could not be reached";
 
+const ROBOT_HELP: &str = "\
+Examples:
+  blastema check ranger.robot.xml
+  blastema graph ranger.robot.xml --format dot | dot -Tsvg
+  blastema run ranger.robot.xml --set lidar=/dev/pts/7
+
+The exit status is that of the program: 0 it was done, 1 the file has a mistake or the robot did not
+run to its end, 2 the command line is wrong or a file cannot be read.";
+
 /// The shortest and the longest `--within`.
 const WITHIN: RangeInclusive<Duration> = Duration::from_millis(10)..=Duration::from_secs(60 * 60);
 
@@ -104,6 +114,39 @@ pub(crate) enum Subcommand {
     /// Order the nodes of a robot what to do with one of them
     #[command(subcommand)]
     Node(NodeJob),
+    /// Find all mistakes in a robot file, by the robot's program
+    #[command(after_help = ROBOT_HELP)]
+    Check(RobotOptions),
+    /// Print the supervision trees and connections of a robot file, by the robot's program
+    #[command(after_help = ROBOT_HELP)]
+    Graph(RobotOptions),
+    /// Start the nodes of a robot file, by the robot's program
+    #[command(after_help = ROBOT_HELP)]
+    Run(RobotOptions),
+    /// Print the schema of robot files, for editors and xmllint
+    Schema,
+    /// Write the package of a small robot that builds, runs, and has a test
+    New(NewOptions),
+}
+
+/// What the program of a robot is given.
+#[derive(Args, Clone, Debug, PartialEq)]
+pub(crate) struct RobotOptions {
+    /// The robot file; its attribute `program` names the program, from the folder of the file
+    pub(crate) file: PathBuf,
+    /// Options of the program, as in `--node base` or `--set rate=20Hz`
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+    pub(crate) more: Vec<OsString>,
+}
+
+/// The options of `new`.
+#[derive(Args, Clone, Debug, PartialEq)]
+pub(crate) struct NewOptions {
+    /// The folder to make; its name is that of the robot and of its package
+    pub(crate) folder: PathBuf,
+    /// The folder of Blastema's sources [default: those that this program was built from]
+    #[arg(long, value_name = "FOLDER")]
+    pub(crate) blastema: Option<PathBuf>,
 }
 
 /// The options of the monitor.

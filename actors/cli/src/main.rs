@@ -2,13 +2,15 @@
 //!
 //! `blastema monitor` shows the state of a running node, `blastema fault list` its faults, also
 //! those of earlier runs, `blastema keys` makes the keys of a robot's nodes, and `blastema node`
-//! gives them orders. Exit status: 0 it was done, 1 only a part of it, 2 it could not be done.
+//! gives them orders. `blastema check`, `graph` and `run` start the program of a robot file, and
+//! `blastema new` writes a robot. Exit status: 0 it was done, 1 only a part of it, 2 it could not be done.
 
 mod args;
 mod fault;
 mod keys;
 mod monitor;
 mod operator;
+mod robot;
 
 use args::{Arguments, FaultJob, Subcommand};
 use clap::Parser;
@@ -30,6 +32,11 @@ fn main() -> ExitCode {
         }
         Subcommand::Keys(job) => keys::run(&job),
         Subcommand::Node(job) => operator::run(&job),
+        Subcommand::Check(options) => robot::run("check", &options),
+        Subcommand::Graph(options) => robot::run("graph", &options),
+        Subcommand::Run(options) => robot::run("run", &options),
+        Subcommand::Schema => robot::schema(),
+        Subcommand::New(options) => robot::new(&options),
     };
     match outcome {
         Ok(true) => ExitCode::SUCCESS,

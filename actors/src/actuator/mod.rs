@@ -8,8 +8,10 @@
 
 pub(crate) mod command;
 mod ports;
+mod settings;
 pub(crate) mod table;
 
+pub use settings::ActuatorSettings;
 pub use table::ActuatorRow;
 pub(crate) use table::{ActuatorTable, DeclaredActuator};
 
@@ -23,6 +25,7 @@ use blastema_core::{
     Contract, ContractIdentity, DeliveryError, Incarnation, Instant, PeerIdentity,
 };
 use command::{ActuatorCommand, CommandKind, CommandReply};
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::future::Future;
 use std::marker::PhantomData;
@@ -42,13 +45,23 @@ const CLAIM_AGAIN: RangeInclusive<Duration> =
 ///
 /// A [`Duration`] is for commands that come again and again, such as a speed; `Hold` for those that
 /// run for long, such as a goal.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CommandTimeout {
     /// For so long after it was received, 10 ms to 1 min. Then the actuator gets its safe command,
     /// unless another command has come.
     After(Duration),
     /// Until another one comes, or the lease ends.
     Hold,
+}
+
+impl CommandTimeout {
+    /// The time, where there is one.
+    fn span(self) -> Option<Duration> {
+        match self {
+            CommandTimeout::After(timeout) => Some(timeout),
+            CommandTimeout::Hold => None,
+        }
+    }
 }
 
 impl From<Duration> for CommandTimeout {
@@ -77,10 +90,7 @@ impl<M: Contract> ActuatorSpec<M> {
     /// The timeout is also the default of the component's [`max_wait`](crate::ChildSpec::max_wait).
     /// Set that where its hooks await something for longer.
     pub fn new(safe: M, command_timeout: impl Into<CommandTimeout>) -> Self {
-        let command_timeout = match command_timeout.into() {
-            CommandTimeout::After(timeout) => Some(timeout),
-            CommandTimeout::Hold => None,
-        };
+        let command_timeout = command_timeout.into().span();
         let (span, stop_by) = (LEASE.default, StopBy::SafeCommand);
         let rules = LeaseRules { span, command_timeout, stop_by };
         ActuatorSpec { safe, rules, stop: None, settle_within: Duration::ZERO, cut_off: None }

@@ -1,5 +1,6 @@
 //! How components are commanded, and command.
 
+use super::settings::{ActuatorSettings, ApplySettings, apply};
 use super::table::{ActuatorTable, DeclaredActuator};
 use super::{ActuatorSpec, Commander};
 use crate::component::cell::ComponentCell;
@@ -10,11 +11,13 @@ use crate::component::extension::Extension;
 use crate::component::ports::{PortConstructor, Ports};
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
+use crate::host::spec::ChildSpec;
 use crate::registry::ContractPort;
 use crate::settings::{COMMAND_TIMEOUT, LEASE, SHUTDOWN_WITHIN};
 use blastema_core::lease::Lease;
 use blastema_core::port::ConnectionRole;
 use blastema_core::sorted::SortedSet;
+use blastema_core::suggestion::nearest;
 use blastema_core::{Contract, DeliveryError, ObjectName};
 use std::sync::Arc;
 use std::time::Duration;
@@ -29,13 +32,39 @@ impl ComponentEnvironment {
 }
 
 /// The actuators that a component declares.
-struct ActuatorPorts<C: Component>(
-    Vec<(Result<DeclaredActuator, DeliveryError>, PortConstructor<C>)>,
-);
+struct ActuatorPorts<C: Component> {
+    declared: Vec<(Result<DeclaredActuator, DeliveryError>, PortConstructor<C>, ApplySettings)>,
+    /// The contract of settings that do not apply, and why.
+    refused: Option<(String, String)>,
+}
 
 impl<C: Component> Default for ActuatorPorts<C> {
     fn default() -> Self {
-        ActuatorPorts(Vec::new())
+        ActuatorPorts { declared: Vec::new(), refused: None }
+    }
+}
+
+impl<C: Component> ActuatorPorts<C> {
+    fn apply(&mut self, contract: &str, settings: &ActuatorSettings) -> Result<(), String> {
+        let mut known = Vec::new();
+        for (actuator, _, apply) in &mut self.declared {
+            let Ok(actuator) = actuator else { continue };
+            if actuator.identity.name == contract {
+                return apply(actuator, settings);
+            }
+            known.push(actuator.identity.name);
+        }
+        Err(match (nearest(contract, known.iter().copied()), known.is_empty()) {
+            (Some(nearest), _) => format!("there is none: did you mean `{nearest}`?"),
+            (None, true) => "there is none, as the component has no actuator".to_owned(),
+            (None, false) => format!("there is none: there are `{}`", known.join("`, `")),
+        })
+    }
+
+    /// The shortest command timeout.
+    fn shortest_timeout(&self) -> Option<Duration> {
+        let declared = self.declared.iter().filter_map(|(actuator, ..)| actuator.as_ref().ok());
+        declared.filter_map(|actuator| actuator.rules.command_timeout).min()
     }
 }
 
@@ -80,8 +109,12 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
         let twice = |contract, ports| {
             Err(SpecError::PortTwice { name: component.clone(), contract, ports })
         };
+        if let Some((contract, why)) = &self.refused {
+            let (name, contract, why) = (component.clone(), contract.clone(), why.clone());
+            return Err(SpecError::ActuatorSettings { name, contract, why });
+        }
         let mut commanded = SortedSet::new();
-        for (actuator, _) in &self.0 {
+        for (actuator, ..) in &self.declared {
             let actuator = actuator
                 .as_ref()
                 .map_err(|why| SpecError::Actuator { name: component.clone(), why: why.clone() })?;
@@ -105,8 +138,8 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
         let (name, environment) = (&cell.record.name, &cell.record.environment);
         let table = environment.actuators();
         // Those that could not be encoded were refused by the check.
-        let declared =
-            self.0.into_iter().filter_map(|(declared, open)| Some((declared.ok()?, open)));
+        let declared = self.declared.into_iter();
+        let declared = declared.filter_map(|(declared, open, _)| Some((declared.ok()?, open)));
         let declared: Vec<_> =
             declared.map(|(declared, open)| (declared, open(cell).into_skeleton())).collect();
         let within = cell.record.limits.shutdown_within;
@@ -130,9 +163,30 @@ impl<C: Component> Ports<C> {
     where
         C: Handle<M>,
     {
-        self.max_wait = self.max_wait.into_iter().chain(spec.rules.command_timeout).min();
-        self.feature::<ActuatorPorts<C>>().0.push((spec.declared(), ContractPort::open::<C, M>));
+        let port =
+            (spec.declared(), ContractPort::open::<C, M> as PortConstructor<C>, apply::<M> as _);
+        self.feature::<ActuatorPorts<C>>().declared.push(port);
+        self.max_wait = self.feature::<ActuatorPorts<C>>().shortest_timeout();
         self.declare::<M>(M::NAME.into(), ConnectionRole::Commanded)
+    }
+
+    /// Changes an actuator that is declared.
+    fn change_actuator(&mut self, contract: &str, settings: &ActuatorSettings) {
+        let actuators = self.feature::<ActuatorPorts<C>>();
+        if let Err(why) = actuators.apply(contract, settings) {
+            actuators.refused = Some((contract.to_owned(), why));
+        }
+        self.max_wait = self.feature::<ActuatorPorts<C>>().shortest_timeout();
+    }
+}
+
+/// Actuators of a component whose code stays as it is.
+impl<C: Component> ChildSpec<C> {
+    /// Changes settings of the actuator whose commands are of this contract, over those that the
+    /// component's [`ports`](crate::Component::ports) declare.
+    pub fn actuator(self, contract: &str, settings: ActuatorSettings) -> Self {
+        let contract = contract.to_owned();
+        self.with_ports(move |ports| ports.change_actuator(&contract, &settings))
     }
 }
 

@@ -61,6 +61,17 @@ pub enum SpecError {
         /// What is wrong.
         why: DeliveryError,
     },
+    /// Settings of an actuator cannot be applied: there is no such actuator, or its safe command has
+    /// no such field or another unit.
+    #[error("actuator {contract} of {name}: {why}")]
+    ActuatorSettings {
+        /// The component.
+        name: ObjectName,
+        /// The contract of the actuator's commands, as the settings name it.
+        contract: String,
+        /// What is wrong, and what to write.
+        why: String,
+    },
     /// The component was added to a running node, and depends on an object that does not exist
     /// there, or, directly or through others, on itself.
     #[error(transparent)]

@@ -30,6 +30,7 @@ pub struct ChildSpec<C: Component> {
     max_wait: Option<Duration>,
     depends_on: Vec<String>,
     essential: bool,
+    parameters: Vec<(String, String)>,
     more_ports: Vec<MorePorts<C>>,
 }
 
@@ -43,6 +44,9 @@ impl<C: Component> fmt::Debug for ChildSpec<C> {
 }
 
 impl<C: Component> ChildSpec<C> {
+    /// The capacity of a component's [`queue`](Self::queue), unless that is set.
+    pub const QUEUE: usize = QUEUE.default;
+
     /// A component that `factory` builds for every incarnation.
     ///
     /// Its queue holds 64 messages and refuses more; it shares an arbiter; its guard and the watch
@@ -57,6 +61,7 @@ impl<C: Component> ChildSpec<C> {
             max_wait: None,
             depends_on: Vec::new(),
             essential: false,
+            parameters: Vec::new(),
             more_ports: Vec::new(),
         }
     }
@@ -144,6 +149,13 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
+    /// Gives one of its [parameters](crate::manual::parameters) a value, written with its unit, as
+    /// in `12 m`. A [file of parameters](crate::NodeBuilder::parameters_from) prevails.
+    pub fn parameter(mut self, key: &str, value: &str) -> Self {
+        self.parameters.push((key.to_owned(), value.to_owned()));
+        self
+    }
+
     /// Its supervisor cannot do without it: if it is not worth restarting any more, or is put into
     /// the safe state because of a fault, the supervisor ends its children and itself and leaves
     /// the decision to its parent. Directly under the root that is the node's safe state.
@@ -179,6 +191,8 @@ impl<C: Component> ChildSpec<C> {
         QUEUE.check(self.queue.0).map_err(refused)?;
         let name = SpecError::check_name(ObjectName::new(&self.name)?)?;
         let more_ports = self.more_ports;
+        let is_written = !self.parameters.is_empty();
+        environment.configured().write(&name, self.parameters);
         environment.watch_list.declare(Some(name.clone()));
         let declared = panics::caught(move || {
             let mut ports = Ports::<C>::of();
@@ -205,6 +219,9 @@ impl<C: Component> ChildSpec<C> {
         // From here on the child gives the name back when it is dropped.
         let child = ComponentChild::new(cell.clone());
         ports.bind(&cell)?;
+        if is_written {
+            environment.configured().check_taken(&name)?;
+        }
         Ok((Box::new(child), ActorRef(cell)))
     }
 

@@ -7,6 +7,7 @@
 //! | page | answers |
 //! | --- | --- |
 //! | [start] | a first component, a first node and a first fault |
+//! | [robot_file] | a robot from one file: its elements, its program, its checks |
 //! | [contracts] | types of messages: what they may contain, versions, and when two parties agree |
 //! | [components] | the life cycle of a component: hooks, ports, timers, tasks, checks |
 //! | [sending] | tell, deliver, ask; what every error means and what to do |
@@ -33,6 +34,9 @@
 
 #[doc = include_str!("start.md")]
 pub mod start {}
+
+#[doc = include_str!("robot_file.md")]
+pub mod robot_file {}
 
 #[doc = include_str!("contracts.md")]
 pub mod contracts {}

@@ -11,6 +11,7 @@ use crate::sync::atomic::Ordering::Relaxed;
 use crate::sync::atomic::{AtomicBool, AtomicUsize};
 use crate::sync::{Mutex, MutexGuard};
 use blastema_core::{DeliveryError, Incarnation};
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::future::{Future, poll_fn};
 use std::sync::PoisonError;
@@ -21,7 +22,7 @@ use std::task::{Poll, Waker};
 const PURGED: usize = 64;
 
 /// What happens to a message that exceeds a queue's capacity.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum WhenFull {
     /// The sender gets it back.
     #[default]

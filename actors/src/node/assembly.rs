@@ -77,28 +77,63 @@ impl NodeBuilder {
     pub async fn start(self) -> Result<Node, StartError> {
         start(self).await
     }
+
+    /// Returns what [`start`](Self::start) would refuse in the description: all components and
+    /// supervisors that are wrong, else the first other error. No component is made, and no medium,
+    /// file of variables or journal is opened; keys and files of parameters are read.
+    pub fn check(self) -> Vec<StartError> {
+        refused(self).unwrap_or_else(|error| vec![error])
+    }
+
+    /// Finds what can be known to be wrong before anything is made.
+    fn checked_name(&mut self) -> Result<NodeName, StartError> {
+        if actix_rt::System::try_current().is_none() {
+            return Err(StartError::Runtime);
+        }
+        let node =
+            NodeName::new(&self.name).map_err(StartError::name_of("the name of the node"))?;
+        check_settings(self)?;
+        #[cfg(feature = "network")]
+        self.networks.check(&node)?;
+        Ok(node)
+    }
+}
+
+/// What is wrong with the tree, or with the rest of the description.
+fn refused(mut builder: NodeBuilder) -> Result<Vec<StartError>, StartError> {
+    let node = builder.checked_name()?;
+    // The chain is made for the names of its objects alone.
+    builder.placement = ActorPlacement::Here;
+    let assembly = NodeAssembly::begin(&mut builder, (node, Incarnation::FIRST))?;
+    assembly.read_parameters(builder.parameters)?;
+    match assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies) {
+        Ok(_) => Ok(assembly.check_parameters().err().into_iter().collect()),
+        Err(refused) => Ok(refused),
+    }
 }
 
 /// Puts a node together, and starts it.
 async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
-    if actix_rt::System::try_current().is_none() {
-        return Err(StartError::Runtime);
-    }
     panics::install_hook();
-    let mut assembly = NodeAssembly::begin(&mut builder)?;
+    let node = builder.checked_name()?;
+    #[cfg(feature = "network")]
+    let incarnation = builder.networks.begin_incarnation();
+    #[cfg(not(feature = "network"))]
+    let incarnation = platform::node_incarnation();
+    let mut assembly = NodeAssembly::begin(&mut builder, (node, incarnation))?;
     #[cfg(feature = "journal")]
     assembly.keep_journal(builder.journal).await?;
     assembly.keep_variables(builder.kept_in).await?;
     assembly.read_parameters(builder.parameters)?;
     #[cfg(feature = "network")]
     assembly.start_networks(&mut builder.networks)?;
-    let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies)?;
+    let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies);
+    let preparation = preparation.map_err(|mut refused| refused.swap_remove(0))?;
+    assembly.check_parameters()?;
     for (from, to) in builder.connections {
         let connected = assembly.environment.registry.connect_ports(&from, &to);
         connected.map_err(|why| StartError::Connection { from, to, why: Box::new(why) })?;
     }
-    let unused = assembly.environment.configured().check();
-    unused.map_err(|reason| StartError::Parameters { file: None, reason })?;
     #[cfg(feature = "network")]
     assembly.carry_services(builder.networks.services)?;
     assembly.keep_leases();
@@ -144,14 +179,10 @@ struct TreePreparation {
 
 impl NodeAssembly {
     /// The fault chain, and the threads that components will live on.
-    fn begin(builder: &mut NodeBuilder) -> Result<Self, StartError> {
-        let named_so = StartError::name_of("the name of the node");
-        let node = NodeName::new(&builder.name).map_err(named_so)?;
-        check_settings(builder)?;
-        #[cfg(feature = "network")]
-        let incarnation = builder.networks.check(&node)?.begin_incarnation();
-        #[cfg(not(feature = "network"))]
-        let incarnation = platform::node_incarnation();
+    fn begin(
+        builder: &mut NodeBuilder,
+        (node, incarnation): (NodeName, Incarnation),
+    ) -> Result<Self, StartError> {
         let arbiters = match builder.placement {
             ActorPlacement::Threads { shared } => ArbiterPool::pool(shared),
             ActorPlacement::ComponentsHere | ActorPlacement::Here => ArbiterPool::here(),
@@ -227,13 +258,22 @@ impl NodeAssembly {
         Ok(())
     }
 
+    /// Finds values for a component that takes none.
+    fn check_parameters(&self) -> Result<(), StartError> {
+        let unused = self.environment.configured().check();
+        unused.map_err(|reason| StartError::Parameters { file: None, reason })
+    }
+
     /// The supervisors and their children. Nothing of them is started yet.
+    ///
+    /// # Errors
+    /// All specs that are wrong, else the first other error.
     fn prepare(
         &self,
         root: SupervisorSpec,
         own_kinds: &[FaultKind],
         strategies: &StrategyTable,
-    ) -> Result<TreePreparation, StartError> {
+    ) -> Result<TreePreparation, Vec<StartError>> {
         let tree_environment = TreeEnvironment {
             environment: &self.environment,
             guardian: &self.parts.guardian,
@@ -243,11 +283,16 @@ impl NodeAssembly {
             plan: &self.plan,
         };
         let mut tree = PreparedTree::default();
-        let root = root.prepare(&tree_environment, &mut tree)?;
+        let root = root.prepare(&tree_environment, &mut tree);
+        let root = root.map_err(|error| vec![error.into()])?;
+        if !tree.refused.is_empty() {
+            return Err(tree.refused.into_iter().map(StartError::from).collect());
+        }
         let names: Vec<&ObjectName> = tree.components.iter().map(|facts| &facts.name).collect();
-        self.plan.check(names, own_kinds, strategies.names())?;
+        let answered = self.plan.check(names, own_kinds, strategies.names());
+        answered.map_err(|error| vec![error.into()])?;
         let dependencies = dependencies(&self.node, &tree);
-        dependencies.check()?;
+        dependencies.check().map_err(|error| vec![error.into()])?;
         Ok(TreePreparation { root, tree, dependencies })
     }
 

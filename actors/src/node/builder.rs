@@ -80,7 +80,7 @@ impl NodeBuilder {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         NodeBuilder {
             name: name.to_owned(),
-            root: SupervisorSpec::new("root", Strategy::OneForOne).rooted(),
+            root: SupervisorSpec::new("", Strategy::OneForOne).rooted(),
             plan: Plan::default(),
             own_kinds: Vec::new(),
             strategies: StrategyTable::default(),
@@ -122,6 +122,13 @@ impl NodeBuilder {
     /// Adds a supervisor under the root supervisor, started after the children before it.
     pub fn supervisor(mut self, spec: SupervisorSpec) -> Self {
         self.root = self.root.supervisor(spec);
+        self
+    }
+
+    /// Replaces the root supervisor by one with the children and rules of this spec, whose name is
+    /// not used.
+    pub fn root(mut self, spec: SupervisorSpec) -> Self {
+        self.root = spec.rooted();
         self
     }
 

@@ -138,9 +138,10 @@ impl SupervisorSpec {
         self
     }
 
-    /// This one's end is the node's safe state.
+    /// It is called `root`, and its end is the node's safe state.
     pub(super) fn rooted(mut self) -> Self {
         self.rules.root = true;
+        "root".clone_into(&mut self.name);
         self
     }
 }
@@ -214,6 +215,8 @@ pub(super) struct TreeEnvironment<'a> {
 pub(super) struct PreparedTree {
     pub(super) components: Vec<ComponentFacts>,
     pub(super) supervisors: Vec<(ObjectName, Recipient<AreYouAlive>)>,
+    /// The specs that are wrong, in the order of the description.
+    pub(super) refused: Vec<SpecError>,
 }
 
 /// What the node must know of a component after its supervisor has it.
@@ -248,9 +251,12 @@ impl SupervisorSpec {
         for entry in self.children {
             match entry {
                 Entry::Component(spec, restart) => {
-                    let prepared = PreparedComponent {
-                        restart,
-                        ..spec.prepare(tree_environment.environment)?
+                    let prepared = match spec.prepare(tree_environment.environment) {
+                        Ok(prepared) => PreparedComponent { restart, ..prepared },
+                        Err(error) => {
+                            tree.refused.push(error);
+                            continue;
+                        }
                     };
                     let rules = prepared.rules(tree_environment.plan);
                     let PreparedComponent { child, depends_on, .. } = prepared;
@@ -261,8 +267,10 @@ impl SupervisorSpec {
                 }
                 Entry::Supervisor(spec) => {
                     let kept = spec.kept;
-                    let child = spec.prepare(tree_environment, tree)?;
-                    children.push((Box::new(child), kept));
+                    match spec.prepare(tree_environment, tree) {
+                        Ok(child) => children.push((Box::new(child), kept)),
+                        Err(error) => tree.refused.push(error),
+                    }
                 }
             }
         }

@@ -1,6 +1,7 @@
 //! How an object wants to be watched.
 
 use crate::{Incarnation, ObjectAddress, ObjectName};
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -120,7 +121,7 @@ pub enum ObjectKind {
 }
 
 /// How an object's signs of life come.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Liveness {
     /// Its guard reports its end, and the sampler its hangs. The object reports nothing itself.
@@ -150,7 +151,7 @@ impl Liveness {
 ///   │───────┬────────│────────┬──────────────┬─────│──────►
 ///   0    interval   1½      2 (n)          3 (n)   tolerance + ½ intervals
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Push {
     /// How often a sign of life comes. Shorter finds silence sooner and costs more messages.
     pub interval: Duration,
@@ -176,7 +177,7 @@ impl Default for Push {
 /// A component need not be disturbed for it: one that finishes anything, or lives on a thread that
 /// turns, could answer. So a flooded one is alive, however long its queue; that its messages wait
 /// is [an overload](crate::FaultKind::Overload), and another fact.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Pull {
     /// How often it is asked. There is never more than one open question.
     pub interval: Duration,

@@ -9,7 +9,7 @@ use std::fmt;
 use std::time::Duration;
 
 /// What a claimant wants where another one holds the name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ClaimPolicy {
     /// To be told so, and to go without.
     Refuse,

@@ -66,7 +66,7 @@ impl fmt::Display for RecoveryAction {
 }
 
 /// One rung of a [`Ladder`].
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LadderStep {
     /// The action of this step.
     pub action: RecoveryAction,
@@ -88,7 +88,7 @@ pub struct LadderStep {
 /// let ladder = Ladder::first(RecoveryAction::Reset).then(RecoveryAction::Restart).times(3);
 /// assert_eq!(ladder.steps()[1].attempts, 3);
 /// ```
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ladder(Vec<LadderStep>);
 
 impl Ladder {

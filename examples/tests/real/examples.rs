@@ -352,3 +352,11 @@ fn an_example_whose_reader_has_gone_says_no_more_than_that_its_node_ends() {
     };
     assert!(told.lines().all(is_known), "{told}");
 }
+
+#[test]
+fn paper_robot_reacts_to_errors_as_the_listing_of_its_source_does() {
+    let _turn = blastema_doubles::turn();
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/paper_robot.txt");
+    let golden = fs::read_to_string(golden).expect("it is there");
+    assert_eq!(output("paper_robot"), golden);
+}

@@ -20,6 +20,7 @@ mod processes;
 mod program_ends;
 mod program_errors;
 mod readiness;
+mod robot_file;
 mod sealed;
 mod settings;
 mod slow_machine;

@@ -5,3 +5,4 @@ mod fault_list;
 mod keys;
 mod monitor;
 mod operator;
+mod robot;

@@ -49,13 +49,12 @@ impl Default for NetworkDescription {
 
 impl NetworkDescription {
     /// Reads the keys, and finds what can be known to be wrong before anything is started.
-    pub(in crate::node) fn check(&mut self, node: &NodeName) -> Result<&Self, StartError> {
+    pub(in crate::node) fn check(&mut self, node: &NodeName) -> Result<(), StartError> {
         SESSION_TIMEOUT.check(self.session_timeout)?;
         self.read_file()?;
         self.read_keys(node)?;
         self.judges()?;
-        check_networks(&self.networks, node, self.keys.as_deref())?;
-        Ok(self)
+        check_networks(&self.networks, node, self.keys.as_deref())
     }
 
     /// The incarnation of the node that starts now.

@@ -38,6 +38,12 @@ impl Network {
         beacons.map_or(reach, |beacons| reach.max(beacons.reach()))
     }
 
+    /// Returns whether its frames leave this computer: not over loopback addresses, Unix sockets
+    /// and memory.
+    pub fn leaves_computer(&self) -> bool {
+        self.reach().leaves_computer()
+    }
+
     /// Whether other processes can be on it.
     pub(super) fn leaves_process(&self) -> bool {
         self.reach() != Reach::Process

@@ -4,7 +4,7 @@ use crate::architecture::tree::{Breach, Definition, Tree};
 use std::collections::BTreeMap;
 
 /// The packages of a robot in operation. Test doubles are named after what they stand for.
-const PRODUCT: [&str; 9] = [
+const PRODUCT: [&str; 10] = [
     "core/src/",
     "core/trees/src/",
     "core/lite/src/",
@@ -12,6 +12,7 @@ const PRODUCT: [&str; 9] = [
     "core/macros/src/",
     "transports/src/",
     "actors/src/",
+    "actors/robot/src/",
     "actors/cli/src/",
     "actors/demo/src/",
 ];

@@ -10,7 +10,7 @@ struct Place {
 }
 
 /// The map of the README as data, from the bottom to the top.
-const PLACES: [Place; 17] = [
+const PLACES: [Place; 18] = [
     Place { package: "blastema-macros", below: &[], below_in_tests: &[] },
     // It runs on a chip, where nothing else of the workspace does.
     Place { package: "blastema-lite", below: &[], below_in_tests: &[] },
@@ -49,7 +49,16 @@ const PLACES: [Place; 17] = [
         below_in_tests: &[],
     },
     // The program uses what every user uses, and nothing else. Its tests take turns.
-    Place { package: "blastema-cli", below: &["blastema"], below_in_tests: &["blastema-doubles"] },
+    Place {
+        package: "blastema-cli",
+        below: &["blastema", "blastema-robot"],
+        below_in_tests: &["blastema-doubles"],
+    },
+    Place {
+        package: "blastema-robot",
+        below: &["blastema"],
+        below_in_tests: &["blastema-doubles"],
+    },
     Place { package: "blastema-demo", below: &["blastema"], below_in_tests: &["blastema-doubles"] },
     Place { package: "blastema-tests", below: EVERYTHING, below_in_tests: EVERYTHING },
     Place { package: "blastema-bench", below: EVERYTHING, below_in_tests: EVERYTHING },
@@ -59,7 +68,13 @@ const PLACES: [Place; 17] = [
     Place {
         package: "blastema-examples",
         below: &["blastema"],
-        below_in_tests: &["blastema", "blastema-doubles", "blastema-ptys", "blastema-testkit"],
+        below_in_tests: &[
+            "blastema",
+            "blastema-doubles",
+            "blastema-ptys",
+            "blastema-robot",
+            "blastema-testkit",
+        ],
     },
 ];
 
@@ -74,6 +89,7 @@ const EVERYTHING: &[&str] = &[
     "blastema-doubles",
     "blastema-ptys",
     "blastema",
+    "blastema-robot",
     "blastema-testkit",
 ];
 

@@ -1,0 +1,73 @@
+//! Robot files: their programs are started, the schema is printed, and a first robot is written.
+
+use crate::args::{NewOptions, RobotOptions};
+use blastema_robot::{XSD, program_of};
+use std::fs;
+use std::io::{self, Write};
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// The files of a new robot, and their texts. `{{name}}` stands for its name.
+const FILES: [(&str, &str); 5] = [
+    ("Cargo.toml", include_str!("../../template/Cargo.toml.in")),
+    ("{{name}}.robot.xml", include_str!("../../template/robot.xml.in")),
+    ("src/lib.rs", include_str!("../../template/lib.rs.in")),
+    ("src/main.rs", include_str!("../../template/main.rs.in")),
+    ("tests/robot.rs", include_str!("../../template/test.rs.in")),
+];
+
+/// The sources that this program was built from.
+const SOURCES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
+
+/// Becomes the program of a robot file.
+pub(crate) fn run(command: &str, options: &RobotOptions) -> Result<bool, String> {
+    let program = program_of(&options.file).map_err(|error| error.to_string())?;
+    let error = Command::new(&program).arg(command).arg(&options.file).args(&options.more).exec();
+    Err(format!("the program {} of the file does not start: {error}: build it", program.display()))
+}
+
+/// Prints the schema.
+pub(crate) fn schema() -> Result<bool, String> {
+    print(XSD)
+}
+
+fn print(text: &str) -> Result<bool, String> {
+    io::stdout().lock().write_all(text.as_bytes()).map_err(|error| error.to_string())?;
+    Ok(true)
+}
+
+/// Writes a robot.
+pub(crate) fn new(options: &NewOptions) -> Result<bool, String> {
+    let folder = &options.folder;
+    let name = folder.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    let is_package = name.starts_with(|c: char| c.is_ascii_lowercase())
+        && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
+    if !is_package || name.len() > 32 {
+        return Err(format!(
+            "{name:?} cannot be the name of a robot: write up to 32 small letters, digits and `_`, \
+             the first a letter"
+        ));
+    }
+    let sources = options.blastema.clone().unwrap_or_else(|| PathBuf::from(SOURCES));
+    let sources = fs::canonicalize(&sources).ok().filter(|path| path.join("actors/robot").is_dir());
+    let sources =
+        sources.ok_or("write --blastema FOLDER, with the folder of Blastema's sources")?;
+    fs::create_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    for (file, text) in FILES {
+        let filled = |text: &str| {
+            text.replace("{{name}}", name).replace("{{blastema}}", &sources.display().to_string())
+        };
+        write(&folder.join(filled(file)), &filled(text))?;
+    }
+    let folder = folder.display();
+    print(&format!(
+        "{folder} is a robot: cd {folder} && cargo test && cargo run -- run {name}.robot.xml\n"
+    ))
+}
+
+fn write(path: &Path, text: &str) -> Result<(), String> {
+    let made = path.parent().map_or(Ok(()), fs::create_dir_all);
+    made.and_then(|()| fs::write(path, text))
+        .map_err(|error| format!("{}: {error}", path.display()))
+}

@@ -1,0 +1,274 @@
+//! A robot as plain data: what a robot file is read into, and what code may fill as well.
+
+use blastema::core::port::PortConnection;
+use blastema::detection::Liveness;
+use blastema::recovery::{Ladder, Restart, Strategy, WhenExceeded};
+use blastema::{ActuatorSettings, ClaimPolicy, FaultKind, WhenFull};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// The place of an element in the robot's files. It is no part of what is described: descriptions
+/// that differ in their places alone are equal.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ElementOrigin {
+    /// The file and the byte at which the element begins; `None` for what code describes.
+    pub(crate) at: Option<(usize, usize)>,
+}
+
+impl PartialEq for ElementOrigin {
+    fn eq(&self, _: &ElementOrigin) -> bool {
+        true
+    }
+}
+
+/// A robot: its networks, nodes and connections.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RobotDescription {
+    /// The robot's name.
+    pub name: String,
+    /// The program that has the types of its components.
+    pub program: Option<PathBuf>,
+    /// The file of each node's key, for nodes that name none.
+    pub keys: Option<PathBuf>,
+    /// The answers to faults on every node.
+    pub plan: Vec<AnswerDescription>,
+    /// The networks.
+    pub networks: Vec<RobotNetwork>,
+    /// The nodes.
+    pub nodes: Vec<NodeDescription>,
+    /// The connections between ports.
+    pub connections: Vec<ConnectionDescription>,
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub origin: ElementOrigin,
+}
+
+/// What is done about one kind of fault.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AnswerDescription {
+    /// The kind.
+    pub fault: FaultKind,
+    /// The actions.
+    pub ladder: Ladder,
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub origin: ElementOrigin,
+}
+
+/// A network that joins nodes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RobotNetwork {
+    /// Its name.
+    pub name: String,
+    /// See [`Network::insecure`](blastema::Network::insecure).
+    pub insecure: bool,
+    /// See [`Link::cost`](blastema::Link::cost).
+    pub cost: Option<u16>,
+    /// See [`Link::hello_every`](blastema::Link::hello_every).
+    pub hello_every: Option<Duration>,
+    /// See [`Link::expected_within`](blastema::Link::expected_within).
+    pub expected_within: Option<Duration>,
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub origin: ElementOrigin,
+}
+
+/// A node's end of a network.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EndpointDescription {
+    /// The network.
+    pub network: String,
+    /// The medium and the own address, as in [`Network::new`](blastema::Network::new).
+    pub at: String,
+    /// The address that other nodes use; unless it is set, the one of `at`.
+    pub reached_at: Option<String>,
+    /// See [`Network::interface`](blastema::Network::interface).
+    pub interface: Option<String>,
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub origin: ElementOrigin,
+}
+
+/// One process of the robot.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NodeDescription {
+    /// Its name.
+    pub name: String,
+    /// The root supervisor. It has no name of its own.
+    pub root: SupervisorDescription,
+    /// The file of the node's key.
+    pub keys: Option<PathBuf>,
+    /// The registered function that sets the outputs to their safe values.
+    pub safe_outputs: Option<String>,
+    /// See [`NodeBuilder::work_threads`](blastema::NodeBuilder::work_threads).
+    pub work_threads: Option<usize>,
+    /// See [`NodeBuilder::grace`](blastema::NodeBuilder::grace).
+    pub grace: Option<Duration>,
+    /// See [`NodeBuilder::inspection_socket`](blastema::NodeBuilder::inspection_socket).
+    pub shown_at: Option<PathBuf>,
+    /// See [`NodeBuilder::keep_variables`](blastema::NodeBuilder::keep_variables).
+    pub keep_variables: Option<PathBuf>,
+    /// The answers to faults on this node.
+    pub plan: Vec<AnswerDescription>,
+    /// Its ends of networks.
+    pub endpoints: Vec<EndpointDescription>,
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub origin: ElementOrigin,
+}
+
+/// A supervisor and its children.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SupervisorDescription {
+    /// Its name; empty for a root.
+    pub name: String,
+    /// Which children are restarted together.
+    pub strategy: Strategy,
+    /// The restarts that are allowed in one period.
+    pub intensity: Option<u32>,
+    /// The period.
+    pub period: Option<Duration>,
+    /// What happens when restarts exceed the intensity.
+    pub when_exceeded: WhenExceeded,
+    /// Its own supervisor cannot do without it.
+    pub essential: bool,
+    /// Its children, in the order in which they start.
+    pub children: Vec<ChildDescription>,
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub origin: ElementOrigin,
+}
+
+/// A child of a supervisor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ChildDescription {
+    /// A component.
+    Component(Box<ComponentDescription>),
+    /// A supervisor.
+    Supervisor(SupervisorDescription),
+}
+
+/// A component.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ComponentDescription {
+    /// Its name.
+    pub name: String,
+    /// The name of its type, as the program has registered it.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// Which of its ends are followed by a restart.
+    pub restart: Restart,
+    /// See [`ChildSpec::rate_hz`](blastema::ChildSpec::rate_hz).
+    pub rate_hz: Option<f64>,
+    /// See [`ChildSpec::queue`](blastema::ChildSpec::queue).
+    pub queue: Option<usize>,
+    /// What happens to a message that exceeds the queue's capacity.
+    pub when_full: WhenFull,
+    /// See [`ChildSpec::on_own_thread`](blastema::ChildSpec::on_own_thread).
+    pub own_thread: bool,
+    /// See [`ChildSpec::depends_on`](blastema::ChildSpec::depends_on).
+    pub depends_on: Vec<String>,
+    /// See [`ChildSpec::essential`](blastema::ChildSpec::essential).
+    pub essential: bool,
+    /// See [`ChildSpec::max_block`](blastema::ChildSpec::max_block).
+    pub max_block: Option<Duration>,
+    /// See [`ChildSpec::max_wait`](blastema::ChildSpec::max_wait).
+    pub max_wait: Option<Duration>,
+    /// See [`ChildSpec::max_delay`](blastema::ChildSpec::max_delay).
+    pub max_delay: Option<Duration>,
+    /// See [`ChildSpec::ready_within`](blastema::ChildSpec::ready_within).
+    pub ready_within: Option<Duration>,
+    /// See [`ChildSpec::shutdown_within`](blastema::ChildSpec::shutdown_within).
+    pub shutdown_within: Option<Duration>,
+    /// See [`ChildSpec::liveness`](blastema::ChildSpec::liveness).
+    pub liveness: Option<Liveness>,
+    /// Its parameters, each with its value as it is written.
+    pub parameters: Vec<(String, String)>,
+    /// Settings of its actuators, by the name of the port.
+    pub actuators: Vec<(String, ActuatorSettings)>,
+    /// Names of the whole robot that it claims.
+    pub claims: Vec<(String, ClaimPolicy)>,
+    /// The answers to faults of this component.
+    pub plan: Vec<AnswerDescription>,
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub origin: ElementOrigin,
+}
+
+/// A connection between an out port and an in port, both with their nodes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ConnectionDescription {
+    /// The two ports.
+    #[serde(flatten)]
+    pub ports: PortConnection,
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub origin: ElementOrigin,
+}
+
+impl RobotDescription {
+    /// The node of this name.
+    pub fn node(&self, name: &str) -> Option<&NodeDescription> {
+        self.nodes.iter().find(|node| node.name == name)
+    }
+
+    /// The file of a node's key.
+    pub(crate) fn keys_of<'a>(&'a self, node: &'a NodeDescription) -> Option<&'a PathBuf> {
+        node.keys.as_ref().or(self.keys.as_ref())
+    }
+}
+
+impl NodeDescription {
+    /// The components of the node, in the order in which they start.
+    pub fn components(&self) -> Vec<&ComponentDescription> {
+        let mut components = Vec::new();
+        self.root.visit(&mut |child| {
+            if let ChildDescription::Component(component) = child {
+                components.push(&**component);
+            }
+        });
+        components
+    }
+}
+
+impl SupervisorDescription {
+    /// Visits everything below it, in the order in which it starts.
+    pub(crate) fn visit<'a>(&'a self, visit: &mut impl FnMut(&'a ChildDescription)) {
+        for child in &self.children {
+            visit(child);
+            if let ChildDescription::Supervisor(supervisor) = child {
+                supervisor.visit(visit);
+            }
+        }
+    }
+
+    /// Changes everything below it; what is refused is removed.
+    pub(crate) fn retain(&mut self, keep: &mut impl FnMut(&mut ChildDescription) -> bool) {
+        self.children.retain_mut(&mut *keep);
+        for child in &mut self.children {
+            if let ChildDescription::Supervisor(supervisor) = child {
+                supervisor.retain(keep);
+            }
+        }
+    }
+}
+
+impl ChildDescription {
+    /// Its name, and the place of its element.
+    pub(crate) fn identity(&self) -> (&str, ElementOrigin) {
+        match self {
+            ChildDescription::Component(component) => (&component.name, component.origin),
+            ChildDescription::Supervisor(supervisor) => (&supervisor.name, supervisor.origin),
+        }
+    }
+}

@@ -1,0 +1,299 @@
+//! Elements of a robot file, which are read by taking their attributes and children.
+//!
+//! What was not taken when an element is dropped is unknown. The names that were asked for are the
+//! ones that there are, so that the reader is the only list of them.
+
+use crate::description::ElementOrigin;
+use crate::finding::{FilePlace, RobotFinding, tag_name};
+use crate::value::ParsedValue;
+use blastema::core::suggestion::nearest;
+use roxmltree::Node;
+use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+/// Elements and attributes that have their place in the format and no meaning yet.
+const NOT_YET: [&str; 26] = [
+    "composite",
+    "device",
+    "export",
+    "fault-kind",
+    "link",
+    "lost-communication",
+    "member",
+    "mode",
+    "port",
+    "process",
+    "service",
+    "variant",
+    "automatic-shutdown",
+    "arguments",
+    "commanders",
+    "executable",
+    "max-recovery",
+    "memory-limit",
+    "on-give-up",
+    "placement",
+    "priority",
+    "significant",
+    "start",
+    "variants",
+    "wardens",
+    "blocking",
+];
+
+/// The values of the arguments that a file declares; those of a copy have `copy` as well.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct ArgumentValues {
+    pub(crate) values: BTreeMap<String, String>,
+    /// Declared arguments without a value.
+    pub(crate) missing: Vec<String>,
+}
+
+/// What the elements of one file share.
+pub(crate) struct FileReading<'a> {
+    pub(crate) file: usize,
+    pub(crate) text: &'a str,
+    pub(crate) findings: &'a RefCell<Vec<RobotFinding>>,
+    pub(crate) arguments: RefCell<ArgumentValues>,
+    /// All names that were asked for: of an element, its attributes and its children.
+    pub(crate) asked: &'a RefCell<BTreeMap<String, [Vec<&'static str>; 2]>>,
+}
+
+/// An element that is being read.
+pub(crate) struct RobotElement<'a> {
+    pub(crate) node: Node<'a, 'a>,
+    reading: &'a FileReading<'a>,
+    copy: Option<&'a str>,
+    attributes: RefCell<Vec<&'static str>>,
+    children: RefCell<Vec<&'static str>>,
+    /// What is not taken is no mistake.
+    is_left: Cell<bool>,
+}
+
+impl<'a> RobotElement<'a> {
+    pub(crate) fn new(
+        node: Node<'a, 'a>,
+        reading: &'a FileReading<'a>,
+        copy: Option<&'a str>,
+    ) -> Self {
+        let (attributes, children, is_left) = Default::default();
+        RobotElement { node, reading, copy, attributes, children, is_left }
+    }
+
+    pub(crate) fn name(&self) -> &'a str {
+        self.node.tag_name().name()
+    }
+
+    pub(crate) fn origin(&self) -> ElementOrigin {
+        ElementOrigin { at: Some((self.reading.file, self.node.range().start)) }
+    }
+
+    /// The value of an attribute; `None` where it is absent or wrong.
+    pub(crate) fn take<T>(
+        &self,
+        name: &'static str,
+        parse: impl Fn(&str) -> ParsedValue<T>,
+    ) -> Option<T> {
+        self.attributes.borrow_mut().push(name);
+        let attribute = self.node.attribute_node(name)?;
+        let text = self.substituted(attribute.value(), attribute.range_value())?;
+        match parse(&text) {
+            Ok(value) => Some(value),
+            Err(error) => {
+                let at = [(attribute.range_value(), error.label)];
+                self.find("robot::value", error.sentence, at, Some(error.help));
+                None
+            }
+        }
+    }
+
+    /// The value of an attribute that must be there.
+    pub(crate) fn need<T>(
+        &self,
+        name: &'static str,
+        parse: impl Fn(&str) -> ParsedValue<T>,
+    ) -> Option<T> {
+        if self.node.attribute(name).is_none() {
+            let sentence = format!("`{}` has no `{name}`", self.name());
+            let at = [(tag_name(self.node), "here".to_owned())];
+            self.find("robot::missing", sentence, at, Some(format!("add `{name}=\"…\"`")));
+        }
+        self.take(name, parse)
+    }
+
+    /// The children of these names, in the order of the file.
+    pub(crate) fn children(&self, names: &[&'static str]) -> Vec<RobotElement<'a>> {
+        self.children.borrow_mut().extend(names);
+        let nodes = self.node.children();
+        let wanted = nodes.filter(|node| {
+            node.is_element()
+                && node.tag_name().namespace().is_none()
+                && names.contains(&node.tag_name().name())
+        });
+        wanted.map(|node| RobotElement::new(node, self.reading, self.copy)).collect()
+    }
+
+    /// The only child of this name.
+    pub(crate) fn child(&self, name: &'static str) -> Option<RobotElement<'a>> {
+        let mut children = self.children(&[name]).into_iter();
+        let first = children.next()?;
+        for again in children {
+            let at =
+                [(tag_name(first.node), "first".into()), (tag_name(again.node), "again".into())];
+            let sentence = format!("`{}` has two elements `{name}`", self.name());
+            self.find("robot::twice", sentence, at, Some("delete one".to_owned()));
+        }
+        Some(first)
+    }
+
+    /// Leaves the rest of the element unread: it cannot be read because of another mistake, or is
+    /// read by its copies.
+    pub(crate) fn leave(&self) {
+        self.is_left.set(true);
+    }
+
+    /// The same element once for each copy.
+    pub(crate) fn copy(&self, copy: &'a str) -> Self {
+        RobotElement::new(self.node, self.reading, Some(copy))
+    }
+
+    /// Adds a finding about this element.
+    pub(crate) fn find(
+        &self,
+        code: &'static str,
+        sentence: String,
+        at: impl IntoIterator<Item = (Range<usize>, String)>,
+        help: Option<String>,
+    ) {
+        let file = self.reading.file;
+        let labels = at.into_iter().map(|(range, label)| (FilePlace { file, range }, label));
+        let finding = RobotFinding { code, sentence, help, labels: labels.collect() };
+        let mut findings = self.reading.findings.borrow_mut();
+        // A copy has the mistakes of the one before.
+        if !findings.contains(&finding) {
+            findings.push(finding);
+        }
+    }
+
+    /// The place of an attribute's value; the element's name where there is none.
+    pub(crate) fn place(&self, attribute: &str) -> Range<usize> {
+        let attribute = self.node.attribute_node(attribute);
+        attribute.map_or_else(|| tag_name(self.node), |attribute| attribute.range_value())
+    }
+
+    /// The text with the values of arguments in the places of `${name}`.
+    fn substituted(&self, text: &str, range: Range<usize>) -> Option<String> {
+        let arguments = self.reading.arguments.borrow();
+        let (mut done, mut rest) = (String::new(), text);
+        while let Some((before, behind)) = rest.split_once("${") {
+            if let Some(before) = before.strip_suffix('$') {
+                done += before;
+                done += "${";
+                rest = behind;
+                continue;
+            }
+            done += before;
+            let Some((name, behind)) = behind.split_once('}') else {
+                let help =
+                    format!("write `${{{behind}}}`; for a plain dollar sign and brace `$${{`");
+                let at = [(range, "begins here".to_owned())];
+                self.find("robot::argument", format!("`${{{behind}` does not end"), at, Some(help));
+                return None;
+            };
+            let copy = self.copy.filter(|_| name == "copy");
+            match copy.or(arguments.values.get(name).map(String::as_str)) {
+                Some(value) => done += value,
+                // That it has no value was found where it is declared.
+                None if arguments.missing.iter().any(|missing| missing == name) => return None,
+                None => {
+                    let known = arguments.values.keys().map(String::as_str);
+                    let help = match nearest(name, known.clone()) {
+                        Some(near) => format!("write `${{{near}}}`"),
+                        None => "declare it by `<argument name=…>`".to_owned(),
+                    };
+                    let declared = known.collect::<Vec<_>>().join(", ");
+                    let declared = if declared.is_empty() { "none" } else { &declared };
+                    let help = format!("{help}; declared are {declared}");
+                    let sentence = format!("there is no argument `{name}`");
+                    self.find("robot::argument", sentence, [(range, "unknown".into())], Some(help));
+                    return None;
+                }
+            }
+            rest = behind;
+        }
+        Some(done + rest)
+    }
+
+    /// Finds a name that was not asked for.
+    fn unknown(&self, what: &str, name: &str, range: Range<usize>, known: &[&'static str]) {
+        let of = self.name();
+        if NOT_YET.contains(&name) {
+            let sentence = format!("`{name}` is not known yet");
+            let help = format!("delete it: this version does not read the {what} `{name}`");
+            let at = [(range, "not known yet".to_owned())];
+            return self.find("robot::not-yet", sentence, at, Some(help));
+        }
+        let mut all = known.to_vec();
+        all.sort_unstable();
+        let help = match (nearest(name, known.iter().copied()), known.is_empty()) {
+            (Some(near), _) => format!("write `{near}`"),
+            (None, true) => format!("delete it: `{of}` has none"),
+            (None, false) => format!("delete it; there are {}", all.join(", ")),
+        };
+        let sentence = format!("`{name}` is not an {what} of `{of}`");
+        self.find("robot::unknown", sentence, [(range, "unknown".to_owned())], Some(help));
+    }
+}
+
+/// What was not taken by now is unknown.
+impl Drop for RobotElement<'_> {
+    fn drop(&mut self) {
+        if self.is_left.get() {
+            return;
+        }
+        let (attributes, children) = (self.attributes.borrow(), self.children.borrow());
+        for attribute in self.node.attributes() {
+            let xsi = "http://www.w3.org/2001/XMLSchema-instance";
+            let is_taken = match attribute.namespace() {
+                Some(namespace) => namespace == xsi,
+                None => attributes.contains(&attribute.name()),
+            };
+            if !is_taken {
+                let place = attribute.range_qname();
+                self.unknown("attribute", attribute.name(), place, &attributes);
+            }
+        }
+        for node in self.node.children() {
+            let name = node.tag_name().name();
+            if node.is_element() && !children.contains(&name) {
+                self.unknown("element", name, tag_name(node), &children);
+            } else if node.is_element() && node.tag_name().namespace().is_some() {
+                let sentence = format!("`{name}` is of another namespace");
+                let at = [(tag_name(node), "here".to_owned())];
+                let help = "delete its `xmlns`: the elements of a robot file have none";
+                self.find("robot::unknown", sentence, at, Some(help.into()));
+            } else if node.is_text() && node.text().is_some_and(|text| !text.trim().is_empty()) {
+                let range = node.range();
+                let text = &self.reading.text[range.clone()];
+                let start = range.start + (text.len() - text.trim_start().len());
+                let at = [(start..start + text.trim().len(), "text".to_owned())];
+                let sentence = format!("`{}` holds no text", self.name());
+                let help = "delete it, or make it a comment: `<!-- … -->`";
+                self.find("robot::unknown", sentence, at, Some(help.into()));
+            }
+        }
+        let mut asked = self.reading.asked.borrow_mut();
+        if !asked.contains_key(self.name()) {
+            asked.insert(self.name().to_owned(), Default::default());
+        }
+        let known = asked.get_mut(self.name()).into_iter().flatten();
+        for (known, new) in known.zip([&attributes, &children]) {
+            for name in new.iter() {
+                if !known.contains(name) {
+                    known.push(name);
+                }
+            }
+        }
+    }
+}

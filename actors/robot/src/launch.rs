@@ -1,0 +1,159 @@
+//! All nodes of a robot on one computer: each is a process, which is started again when it dies.
+
+use blastema::core::recovery::{Backoff, RestartWindow};
+use blastema::{platform, sleep};
+use std::ffi::OsString;
+use std::io::Write;
+use std::process::Stdio;
+use std::time::Duration;
+use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, BufReader};
+use tokio::process::{Child, Command};
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::{JoinHandle, spawn_local};
+
+/// Tells a node to end in order when its standard input does: then it outlives no launcher.
+pub(crate) const UNTIL_STDIN_ENDS: &str = "--until-stdin-ends";
+
+/// So many deaths of one node in one period are mended; more are a robot that does not work.
+const RESTARTS: u32 = 3;
+const PERIOD: Duration = Duration::from_secs(10);
+/// Longer than a node takes to stop with the default `shutdown-within` of a few components.
+const STOP_WITHIN: Duration = Duration::from_secs(30);
+/// A longer line is printed in several.
+const LINE_MAX: u64 = 16 * 1024;
+
+/// The nodes to start, in this order.
+pub(crate) struct Launch<'a> {
+    pub(crate) nodes: Vec<&'a str>,
+    /// Those of this program, to which `--node` is added.
+    pub(crate) arguments: Vec<OsString>,
+}
+
+/// A node that is kept.
+struct KeptNode {
+    stop: oneshot::Sender<()>,
+    ended: JoinHandle<()>,
+}
+
+impl Launch<'_> {
+    /// Runs all nodes until a signal, or until one of them cannot be kept.
+    ///
+    /// # Errors
+    /// Which node could not be kept, and why. All others have been stopped.
+    pub(crate) async fn run(self) -> Result<(), String> {
+        let listen = |kind| signal(kind).map_err(|error| format!("signals: {error}"));
+        let mut interrupt = listen(SignalKind::interrupt())?;
+        let mut terminate = listen(SignalKind::terminate())?;
+        let (failed, mut failures) = mpsc::channel(self.nodes.len().max(1));
+        let mut kept: Vec<KeptNode> = Vec::new();
+        for name in &self.nodes {
+            let (stop, stopped) = oneshot::channel();
+            let (name, arguments) = ((*name).to_owned(), self.arguments.clone());
+            let failed = failed.clone();
+            let ended = spawn_local(async move {
+                let ended = keep(&name, &arguments, stopped).await;
+                if let Err(error) = ended {
+                    // There is room for a failure of each node.
+                    let _ = failed.send(format!("node {name}: {error}; all others stop")).await;
+                }
+            });
+            kept.push(KeptNode { stop, ended });
+        }
+        drop(failed);
+        let failure = tokio::select! {
+            _ = interrupt.recv() => None,
+            _ = terminate.recv() => None,
+            failure = failures.recv() => failure,
+        };
+        // As children of a supervisor: the last that was started stops first.
+        for KeptNode { stop, ended } in kept.into_iter().rev() {
+            let _ = stop.send(());
+            let _ = ended.await;
+        }
+        failure.map_or(Ok(()), Err)
+    }
+}
+
+/// Keeps the process of one node until it is to stop, or ends in order.
+async fn keep(
+    name: &str,
+    arguments: &[OsString],
+    mut stopped: oneshot::Receiver<()>,
+) -> Result<(), String> {
+    let (mut deaths, mut attempt) = (RestartWindow::new(RESTARTS, PERIOD), 1);
+    loop {
+        let mut process = start(name, arguments)?;
+        // The node ends when this is dropped; waiting would drop it at once.
+        let stdin = process.stdin.take();
+        let printing =
+            [print_lines(name, process.stdout.take()), print_lines(name, process.stderr.take())];
+        let status = tokio::select! {
+            status = process.wait() => Some(status.map_err(|error| error.to_string())?),
+            _ = &mut stopped => None,
+        };
+        let Some(status) = status else {
+            drop(stdin);
+            tokio::select! {
+                _ = process.wait() => {}
+                () = sleep(STOP_WITHIN) => {
+                    print_line(name, "it did not stop in time, and is killed");
+                    let _ = process.kill().await;
+                }
+            }
+            for printing in printing.into_iter().flatten() {
+                let _ = printing.await;
+            }
+            return Ok(());
+        };
+        for printing in printing.into_iter().flatten() {
+            let _ = printing.await;
+        }
+        if status.success() {
+            return Ok(());
+        }
+        let now = platform::now();
+        if !deaths.add(now) {
+            return Err(format!(
+                "its process ended {} times in {PERIOD:?}, at last with {status}",
+                RESTARTS + 1
+            ));
+        }
+        print_line(name, &format!("its process ended with {status}, and is started again"));
+        attempt = if deaths.recent(now) == 1 { 2 } else { attempt + 1 };
+        tokio::select! {
+            () = sleep(Backoff::default().delay(attempt, u64::from(attempt))) => {}
+            _ = &mut stopped => return Ok(()),
+        }
+    }
+}
+
+fn start(name: &str, arguments: &[OsString]) -> Result<Child, String> {
+    let program = std::env::current_exe().map_err(|error| error.to_string())?;
+    let mut command = Command::new(program);
+    command.args(arguments).args(["--node", name, UNTIL_STDIN_ENDS]);
+    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    // A key that interrupts the launcher interrupts no node: the launcher stops them in order.
+    command.process_group(0).kill_on_drop(true);
+    command.spawn().map_err(|error| format!("its process does not start: {error}"))
+}
+
+/// Prints what a process writes, each line behind the name of its node.
+fn print_lines(
+    name: &str,
+    output: Option<impl AsyncRead + Unpin + 'static>,
+) -> Option<JoinHandle<()>> {
+    let (mut output, name) = (BufReader::new(output?), name.to_owned());
+    Some(spawn_local(async move {
+        let mut line = Vec::new();
+        while let Ok(1..) = (&mut output).take(LINE_MAX).read_until(b'\n', &mut line).await {
+            print_line(&name, &String::from_utf8_lossy(&line));
+            line.clear();
+        }
+    }))
+}
+
+fn print_line(name: &str, line: &str) {
+    // A reader of the output that has gone is no fault of the robot.
+    let _ = writeln!(std::io::stdout().lock(), "[{name}] {}", line.trim_end());
+}

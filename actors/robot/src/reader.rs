@@ -1,0 +1,617 @@
+//! Reads a robot file, and the files that it includes, into a description.
+
+use crate::description::{
+    AnswerDescription, ChildDescription, ComponentDescription, ConnectionDescription,
+    EndpointDescription, NodeDescription, RobotDescription, RobotNetwork, SupervisorDescription,
+};
+use crate::element::{ArgumentValues, FileReading, RobotElement};
+use crate::finding::{FilePlace, RobotFinding, RobotSources};
+use crate::value::{self, ParsedValue};
+use blastema::core::port::{ConnectError, PortAddress, PortConnection};
+use blastema::detection::{Liveness, Pull, Push};
+use blastema::recovery::{Backoff, Ladder, RecoveryAction, Restart, Strategy, WhenExceeded};
+use blastema::{ActuatorSettings, ClaimPolicy, NodeName, WhenFull};
+use roxmltree::{Document, Error, ParsingOptions};
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::{env, fs};
+
+/// A file that is written by hand has a hundred kilobytes at most.
+const FILE_MAX: usize = 1 << 20;
+const FILES_MAX: usize = 64;
+const DEPTH_MAX: usize = 8;
+/// Ten thousand components with all their attributes.
+const NODES_MAX: u32 = 200_000;
+const ARGUMENTS_MAX: usize = 64;
+/// The version of the format.
+const SCHEMA: u32 = 1;
+
+/// What was asked for of elements: of each its attributes and its children.
+pub(crate) type AskedNames = BTreeMap<String, [Vec<&'static str>; 2]>;
+
+/// A robot file that was read.
+#[derive(Debug, Default)]
+pub(crate) struct RobotReading {
+    pub(crate) robot: RobotDescription,
+    pub(crate) sources: RobotSources,
+    pub(crate) findings: Vec<RobotFinding>,
+    /// Every name that elements were asked for.
+    #[cfg_attr(not(test), expect(dead_code, reason = "a test compares them with the schema"))]
+    pub(crate) asked: AskedNames,
+}
+
+/// Why a robot file could not be read at all.
+#[derive(Debug)]
+pub(crate) struct UnreadableFile(pub(crate) String);
+
+/// Reads a file with these values of its arguments.
+pub(crate) fn read(path: &Path, set: &[(String, String)]) -> Result<RobotReading, UnreadableFile> {
+    let unreadable = |error| UnreadableFile(format!("{}: {error}", path.display()));
+    let absolute = fs::canonicalize(path).map_err(unreadable)?;
+    let text = read_text(&absolute)
+        .map_err(|error| UnreadableFile(format!("{}: {error}", path.display())))?;
+    let folder = absolute.parent().unwrap_or(Path::new("/")).to_owned();
+    let (findings, asked) = (RefCell::default(), RefCell::default());
+    let mut reader = RobotReader {
+        robot: RobotDescription::default(),
+        sources: RobotSources::default(),
+        findings: &findings,
+        asked: &asked,
+        root: folder,
+        open: Vec::new(),
+    };
+    reader.read_file(
+        path.display().to_string(),
+        absolute,
+        text.into(),
+        &ArgumentSource::Outer(set),
+    );
+    let RobotReader { robot, sources, .. } = reader;
+    let (findings, asked) = (findings.into_inner(), asked.into_inner());
+    Ok(RobotReading { robot, sources, findings, asked })
+}
+
+fn read_text(path: &Path) -> Result<String, String> {
+    let about = fs::metadata(path).map_err(|error| error.to_string())?;
+    if !about.is_file() {
+        return Err("it is no regular file".to_owned());
+    }
+    if about.len() > FILE_MAX as u64 {
+        return Err("it has more than 1 MiB: divide it by `<include file=…/>`".to_owned());
+    }
+    fs::read_to_string(path).map_err(|error| error.to_string())
+}
+
+/// Where the values of a file's arguments come from, beside their defaults.
+enum ArgumentSource<'a> {
+    /// The command line, and then the environment.
+    Outer(&'a [(String, String)]),
+    /// The element `include`.
+    Include(&'a [(String, String)]),
+}
+
+struct RobotReader<'a> {
+    robot: RobotDescription,
+    sources: RobotSources,
+    findings: &'a RefCell<Vec<RobotFinding>>,
+    asked: &'a RefCell<AskedNames>,
+    /// The folder of the outermost file.
+    root: PathBuf,
+    /// The files that include each other, the outermost first.
+    open: Vec<PathBuf>,
+}
+
+impl RobotReader<'_> {
+    fn read_file(&mut self, name: String, path: PathBuf, text: Arc<str>, set: &ArgumentSource<'_>) {
+        let file = self.sources.files.len();
+        self.sources.files.push((name, text.clone()));
+        let options = ParsingOptions { nodes_limit: NODES_MAX, ..ParsingOptions::default() };
+        let document = match Document::parse_with_options(&text, options) {
+            Ok(document) => document,
+            Err(error) => {
+                return self.findings.borrow_mut().push(syntax_finding(file, &text, &error));
+            }
+        };
+        let reading = FileReading {
+            file,
+            text: &text,
+            findings: self.findings,
+            arguments: RefCell::default(),
+            asked: self.asked,
+        };
+        let root = RobotElement::new(document.root_element(), &reading, None);
+        if root.name() != "robot" {
+            let at = [(crate::finding::tag_name(root.node), "here".to_owned())];
+            let sentence = format!("a robot file begins with `robot`, not with `{}`", root.name());
+            root.find("robot::unknown", sentence, at, Some("write `<robot …>`".to_owned()));
+            return root.leave();
+        }
+        self.open.push(path);
+        self.robot(&root, &reading, set);
+        self.open.pop();
+    }
+
+    fn robot(
+        &mut self,
+        root: &RobotElement<'_>,
+        reading: &FileReading<'_>,
+        set: &ArgumentSource<'_>,
+    ) {
+        let schema = root.need("schema", value::count::<u32>);
+        if let Some(schema) = schema.filter(|schema| *schema != SCHEMA) {
+            let at = [(root.place("schema"), "written for another version".to_owned())];
+            let sentence =
+                format!("this file has schema {schema}, and this program reads {SCHEMA}");
+            let help = format!("write `{SCHEMA}`, and what that schema has");
+            root.find("robot::schema", sentence, at, Some(help));
+            return root.leave();
+        }
+        *reading.arguments.borrow_mut() = arguments(root, set);
+        let name = root.need("name", value::node_name).unwrap_or_default();
+        if let ArgumentSource::Outer(_) = set {
+            self.robot.name = name;
+            self.robot.program = root.take("program", |text| self.path(text));
+            self.robot.keys = root.take("keys", |text| self.path(text));
+            self.robot.origin = root.origin();
+        }
+        for element in root.children(&["include", "network", "plan", "node", "connect"]) {
+            match element.name() {
+                "include" => self.include(&element),
+                "network" => self.robot.networks.push(network(&element)),
+                "plan" => self.robot.plan.extend(answers(&element)),
+                "node" => self.node(&element),
+                _ => self.robot.connections.extend(connection(&element, None)),
+            }
+        }
+    }
+
+    /// A path from the folder of the outermost file.
+    fn path(&self, text: &str) -> ParsedValue<PathBuf> {
+        Ok(self.root.join(text))
+    }
+
+    fn include(&mut self, element: &RobotElement<'_>) {
+        let set = element.children(&["set"]).into_iter().filter_map(|set| {
+            Some((set.need("argument", value::text)?, set.need("value", value::text)?))
+        });
+        let set: Vec<_> = set.collect();
+        let Some(name) = element.need("file", value::text) else { return };
+        let wrong = |sentence: String, help: &str| {
+            let at = [(element.place("file"), "here".to_owned())];
+            element.find("robot::include", sentence, at, Some(help.to_owned()));
+        };
+        let from = self.open.last().and_then(|open| open.parent()).unwrap_or(&self.root);
+        let path = match fs::canonicalize(from.join(&name)) {
+            Ok(path) => path,
+            Err(error) => return wrong(format!("`{name}`: {error}"), "correct the path"),
+        };
+        if !path.starts_with(&self.root) {
+            let help = "move it there: a robot's files stand below the folder of the outermost one";
+            return wrong(format!("`{name}` is not below the folder of the robot"), help);
+        }
+        if self.open.contains(&path) {
+            return wrong(format!("`{name}` includes itself"), "delete one of the includes");
+        }
+        if self.open.len() >= DEPTH_MAX || self.sources.files.len() >= FILES_MAX {
+            let sentence = format!("more than {FILES_MAX} files, or {DEPTH_MAX} within each other");
+            return wrong(sentence, "join some of them");
+        }
+        let shown = path.strip_prefix(&self.root).unwrap_or(&path).display().to_string();
+        match read_text(&path) {
+            Ok(text) => self.read_file(shown, path, text.into(), &ArgumentSource::Include(&set)),
+            Err(error) => wrong(format!("`{name}`: {error}"), "correct the file"),
+        }
+    }
+
+    fn node(&mut self, element: &RobotElement<'_>) {
+        let name = element.need("name", value::node_name).unwrap_or_default();
+        let path = |text: &str| self.path(text);
+        let mut node = NodeDescription {
+            keys: element.take("keys", path),
+            safe_outputs: element.take("safe-outputs", value::text),
+            work_threads: element.take("work-threads", value::count),
+            grace: element.take("grace", value::duration),
+            shown_at: element.take("shown-at", path),
+            keep_variables: element.take("keep-variables", path),
+            origin: element.origin(),
+            root: SupervisorDescription { origin: element.origin(), ..rules(element) },
+            name,
+            ..NodeDescription::default()
+        };
+        for element in element.children(&["endpoint", "plan", "connect", "component", "supervisor"])
+        {
+            match element.name() {
+                "endpoint" => node.endpoints.push(endpoint(&element)),
+                "plan" => node.plan.extend(answers(&element)),
+                "connect" => self.robot.connections.extend(connection(&element, Some(&node.name))),
+                _ => child(&element, &mut node.root.children),
+            }
+        }
+        self.robot.nodes.push(node);
+    }
+}
+
+/// Whether a text is a value of a type of arguments.
+type CheckValue = fn(&str) -> ParsedValue<()>;
+
+/// The arguments of a file with their values.
+fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValues {
+    let mut arguments = ArgumentValues::default();
+    let given = match set {
+        ArgumentSource::Outer(given) | ArgumentSource::Include(given) => *given,
+    };
+    for element in root.children(&["argument"]) {
+        let Some(name) = element.need("name", value::node_name) else { continue };
+        let kinds: [(&str, CheckValue); 5] = [
+            ("text", |_| Ok(())),
+            ("count", |text| value::count::<u64>(text).map(drop)),
+            ("number", |text| value::number(text).map(drop)),
+            ("duration", |text| value::duration(text).map(drop)),
+            ("rate", |text| value::rate(text).map(drop)),
+        ];
+        let kind = element.take("type", |text| value::word("a type of arguments", &kinds, text));
+        element.take("help", value::text);
+        let default = element.take("default", value::text);
+        let variable = format!("BLASTEMA_ARG_{}", name.to_uppercase().replace(['-', '.'], "_"));
+        let told = given.iter().rev().find(|(key, _)| *key == name).map(|(_, value)| value.clone());
+        let environment =
+            || env::var(&variable).ok().filter(|_| matches!(set, ArgumentSource::Outer(_)));
+        let value = told.or_else(environment).or(default);
+        if arguments.values.len() >= ARGUMENTS_MAX || arguments.values.contains_key(&name) {
+            let at = [(element.place("name"), "again".to_owned())];
+            let sentence = match arguments.values.contains_key(&name) {
+                true => format!("argument `{name}` is declared twice"),
+                false => format!("the file declares more than {ARGUMENTS_MAX} arguments"),
+            };
+            element.find("robot::twice", sentence, at, Some("rename one, or delete it".into()));
+        }
+        match value.map(|value| (kind.map_or(Ok(()), |check| check(&value)), value)) {
+            Some((Ok(()), value)) => drop(arguments.values.insert(name, value)),
+            Some((Err(error), value)) => {
+                let part = if element.node.attribute("default") == Some(&value) {
+                    "default"
+                } else {
+                    "name"
+                };
+                let at = [(element.place(part), error.label)];
+                element.find("robot::value", error.sentence, at, Some(error.help));
+                arguments.missing.push(name);
+            }
+            None => {
+                let at = [(element.place("name"), "without a value".to_owned())];
+                let help = format!("give it by `--set {name}=…` or {variable}, or add `default`");
+                element.find("robot::argument", format!("`{name}` has no value"), at, Some(help));
+                arguments.missing.push(name);
+            }
+        }
+    }
+    for (name, _) in given {
+        if !arguments.values.contains_key(name) && !arguments.missing.contains(name) {
+            let declared: Vec<&str> = arguments.values.keys().map(String::as_str).collect();
+            let help = format!("declared are {}", declared.join(", "));
+            let at = [(root.place("name"), "this file".to_owned())];
+            let sentence = format!("there is no argument `{name}` to set");
+            root.find("robot::argument", sentence, at, Some(help));
+        }
+    }
+    arguments
+}
+
+fn network(element: &RobotElement<'_>) -> RobotNetwork {
+    RobotNetwork {
+        name: element.need("name", value::node_name).unwrap_or_default(),
+        insecure: element.take("insecure", value::flag).unwrap_or_default(),
+        cost: element.take("cost", value::count),
+        hello_every: element.take("hello-every", value::duration),
+        expected_within: element.take("expected-within", value::limit),
+        origin: element.origin(),
+    }
+}
+
+fn endpoint(element: &RobotElement<'_>) -> EndpointDescription {
+    EndpointDescription {
+        network: element.need("network", value::text).unwrap_or_default(),
+        at: element.need("at", value::text).unwrap_or_default(),
+        reached_at: element.take("reached-at", value::text),
+        interface: element.take("interface", value::text),
+        origin: element.origin(),
+    }
+}
+
+/// A connection; on a node, ports without a node are that node's.
+fn connection(element: &RobotElement<'_>, node: Option<&str>) -> Option<ConnectionDescription> {
+    let port = |text: &str| {
+        let refused = |error: ConnectError| value::ValueError {
+            sentence: error.to_string(),
+            label: "a port".to_owned(),
+            help: match text.rsplit_once('.') {
+                Some((object, port)) if !text.contains('#') => format!("write `{object}#{port}`"),
+                _ => "write `component#port`, or `node:component#port`".to_owned(),
+            },
+        };
+        let mut address: PortAddress = text.parse().map_err(refused)?;
+        if address.node.is_none() {
+            address.node = node.and_then(|node| NodeName::new(node).ok());
+        }
+        if address.node.is_none() && node.is_none() {
+            return Err(value::ValueError {
+                sentence: format!("`{text}` names no node"),
+                label: "a port".to_owned(),
+                help: format!("write `node:{text}`, or put `connect` into the node"),
+            });
+        }
+        Ok(address)
+    };
+    let (from, to) = (element.need("from", port), element.need("to", port));
+    let ports = PortConnection { from: from?, to: to? };
+    Some(ConnectionDescription { ports, origin: element.origin() })
+}
+
+const STRATEGIES: [(&str, Strategy); 3] = [
+    ("one-for-one", Strategy::OneForOne),
+    ("one-for-all", Strategy::OneForAll),
+    ("rest-for-one", Strategy::RestForOne),
+];
+
+/// What supervisors and nodes have in common.
+fn rules(element: &RobotElement<'_>) -> SupervisorDescription {
+    let exceeded = [("stop-child", WhenExceeded::StopChild), ("escalate", WhenExceeded::Escalate)];
+    let strategy = element.take("strategy", |text| value::word("a strategy", &STRATEGIES, text));
+    let exceeded = element.take("when-exceeded", |text| value::word("a measure", &exceeded, text));
+    SupervisorDescription {
+        strategy: strategy.unwrap_or_default(),
+        intensity: element.take("intensity", value::count),
+        period: element.take("period", value::duration),
+        when_exceeded: exceeded.unwrap_or_default(),
+        ..SupervisorDescription::default()
+    }
+}
+
+/// A component, once for each copy, or a supervisor with what is below it.
+fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
+    if element.name() == "component" {
+        // The attribute is the same for each copy, and is read before there is one.
+        let Some(copies) = element.take("copies", value::copies) else {
+            return children.push(component(element));
+        };
+        for copy in &copies {
+            let copied = element.copy(copy);
+            copied.take("copies", value::text);
+            children.push(component(&copied));
+        }
+        return element.leave();
+    }
+    let mut supervisor = SupervisorDescription {
+        name: element.need("name", value::object_name).unwrap_or_default(),
+        essential: element.take("essential", value::flag).unwrap_or_default(),
+        origin: element.origin(),
+        ..rules(element)
+    };
+    for element in element.children(&["component", "supervisor"]) {
+        child(&element, &mut supervisor.children);
+    }
+    children.push(ChildDescription::Supervisor(supervisor));
+}
+
+fn component(element: &RobotElement<'_>) -> ChildDescription {
+    let restarts = [
+        ("permanent", Restart::Permanent),
+        ("transient", Restart::Transient),
+        ("temporary", Restart::Temporary),
+    ];
+    let when_full = [
+        ("refuse", WhenFull::Refuse),
+        ("drop-oldest", WhenFull::DropOldest),
+        ("drop-newest", WhenFull::DropNewest),
+        ("wait", WhenFull::Wait),
+    ];
+    let threads = [("shared", false), ("own", true)];
+    let restart = element.take("restart", |text| value::word("a restart type", &restarts, text));
+    let when_full = element.take("when-full", |text| value::word("a policy", &when_full, text));
+    let thread = element.take("thread", |text| value::word("a kind of thread", &threads, text));
+    let parameters = element.children(&["param"]).into_iter().filter_map(|param| {
+        Some((param.need("name", value::text)?, param.need("value", value::text)?))
+    });
+    let parameters = parameters.collect();
+    let actuators = element.children(&["actuator"]).iter().filter_map(actuator).collect();
+    let claims = element.children(&["claim"]).into_iter().filter_map(|claim| {
+        let policies = [("refuse", ClaimPolicy::Refuse), ("standby", ClaimPolicy::Standby)];
+        let policy = claim.take("policy", |text| value::word("a policy", &policies, text));
+        Some((claim.need("name", value::object_name)?, policy.unwrap_or(ClaimPolicy::Refuse)))
+    });
+    let claims = claims.collect();
+    ChildDescription::Component(Box::new(ComponentDescription {
+        name: element.need("name", value::object_name).unwrap_or_default(),
+        type_name: element.need("type", value::text).unwrap_or_default(),
+        restart: restart.unwrap_or_default(),
+        rate_hz: element.take("rate", value::rate),
+        queue: element.take("queue", value::count),
+        when_full: when_full.unwrap_or_default(),
+        own_thread: thread.unwrap_or_default(),
+        depends_on: element.take("depends-on", value::words).unwrap_or_default(),
+        essential: element.take("essential", value::flag).unwrap_or_default(),
+        max_block: element.take("max-block", value::duration),
+        max_wait: element.take("max-wait", value::duration),
+        max_delay: element.take("max-delay", value::duration),
+        ready_within: element.take("ready-within", value::duration),
+        shutdown_within: element.take("shutdown-within", value::duration),
+        liveness: element
+            .child("liveness")
+            .and_then(|liveness_element| liveness(&liveness_element)),
+        parameters,
+        actuators,
+        claims,
+        plan: answers(element),
+        origin: element.origin(),
+    }))
+}
+
+/// The signs of life of a component. Each model has attributes of its own.
+fn liveness(element: &RobotElement<'_>) -> Option<Liveness> {
+    #[derive(Clone, Copy)]
+    enum Model {
+        Guard,
+        Push,
+        Pull,
+    }
+    let models = [("guard", Model::Guard), ("push", Model::Push), ("pull", Model::Pull)];
+    let Some(model) = element.need("model", |text| value::word("a model", &models, text)) else {
+        element.leave();
+        return None;
+    };
+    let interval = || element.take("interval", value::duration);
+    let tolerance = || element.take("tolerance", value::count);
+    Some(match model {
+        Model::Guard => Liveness::Guard,
+        Model::Push => {
+            let usual = Push::default();
+            Liveness::Push(Push {
+                interval: interval().unwrap_or(usual.interval),
+                tolerance: tolerance().unwrap_or(usual.tolerance),
+                start_up: element.take("start-up", value::duration).unwrap_or(usual.start_up),
+            })
+        }
+        Model::Pull => {
+            let usual = Pull::default();
+            Liveness::Pull(Pull {
+                interval: interval().unwrap_or(usual.interval),
+                within: element.take("within", value::duration).unwrap_or(usual.within),
+                tolerance: tolerance().unwrap_or(usual.tolerance),
+            })
+        }
+    })
+}
+
+fn actuator(element: &RobotElement<'_>) -> Option<(String, ActuatorSettings)> {
+    let lease = element.take("lease", value::duration);
+    let command_timeout = element.take("command-timeout", value::command_timeout);
+    let safe = element.child("safe").map(|safe| {
+        let fields = safe.children(&["field"]);
+        let field = |field: &RobotElement<'_>| {
+            Some((field.need("name", value::text)?, field.need("value", value::text)?))
+        };
+        fields.iter().filter_map(field).collect()
+    });
+    let settings = ActuatorSettings { lease, command_timeout, safe: safe.unwrap_or_default() };
+    Some((element.need("port", value::text)?, settings))
+}
+
+/// The elements `on` of a plan, or of a component.
+fn answers(element: &RobotElement<'_>) -> Vec<AnswerDescription> {
+    element.children(&["on"]).iter().filter_map(answer).collect()
+}
+
+fn answer(element: &RobotElement<'_>) -> Option<AnswerDescription> {
+    let steps = element.children(&["step"]);
+    let mut ladder: Option<Ladder> = None;
+    for step in &steps {
+        let name = step.take("strategy", value::text);
+        let action = step.need("action", value::action);
+        let action = match (action, name) {
+            (Some(Some(action)), None) => Some(action),
+            (Some(None), Some(name)) => Some(RecoveryAction::Custom(name.as_str().into())),
+            (Some(None), None) => {
+                step.need("strategy", value::text);
+                None
+            }
+            (Some(Some(_)), Some(_)) => {
+                let at = [(step.place("strategy"), "of no use".to_owned())];
+                let sentence = "only the action `strategy` has a `strategy`".to_owned();
+                step.find("robot::plan", sentence, at, Some("delete it".to_owned()));
+                None
+            }
+            (None, _) => None,
+        };
+        let usual = Backoff::default();
+        let times = step.take("times", value::count);
+        let within = step.take("within", value::duration);
+        let backoff = Backoff {
+            first: step.take("pause", value::duration).unwrap_or(usual.first),
+            factor: step.take("pause-factor", value::count).unwrap_or(usual.factor),
+            limit: step.take("pause-limit", value::duration).unwrap_or(usual.limit),
+            ..usual
+        };
+        let Some(action) = action else { continue };
+        let next = match ladder {
+            Some(ladder) => ladder.then(action),
+            None => Ladder::first(action),
+        };
+        let next = next.times(times.unwrap_or(1)).backoff(backoff);
+        ladder = Some(within.into_iter().fold(next, Ladder::within));
+    }
+    let fault = element.need("fault", value::fault);
+    if steps.is_empty() {
+        let at = [(element.place("fault"), "without a step".to_owned())];
+        let help = "add `<step action=…/>`".to_owned();
+        element.find("robot::plan", "a fault without an answer".to_owned(), at, Some(help));
+    }
+    Some(AnswerDescription { fault: fault?, ladder: ladder?, origin: element.origin() })
+}
+
+/// What the parser says of a file that is no XML.
+fn syntax_finding(file: usize, text: &str, error: &Error) -> RobotFinding {
+    let position = error.pos();
+    let before = text.split_inclusive('\n').take(position.row as usize - 1).map(str::len);
+    let line: usize = before.sum();
+    let rest: &str = text.get(line..).unwrap_or_default();
+    let at = line + rest.chars().take(position.col as usize - 1).map(char::len_utf8).sum::<usize>();
+    let place = |start: usize, length: usize| FilePlace {
+        file,
+        range: start.min(text.len())..(start + length).min(text.len()),
+    };
+    let finding = |sentence: String, labels: Vec<(FilePlace, String)>, help: String| RobotFinding {
+        code: "robot::xml",
+        sentence,
+        labels,
+        help: Some(help),
+    };
+    match error {
+        Error::UnexpectedCloseTag(expected, actual, _) => {
+            let closed = text[..(at + 2).min(text.len())].rfind("</").unwrap_or(at);
+            let mut labels = vec![(place(closed, actual.len() + 3), "closed here".to_owned())];
+            if let Some(opened) = opened_at(&text[..closed], expected) {
+                labels.insert(0, (place(opened, expected.len() + 1), "opened here".to_owned()));
+            }
+            let sentence = format!("`</{expected}>` is missing before `</{actual}>`");
+            finding(sentence, labels, format!("write `</{expected}>`, or `<{expected} …/>`"))
+        }
+        Error::DtdDetected => {
+            let at = text.find("<!DOCTYPE").unwrap_or(0);
+            finding(
+                "a robot file has no document type".to_owned(),
+                vec![(place(at, "<!DOCTYPE".len()), "not allowed".to_owned())],
+                "delete it; `<argument>` is for what repeats, `<include>` for other files".into(),
+            )
+        }
+        Error::NodesLimitReached => finding(
+            format!("the file has more than {NODES_MAX} parts"),
+            vec![(place(0, 1), "this file".to_owned())],
+            "divide the robot into files".to_owned(),
+        ),
+        error => finding(
+            format!("no XML: {error}"),
+            vec![(place(at, 1), "here".to_owned())],
+            "correct what stands here, or just before".to_owned(),
+        ),
+    }
+}
+
+/// Where the element of this name begins that is still open at the end of the text.
+fn opened_at(text: &str, name: &str) -> Option<usize> {
+    let mut open = Vec::new();
+    for (at, _) in text.match_indices('<') {
+        let tag = &text[at + 1..];
+        let is_name = |tag: &str| {
+            tag.strip_prefix(name).is_some_and(|rest| rest.starts_with([' ', '\n', '\t', '/', '>']))
+        };
+        let end = tag.find('>').map_or(tag, |end| &tag[..end]);
+        if tag.strip_prefix('/').is_some_and(is_name) {
+            open.pop();
+        } else if is_name(tag) && !end.ends_with('/') {
+            open.push(at);
+        }
+    }
+    open.pop()
+}

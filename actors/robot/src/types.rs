@@ -1,0 +1,360 @@
+//! What a program registers by name, and the nodes that descriptions become with it.
+
+use crate::description::{
+    AnswerDescription, ChildDescription, ComponentDescription, EndpointDescription,
+    NodeDescription, RobotDescription, RobotNetwork, SupervisorDescription,
+};
+use blastema::core::port::{PortConnection, TypeDescription};
+use blastema::core::recovery::SupervisorRules;
+use blastema::prelude::*;
+use blastema::{Fault, Link, Network, NodeBuilder, RecoveryStrategy};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+
+/// The component types, recovery strategies and safe outputs of a program, by the names that robot
+/// files use.
+///
+/// ```no_run
+/// use blastema::prelude::*;
+///
+/// #[derive(Default)]
+/// struct Laser;
+/// impl Component for Laser {}
+///
+/// struct Motors {
+///     device: &'static str,
+/// }
+/// impl Component for Motors {}
+///
+/// fn main() -> std::process::ExitCode {
+///     blastema_robot::Types::new()
+///         .component::<Laser>("Laser")
+///         .component_with("Motors", || Motors { device: "/dev/ttyUSB0" })
+///         .safe_outputs("brakes", |fault| eprintln!("brakes on: {fault}"))
+///         .main()
+/// }
+/// ```
+#[derive(Default)]
+pub struct Types {
+    components: BTreeMap<String, RegisteredComponent>,
+    strategies: BTreeMap<String, Box<dyn Fn(NodeBuilder) -> NodeBuilder>>,
+    safe_outputs: BTreeMap<String, SafeOutputsFn>,
+    /// The names that were registered twice.
+    pub(crate) twice: Vec<String>,
+}
+
+/// Sets the outputs of a node to their safe values.
+type SafeOutputsFn = Arc<dyn Fn(&Fault) + Send + Sync>;
+/// Adds a component with the settings of its description.
+type AddComponent = Box<dyn Fn(SupervisorSpec, &ComponentDescription) -> SupervisorSpec>;
+
+struct RegisteredComponent {
+    add: AddComponent,
+    description: Result<TypeDescription, String>,
+}
+
+impl fmt::Debug for Types {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_set().entries(self.components.keys()).finish()
+    }
+}
+
+impl Types {
+    /// No types.
+    pub fn new() -> Self {
+        Types::default()
+    }
+
+    /// Registers a type of components that `Default` makes. Its parameters and ports are those that
+    /// its [`ports`](Component::ports) declare.
+    #[must_use]
+    pub fn component<C: Component + Default>(self, name: &str) -> Self {
+        self.component_with(name, C::default)
+    }
+
+    /// Registers a type of components that `make` makes, once for each incarnation. It opens no
+    /// device: `on_initialize` does.
+    #[must_use]
+    pub fn component_with<C: Component>(
+        mut self,
+        name: &str,
+        make: impl Fn() -> C + Send + Sync + 'static,
+    ) -> Self {
+        let (make, description) = (Arc::new(make), blastema::describe::<C>());
+        let ports = description.clone().map(|description| description.takes).unwrap_or_default();
+        let add = move |supervisor: SupervisorSpec, component: &ComponentDescription| {
+            let make = make.clone();
+            let mut spec = configured(ChildSpec::new(&component.name, move || make()), component);
+            for (port, settings) in &component.actuators {
+                // A port is called by its contract's name unless it has one of its own.
+                let named = ports.iter().find(|known| known.name == *port);
+                let contract = named.map_or(port.as_str(), |port| &port.contract.name);
+                spec = spec.actuator(contract, settings.clone());
+            }
+            supervisor.child_with(spec, component.restart)
+        };
+        let registered = RegisteredComponent { add: Box::new(add), description };
+        if self.components.insert(name.to_owned(), registered).is_some() {
+            self.twice.push(name.to_owned());
+        }
+        self
+    }
+
+    /// Registers a recovery strategy of the application's own.
+    #[must_use]
+    pub fn strategy<S: RecoveryStrategy>(
+        mut self,
+        name: &str,
+        make: impl Fn() -> S + Send + Sync + 'static,
+    ) -> Self {
+        let (make, of) = (Arc::new(make), name.to_owned());
+        let add = move |node: NodeBuilder| {
+            let make = make.clone();
+            node.recovery(&of, move || make())
+        };
+        if self.strategies.insert(name.to_owned(), Box::new(add)).is_some() {
+            self.twice.push(name.to_owned());
+        }
+        self
+    }
+
+    /// Registers a function that sets the outputs of a node to their safe values. See
+    /// [`NodeBuilder::safe_outputs`].
+    #[must_use]
+    pub fn safe_outputs(
+        mut self,
+        name: &str,
+        apply: impl Fn(&Fault) + Send + Sync + 'static,
+    ) -> Self {
+        if self.safe_outputs.insert(name.to_owned(), Arc::new(apply)).is_some() {
+            self.twice.push(name.to_owned());
+        }
+        self
+    }
+
+    /// Returns the node of this name of a robot, to be started, or added to in code.
+    ///
+    /// # Errors
+    /// The robot has no such node, or names what is not registered. Other mistakes are those of
+    /// [`NodeBuilder::start`].
+    ///
+    /// ```
+    /// use blastema::prelude::*;
+    /// use blastema_robot::Types;
+    /// # #[derive(Default)]
+    /// # struct Laser;
+    /// # impl Component for Laser {}
+    ///
+    /// # let folder = std::env::temp_dir().join(format!("robot-{}", std::process::id()));
+    /// # std::fs::create_dir_all(&folder)?;
+    /// # let file = folder.join("a.robot.xml");
+    /// # std::fs::write(&file, r#"<robot schema="1" name="a">
+    /// #   <node name="base"><component name="laser" type="Laser"/></node></robot>"#)?;
+    /// let types = Types::new().component::<Laser>("Laser");
+    /// blastema::run(async {
+    ///     let robot = types.load(&file, &[])?;
+    ///     let node = types.node(&robot, "base")?.start().await?;
+    ///     node.shutdown().await;
+    ///     Ok::<(), Box<dyn std::error::Error>>(())
+    /// })?;
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn node(&self, robot: &RobotDescription, name: &str) -> Result<NodeBuilder, String> {
+        let node = robot.node(name).ok_or_else(|| {
+            let nodes: Vec<&str> = robot.nodes.iter().map(|node| node.name.as_str()).collect();
+            format!("{} has no node `{name}`: its nodes are {}", robot.name, nodes.join(", "))
+        })?;
+        let mut builder = self.composed(robot, node)?;
+        for endpoint in &node.endpoints {
+            builder = builder.network(network_of(robot, node, endpoint)?);
+        }
+        if let Some(keys) = robot.keys_of(node) {
+            builder = builder.keys(keys);
+        }
+        for PortConnection { from, to } in self.connections_at(robot, name) {
+            builder = builder.connect(&from.to_string(), &to.to_string());
+        }
+        Ok(builder)
+    }
+
+    /// A node without its networks, keys and connections.
+    pub(crate) fn composed(
+        &self,
+        robot: &RobotDescription,
+        node: &NodeDescription,
+    ) -> Result<NodeBuilder, String> {
+        let mut builder = Node::builder(&node.name);
+        builder = node.work_threads.into_iter().fold(builder, NodeBuilder::work_threads);
+        builder = node.grace.into_iter().fold(builder, NodeBuilder::grace);
+        builder = node.shown_at.iter().fold(builder, NodeBuilder::inspection_socket);
+        builder = node.keep_variables.iter().fold(builder, NodeBuilder::keep_variables);
+        if let Some(name) = &node.safe_outputs {
+            let unknown = || format!("no safe outputs `{name}` are registered");
+            let apply = self.safe_outputs.get(name).ok_or_else(unknown)?.clone();
+            builder = builder.safe_outputs(move |fault| apply(fault));
+        }
+        builder = self.strategies.values().fold(builder, |builder, add| add(builder));
+        Ok(builder.plan(plan_of(robot, node)).root(self.supervisor(&node.root)?))
+    }
+
+    fn supervisor(&self, supervisor: &SupervisorDescription) -> Result<SupervisorSpec, String> {
+        let mut spec = SupervisorSpec::new(&supervisor.name, supervisor.strategy);
+        spec = spec.when_exceeded(supervisor.when_exceeded);
+        if supervisor.intensity.is_some() || supervisor.period.is_some() {
+            let usual = SupervisorRules::default();
+            let times = supervisor.intensity.unwrap_or(usual.intensity);
+            spec = spec.intensity(times, supervisor.period.unwrap_or(usual.period));
+        }
+        if supervisor.essential {
+            spec = spec.essential();
+        }
+        for child in &supervisor.children {
+            spec = match child {
+                ChildDescription::Component(component) => {
+                    let registered = self.components.get(&component.type_name);
+                    let unknown = || format!("no type `{}` is registered", component.type_name);
+                    (registered.ok_or_else(unknown)?.add)(spec, component)
+                }
+                ChildDescription::Supervisor(below) => spec.supervisor(self.supervisor(below)?),
+            };
+        }
+        Ok(spec)
+    }
+
+    /// The connections that this node makes.
+    fn connections_at<'a>(
+        &self,
+        robot: &'a RobotDescription,
+        node: &str,
+    ) -> Vec<&'a PortConnection> {
+        let connections = robot.connections.iter().map(|connection| &connection.ports);
+        let made_here = |ports: &&PortConnection| {
+            let role = self.port_role(robot, ports);
+            let end =
+                if role.is_some_and(|role| role.connects()) { &ports.from } else { &ports.to };
+            end.node.as_ref().is_some_and(|end| end.as_str() == node)
+        };
+        connections.filter(made_here).collect()
+    }
+
+    /// What the out port of a connection does.
+    fn port_role(
+        &self,
+        robot: &RobotDescription,
+        ports: &PortConnection,
+    ) -> Option<blastema::core::port::ConnectionRole> {
+        let node = robot.node(ports.from.node.as_ref()?.as_str())?;
+        let components = node.components();
+        let component = components.iter().find(|known| known.name == ports.from.object.as_str())?;
+        let port = self.description(&component.type_name)?.port(&ports.from, true).ok()?;
+        Some(port.role)
+    }
+
+    /// What a type takes and gives; `None` where it is not registered, or its `ports` panicked.
+    pub(crate) fn description(&self, name: &str) -> Option<&TypeDescription> {
+        self.components.get(name)?.description.as_ref().ok()
+    }
+
+    /// The registered names: of component types, strategies and safe outputs.
+    pub(crate) fn names(&self) -> [Vec<&str>; 3] {
+        [
+            self.components.keys().map(String::as_str).collect(),
+            self.strategies.keys().map(String::as_str).collect(),
+            self.safe_outputs.keys().map(String::as_str).collect(),
+        ]
+    }
+}
+
+/// Gives a component the settings of its description.
+fn configured<C: Component>(spec: ChildSpec<C>, component: &ComponentDescription) -> ChildSpec<C> {
+    let mut spec = spec.depends_on(component.depends_on.iter().map(String::as_str));
+    if component.queue.is_some() || component.when_full != WhenFull::default() {
+        // The default of the capacity stands in the settings of a component.
+        let capacity = component.queue.unwrap_or(ChildSpec::<C>::QUEUE);
+        spec = spec.queue(capacity, component.when_full);
+    }
+    spec = component.rate_hz.into_iter().fold(spec, ChildSpec::rate_hz);
+    spec = component.max_block.into_iter().fold(spec, ChildSpec::max_block);
+    spec = component.max_wait.into_iter().fold(spec, ChildSpec::max_wait);
+    spec = component.max_delay.into_iter().fold(spec, ChildSpec::max_delay);
+    spec = component.ready_within.into_iter().fold(spec, ChildSpec::ready_within);
+    spec = component.shutdown_within.into_iter().fold(spec, ChildSpec::shutdown_within);
+    spec = component.liveness.into_iter().fold(spec, ChildSpec::liveness);
+    for (name, value) in &component.parameters {
+        spec = spec.parameter(name, value);
+    }
+    for (name, policy) in &component.claims {
+        spec = spec.claim(name, *policy);
+    }
+    if component.own_thread {
+        spec = spec.on_own_thread();
+    }
+    if component.essential {
+        spec = spec.essential();
+    }
+    spec
+}
+
+/// The plan of a node: the built-in one, the robot's, the node's, and those of its components.
+fn plan_of(robot: &RobotDescription, node: &NodeDescription) -> Plan {
+    let answers = robot.plan.iter().chain(&node.plan);
+    let plan = answers.fold(Plan::default(), |plan, AnswerDescription { fault, ladder, .. }| {
+        plan.on(fault.clone(), ladder.clone())
+    });
+    let components = node.components().into_iter();
+    components.fold(plan, |plan, component| {
+        let Ok(name) = blastema::ObjectName::new(&component.name) else { return plan };
+        component.plan.iter().fold(plan, |plan, AnswerDescription { fault, ladder, .. }| {
+            plan.on_component(name.clone(), fault.clone(), ladder.clone())
+        })
+    })
+}
+
+/// A network as this node has it: every other node with an endpoint of it is a neighbour.
+pub(crate) fn network_of(
+    robot: &RobotDescription,
+    node: &NodeDescription,
+    endpoint: &EndpointDescription,
+) -> Result<Network, String> {
+    let unknown = || format!("there is no network `{}`", endpoint.network);
+    let described = robot.networks.iter().find(|network| network.name == endpoint.network);
+    let RobotNetwork { name, insecure, cost, hello_every, expected_within, .. } =
+        described.ok_or_else(unknown)?;
+    let mut network = Network::new(name, &endpoint.at);
+    network = endpoint.interface.iter().fold(network, |network, name| network.interface(name));
+    if *insecure {
+        network = network.insecure();
+    }
+    for other in robot.nodes.iter().filter(|other| other.name != node.name) {
+        for end in other.endpoints.iter().filter(|end| end.network == *name) {
+            let mut link = Link::to(&other.name, &address_of(end));
+            link = cost.iter().fold(link, |link, cost| link.cost(*cost));
+            link = hello_every.iter().fold(link, |link, every| link.hello_every(*every));
+            link = expected_within.iter().fold(link, |link, span| link.expected_within(*span));
+            network = network.link(link);
+        }
+    }
+    Ok(network)
+}
+
+/// The address at which other nodes reach an endpoint, as its medium writes addresses.
+pub(crate) fn address_of(endpoint: &EndpointDescription) -> String {
+    if let Some(address) = &endpoint.reached_at {
+        return address.clone();
+    }
+    let (medium, rest) = endpoint.at.split_once("://").unwrap_or(("", &endpoint.at));
+    let (place, query) = rest.split_once('?').unwrap_or((rest, ""));
+    let setting = |key: &str| {
+        let mut pairs = query.split('&').filter_map(|pair| pair.split_once('='));
+        pairs.find(|(known, _)| *known == key).map(|(_, value)| value.to_owned())
+    };
+    match medium {
+        // Where the endpoint is a group's, `own` is the address that it sends from.
+        "udp" => setting("own").unwrap_or_else(|| place.to_owned()),
+        "serial" => String::new(),
+        "can" | "slcan" => setting("address").unwrap_or_else(|| "0".to_owned()),
+        "zenoh" => place.rsplit('/').next().unwrap_or_default().to_owned(),
+        _ => place.to_owned(),
+    }
+}

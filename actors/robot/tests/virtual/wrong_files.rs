@@ -1,0 +1,52 @@
+//! Planted mistakes: each is found at its line, with a golden text, and nothing else is.
+
+use crate::program::types;
+use std::path::Path;
+use std::{env, fs};
+
+/// Set, the texts are written instead of compared.
+const WRITE: &str = "BLASTEMA_BLESS";
+
+/// The line of a file that a comment names: `<!-- finding: 7 -->`, once for each finding.
+fn expected_lines(text: &str) -> Vec<usize> {
+    let marked = text.split("<!-- finding: ").skip(1);
+    let numbers = marked.filter_map(|rest| rest.split(' ').next()?.parse().ok());
+    numbers.collect()
+}
+
+#[test]
+fn every_planted_mistake_is_found_at_its_line() {
+    let folder = Path::new("tests/wrong");
+    let entries = fs::read_dir(folder).expect("the folder is there");
+    let paths = entries.map(|entry| entry.expect("it can be read").path());
+    let mut files: Vec<_> =
+        paths.filter(|path| path.extension().is_some_and(|e| e == "xml")).collect();
+    files.sort();
+    assert!(files.len() >= 25, "{} files", files.len());
+
+    for file in files {
+        let found = blastema::run(async { types().load(&file, &[]) });
+        let text = format!("{}\n", found.expect_err(&file.display().to_string()));
+        let golden = file.with_extension("txt");
+        if env::var_os(WRITE).is_some() {
+            fs::write(&golden, &text).expect("it can be written");
+            continue;
+        }
+        let written = fs::read_to_string(&golden).unwrap_or_default();
+        assert_eq!(text, written, "{}: set {WRITE}=1 to write it", file.display());
+
+        let places = text.lines().filter_map(|line| {
+            let place = line.trim_start().strip_prefix("╭─[")?.strip_suffix(']')?;
+            place.split(':').nth(1)?.parse().ok()
+        });
+        let places: Vec<usize> = places.collect();
+        let source = fs::read_to_string(&file).expect("it was read before");
+        assert_eq!(places, expected_lines(&source), "{}", file.display());
+    }
+}
+
+#[test]
+fn a_file_that_is_not_there_is_no_mistake_of_the_robot() {
+    let error = blastema::run(async { types().load(Path::new("tests/wrong/none.xml"), &[]) });
+    assert!(error.expect_err("there is none").is_unreadable);
+}

@@ -1,0 +1,87 @@
+//! Settings of an actuator that a robot's description gives, over those of the component's code.
+
+use super::table::DeclaredActuator;
+use super::{CommandTimeout, encoded};
+use blastema_core::contract::codec;
+use blastema_core::contract::layout::Shape;
+use blastema_core::lease::StopBy;
+use blastema_core::suggestion::nearest;
+use blastema_core::{Contract, LayoutDescription};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::time::Duration;
+
+/// Changes an [`ActuatorSpec`](crate::ActuatorSpec) without touching the component's code; given
+/// to [`ChildSpec::actuator`](crate::ChildSpec::actuator). What is left out stays as it is there.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ActuatorSettings {
+    /// How long a commander may be silent. See [`ActuatorSpec::lease`](crate::ActuatorSpec::lease).
+    pub lease: Option<Duration>,
+    /// How long a command counts. See [`ActuatorSpec::new`](crate::ActuatorSpec::new).
+    pub command_timeout: Option<CommandTimeout>,
+    /// Fields of the safe command with their values, each with its unit, as in `0 m/s`.
+    pub safe: Vec<(String, String)>,
+}
+
+/// Applies settings to an actuator whose commands are of one contract.
+pub(super) type ApplySettings = fn(&mut DeclaredActuator, &ActuatorSettings) -> Result<(), String>;
+
+/// Applies settings to an actuator with commands of type `M`.
+pub(super) fn apply<M: Contract>(
+    actuator: &mut DeclaredActuator,
+    settings: &ActuatorSettings,
+) -> Result<(), String> {
+    if let Some(span) = settings.lease {
+        actuator.rules.span = span;
+    }
+    if let Some(timeout) = settings.command_timeout {
+        actuator.rules.command_timeout = timeout.span();
+    }
+    if settings.safe.is_empty() {
+        return Ok(());
+    }
+    let unreadable = |error: &dyn std::fmt::Display| format!("its safe command: {error}");
+    let safe = codec::decode::<M>(&actuator.safe).map_err(|error| unreadable(&error))?;
+    let mut fields = serde_json::to_value(&safe).map_err(|error| unreadable(&error))?;
+    for (name, text) in &settings.safe {
+        set_field::<M>(&mut fields, name, text)?;
+    }
+    let safe: M = serde_json::from_value(fields).map_err(|error| unreadable(&error))?;
+    actuator.safe = encoded(&safe).map_err(|error| unreadable(&error))?.into();
+    if actuator.rules.stop_by == StopBy::SafeCommand {
+        actuator.stop = actuator.safe.clone();
+    }
+    Ok(())
+}
+
+/// Sets one field of a command.
+fn set_field<M: Contract>(command: &mut Value, name: &str, text: &str) -> Result<(), String> {
+    let layout = LayoutDescription::of_message(M::layout());
+    let fields = match layout.types() {
+        [Shape::Struct(_, fields), ..] => fields.as_slice(),
+        _ => &[],
+    };
+    let Some(field) = fields.iter().find(|field| field.name == name) else {
+        let known = fields.iter().map(|field| &*field.name);
+        let hint = match nearest(name, known.clone()) {
+            Some(nearest) => format!("did you mean `{nearest}`?"),
+            None => format!("there are `{}`", known.collect::<Vec<_>>().join("`, `")),
+        };
+        return Err(format!("{} has no field `{name}`: {hint}", M::NAME));
+    };
+    let number = match &field.unit {
+        Some(unit) => text.strip_suffix(&**unit).map(str::trim_end).ok_or_else(|| {
+            format!("`{name}` is `{text}`, and is given in {unit}: write a number and {unit}")
+        })?,
+        None => text,
+    };
+    let value = serde_json::from_str(number).unwrap_or_else(|_| Value::String(number.to_owned()));
+    let mut with = command.clone();
+    with[name] = value;
+    // A value of another type is found where it stands.
+    serde_json::from_value::<M>(with.clone())
+        .map_err(|error| format!("`{name}` cannot be `{text}`: {error}"))?;
+    *command = with;
+    Ok(())
+}

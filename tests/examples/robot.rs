@@ -1,0 +1,104 @@
+//! A robot's program for the tests of robot files: two nodes, of which one counts and the other
+//! prints what is counted.
+#![allow(clippy::print_stdout, reason = "the tests read what it prints")]
+
+use blastema::prelude::*;
+use blastema_robot::Types;
+use std::process::ExitCode;
+
+/// The number of a round.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "test/count")]
+struct Count(u32);
+
+/// Counts its rounds.
+#[derive(Default)]
+struct Counter(u32);
+
+impl Component for Counter {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.publishes::<Count>("count");
+    }
+
+    async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.0 += 1;
+        cx.port::<Publisher<Count>>("count")?.publish(Count(self.0))?;
+        Ok(())
+    }
+
+    async fn on_finalize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        println!("{} ends", cx.name());
+        Ok(())
+    }
+}
+
+/// How a display behaves.
+#[derive(Clone, Debug, Parameters)]
+struct DisplayParameters {
+    /// The process ends at this count; 0 for never.
+    dies_at: u32,
+    /// A file that it writes when it ends in order.
+    ends_in: String,
+}
+
+/// Prints what it hears.
+#[derive(Default)]
+struct Display {
+    heard: u32,
+    dies_at: u32,
+}
+
+impl Component for Display {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.parameters::<DisplayParameters>().listen::<Count>().named("count");
+    }
+
+    async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.dies_at = cx.parameters::<DisplayParameters>()?.dies_at;
+        println!("{} begins", cx.name());
+        Ok(())
+    }
+
+    async fn on_finalize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let file = cx.parameters::<DisplayParameters>()?.ends_in;
+        if !file.is_empty() {
+            std::fs::write(file, "it has ended")?;
+        }
+        println!("{} ends", cx.name());
+        Ok(())
+    }
+}
+
+impl Handle<DisplayParameters> for Display {
+    async fn handle(&mut self, parameters: DisplayParameters, _: &mut Context<Self>) {
+        self.dies_at = parameters.dies_at;
+    }
+}
+
+impl Handle<Count> for Display {
+    async fn handle(&mut self, _: Count, _: &mut Context<Self>) {
+        self.heard += 1;
+        println!("heard {}", self.heard);
+        if self.heard == self.dies_at {
+            std::process::exit(7);
+        }
+    }
+}
+
+/// Cannot begin.
+#[derive(Default)]
+struct Broken;
+
+impl Component for Broken {
+    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        Err(Failure::fatal("it is broken"))
+    }
+}
+
+fn main() -> ExitCode {
+    Types::new()
+        .component::<Counter>("Counter")
+        .component::<Display>("Display")
+        .component::<Broken>("Broken")
+        .main()
+}

@@ -1,0 +1,278 @@
+//! Robots from files, as processes: `run` keeps all nodes, stops them in order, and gives up; keys
+//! seal them; `check` and `describe` need no robot.
+
+use blastema_tests::{RobotKeys, free_addresses};
+use std::fs;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, Command, Output, Stdio};
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::thread;
+use std::time::Duration;
+
+/// For everything that takes time on a busy computer.
+const PATIENCE: Duration = Duration::from_secs(120);
+/// More lines than a test reads before it ends.
+const LINES: usize = 10_000;
+
+/// Where Cargo puts the example, beside the folder of this test.
+fn program() -> PathBuf {
+    let test = std::env::current_exe().expect("a running program has a path");
+    let profile = test.ancestors().nth(2).expect("a test lies in a folder of its profile");
+    let program = profile.join("examples/robot");
+    assert!(program.exists(), "{} is not built: cargo test -p blastema-tests", program.display());
+    program
+}
+
+/// A running robot. Dropping it kills the process that was started, with which its nodes end.
+struct RunningRobot {
+    process: Child,
+    lines: Receiver<String>,
+    /// What was printed up to now.
+    seen: Vec<String>,
+    _stdin: Option<ChildStdin>,
+}
+
+impl RunningRobot {
+    fn start(file: &Path, arguments: &[&str]) -> Self {
+        let mut command = Command::new(program());
+        command.arg("run").arg(file).args(arguments);
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut process = command.spawn().expect("it starts");
+        let (printed, lines) = sync_channel(LINES);
+        let outputs: [Box<dyn Read + Send>; 2] = [
+            Box::new(process.stdout.take().expect("it was asked for")),
+            Box::new(process.stderr.take().expect("it was asked for")),
+        ];
+        for output in outputs {
+            let printed = printed.clone();
+            thread::spawn(move || {
+                for line in BufReader::new(output).lines().map_while(Result::ok) {
+                    // The test may have ended.
+                    let _ = printed.try_send(line);
+                }
+            });
+        }
+        let stdin = process.stdin.take();
+        RunningRobot { process, lines, seen: Vec::new(), _stdin: stdin }
+    }
+
+    /// Waits for a line with this text.
+    fn until(&mut self, text: &str) {
+        while !self.seen.last().is_some_and(|line| line.contains(text)) {
+            match self.lines.recv_timeout(PATIENCE) {
+                Ok(line) => self.seen.push(line),
+                Err(error) => panic!("{text:?} did not come: {error}: {:#?}", self.seen),
+            }
+        }
+    }
+
+    fn interrupt(&self) {
+        let id = self.process.id().to_string();
+        let status = Command::new("kill").args(["-INT", &id]).status();
+        assert!(status.expect("there is kill").success());
+    }
+
+    /// Waits for the end, and returns the exit status.
+    fn status(&mut self) -> i32 {
+        // Standard output and standard error close when the last process has ended.
+        while let Ok(line) = self.lines.recv_timeout(PATIENCE) {
+            self.seen.push(line);
+        }
+        let status = self.process.wait().expect("it was started here");
+        status.code().expect("it ended by itself")
+    }
+
+    /// The lines with this text, in their order.
+    fn lines_with(&self, text: &str) -> Vec<&str> {
+        self.seen.iter().map(String::as_str).filter(|line| line.contains(text)).collect()
+    }
+}
+
+impl Drop for RunningRobot {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// A robot of a node that counts and a node that prints, on one network.
+fn two_nodes(folder: &Path, more: &str, ends: [&str; 2], display: &str) -> PathBuf {
+    let file = folder.join("two.robot.xml");
+    let text = format!(
+        r#"<robot schema="1" name="ranger">
+  <argument name="rate" type="rate" default="20Hz"/>
+  <network name="lan" hello-every="20ms" {more}/>
+  <node name="left" work-threads="1" {}>
+    <component name="counter" type="Counter" rate="${{rate}}"/>
+  </node>
+  <node name="right" work-threads="1" {}>
+    <component name="display" type="Display"><param name="dies_at" value="{display}"/></component>
+  </node>
+  <connect from="left:counter#count" to="right:display#count"/>
+</robot>
+"#,
+        ends[0], ends[1]
+    );
+    fs::write(&file, text).expect("it can be written");
+    file
+}
+
+/// The same with endpoints at these addresses.
+fn with_endpoints(file: &Path, ends: [String; 2]) {
+    let text = fs::read_to_string(file).expect("it was written");
+    let text = text.replacen(
+        "    <comp",
+        &format!("    <endpoint network=\"lan\" at=\"{}\"/>\n    <comp", ends[0]),
+        1,
+    );
+    let (left, right) = text.split_once("<node name=\"right\"").expect("it is there");
+    let right = right.replacen(
+        "    <comp",
+        &format!("    <endpoint network=\"lan\" at=\"{}\"/>\n    <comp", ends[1]),
+        1,
+    );
+    fs::write(file, format!("{left}<node name=\"right\"{right}")).expect("it can be written");
+}
+
+fn unix_ends(folder: &Path) -> [String; 2] {
+    ["left", "right"].map(|name| format!("unix://{}/{name}.sock", folder.display()))
+}
+
+#[test]
+fn all_nodes_run_until_an_interrupt_and_stop_in_reverse_order() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = two_nodes(folder.path(), "", ["", ""], "0");
+    with_endpoints(&file, unix_ends(folder.path()));
+
+    let mut robot = RunningRobot::start(&file, &["--set", "rate=50Hz"]);
+    robot.until("[right] heard 3");
+    robot.interrupt();
+
+    assert_eq!(robot.status(), 0, "{:#?}", robot.seen);
+    assert_eq!(robot.lines_with(" ends"), ["[right] display ends", "[left] counter ends"]);
+}
+
+#[test]
+fn a_process_that_dies_is_started_again() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = two_nodes(folder.path(), "", ["", ""], "2");
+    with_endpoints(&file, unix_ends(folder.path()));
+
+    let mut robot = RunningRobot::start(&file, &[]);
+    robot.until("[right] its process ended with exit status: 7, and is started again");
+    robot.until("[right] display begins");
+    robot.until("[right] heard 1");
+}
+
+#[test]
+fn a_node_that_cannot_start_stops_the_robot_with_a_status() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("broken.robot.xml");
+    let text = r#"<robot schema="1" name="ranger">
+  <node name="left"><component name="counter" type="Counter"/></node>
+  <node name="right" when-exceeded="escalate" intensity="0" >
+    <component name="broken" type="Broken" essential="true"/>
+  </node>
+</robot>
+"#;
+    fs::write(&file, text).expect("it can be written");
+
+    let mut robot = RunningRobot::start(&file, &[]);
+
+    assert_eq!(robot.status(), 1, "{:#?}", robot.seen);
+    assert_eq!(robot.lines_with("[right] its process ended").len(), 3, "{:#?}", robot.seen);
+    assert_eq!(robot.lines_with("[right] node right: the node did not come up").len(), 4);
+    assert_eq!(robot.lines_with("[left] counter ends").len(), 1);
+    assert_eq!(robot.lines_with("node right: its process ended 4 times in 10s").len(), 1);
+}
+
+#[test]
+fn nodes_end_with_the_process_that_started_them() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = two_nodes(folder.path(), "", ["", ""], "0");
+    with_endpoints(&file, unix_ends(folder.path()));
+
+    let ended = folder.path().join("ended");
+    let text = fs::read_to_string(&file).expect("it was written");
+    let more =
+        format!("<param name=\"ends_in\" value=\"{}\"/></component>\n  </node>", ended.display());
+    let (left, right) = text.rsplit_once("</component>\n  </node>").expect("it is there");
+    fs::write(&file, format!("{left}{more}{right}")).expect("it can be written");
+
+    let mut robot = RunningRobot::start(&file, &[]);
+    robot.until("[right] heard 1");
+    robot.process.kill().expect("it runs");
+
+    for _ in 0..PATIENCE.as_millis() / 10 {
+        if ended.exists() {
+            return;
+        }
+        let (_keep, never) = sync_channel::<()>(1);
+        let _ = never.recv_timeout(Duration::from_millis(10));
+    }
+    panic!("a node goes on");
+}
+
+#[test]
+fn a_sealed_robot_of_two_nodes_runs_from_a_file() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let keys = RobotKeys::new(folder.path(), &["left", "right"], 1);
+    let key = |node| format!("keys=\"{}\"", keys.of(node).display());
+    let file = two_nodes(folder.path(), "", [&key("left"), &key("right")], "0");
+    let addresses = free_addresses(2);
+    with_endpoints(&file, [0, 1].map(|at| format!("udp://{}", addresses[at])));
+
+    let mut robot = RunningRobot::start(&file, &[]);
+    robot.until("[right] heard 3");
+    robot.interrupt();
+
+    assert_eq!(robot.status(), 0, "{:#?}", robot.seen);
+}
+
+fn run(arguments: &[&str]) -> Output {
+    Command::new(program()).args(arguments).output().expect("it starts")
+}
+
+#[test]
+fn far_nodes_are_started_one_by_one_and_the_error_lists_them() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = two_nodes(folder.path(), "insecure=\"true\"", ["", ""], "0");
+    with_endpoints(&file, ["10.9.8.7", "10.9.8.6"].map(|host| format!("udp://{host}:7400")));
+
+    let output = run(&["run", &file.display().to_string()]);
+
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{text}");
+    assert!(text.contains("--node NAME`; the nodes are left, right"), "{text}");
+}
+
+#[test]
+fn check_graph_and_describe_say_what_there_is() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = two_nodes(folder.path(), "", ["", ""], "many");
+    let file = file.display().to_string();
+    let text = |output: &Output| String::from_utf8_lossy(&output.stdout).into_owned();
+
+    let checked = run(&["check", &file]);
+    let errors = String::from_utf8_lossy(&checked.stderr);
+    assert_eq!(checked.status.code(), Some(1), "{errors}");
+    assert!(errors.contains("two.robot.xml:8:") && errors.contains("`many`"), "{errors}");
+    assert_eq!(run(&["check", "/nowhere.xml"]).status.code(), Some(2));
+
+    fs::write(&file, fs::read_to_string(&file).unwrap().replace("many", "0")).unwrap();
+    let drawn = run(&["graph", &file, "--format", "dot"]);
+    assert!(text(&drawn).contains("\"left:counter\" -> \"right:display\" [label=\"count\"];"));
+
+    let types: serde_json::Value = serde_json::from_str(&text(&run(&["describe"]))).unwrap();
+    assert_eq!(types["types"]["Display"]["parameters"][0]["name"], "dies_at");
+    assert_eq!(types["types"]["Display"]["gives"], "not declared");
+    assert_eq!(types["types"]["Counter"]["gives"][0]["name"], "count");
+}
