@@ -127,13 +127,38 @@ impl RateMeter {
     }
 }
 
-/// What keeps a channel from being connected.
+/// How a figure is, compared with its limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum LimitStatus {
+    /// It is within the limit, or there is none.
+    #[default]
+    Kept,
+    /// It is not known yet. The limit counts as broken.
+    Unknown,
+    /// It was beyond the limit, and has not fallen to half of it since.
+    Broken,
+}
+
+impl LimitStatus {
+    /// Judges a figure by its limit. Says whether it is kept.
+    fn judge<T: PartialOrd>(&mut self, found: Option<T>, limit: T, cleared_at: T) -> bool {
+        let limit = if *self == LimitStatus::Broken { cleared_at } else { limit };
+        *self = match found {
+            None => LimitStatus::Unknown,
+            Some(found) if found > limit => LimitStatus::Broken,
+            Some(_) => LimitStatus::Kept,
+        };
+        *self == LimitStatus::Kept
+    }
+}
+
+/// How the figures of a channel are.
 #[derive(Debug, Default)]
-struct Broken {
-    latency: bool,
-    jitter: bool,
-    loss: bool,
-    rate: bool,
+struct LimitStatuses {
+    latency: LimitStatus,
+    jitter: LimitStatus,
+    loss: LimitStatus,
+    rate: LimitStatus,
 }
 
 /// Judges one channel.
@@ -144,7 +169,7 @@ pub struct ConnectionJudge {
     presence_rate: Option<RateMeter>,
     limit_rate: Option<RateMeter>,
     is_there: bool,
-    broken: Broken,
+    limits: LimitStatuses,
     heard_at: Option<Instant>,
     /// What was found, for display.
     cause: String,
@@ -166,7 +191,7 @@ impl ConnectionJudge {
             presence_rate,
             limit_rate: rules.limits.rate.map(|(_, window)| RateMeter::new(window)),
             is_there: false,
-            broken: Broken::default(),
+            limits: LimitStatuses::default(),
             heard_at: None,
             cause: String::new(),
         }
@@ -174,11 +199,13 @@ impl ConnectionJudge {
 
     /// How the channel is.
     pub fn state(&self) -> ConditionState {
-        let Broken { latency, jitter, loss, rate } = self.broken;
-        match self.is_there {
-            false => ConditionState::Lost,
-            true if latency || jitter || loss || rate => ConditionState::Degraded,
-            true => ConditionState::Connected,
+        let LimitStatuses { latency, jitter, loss, rate } = self.limits;
+        match [latency, jitter, loss, rate] {
+            _ if !self.is_there => ConditionState::Lost,
+            [LimitStatus::Kept, LimitStatus::Kept, LimitStatus::Kept, LimitStatus::Kept] => {
+                ConditionState::Connected
+            }
+            _ => ConditionState::Degraded,
         }
     }
 
@@ -240,41 +267,34 @@ impl ConnectionJudge {
 
     fn judge_limits(&mut self, reading: &ChannelReading, now: Instant, causes: &mut Vec<String>) {
         let ConnectionLimits { latency, jitter, loss_permille, rate } = self.rules.limits;
-        let Broken { latency: late, jitter: unsteady, loss: lossy, rate: slow } = &mut self.broken;
+        let LimitStatuses { latency: late, jitter: unsteady, loss: lossy, rate: slow } =
+            &mut self.limits;
         if let Some(limit) = latency {
             let most = reading.latency.map(|latency| latency.most());
-            *late = breaks(*late, most, limit, limit / 2);
-            if *late {
+            if !late.judge(most, limit, limit / 2) {
                 let found = reading.latency.map(shown);
                 causes.push(beyond("latency", found, format!("{limit:?}")));
             }
         }
-        if let Some(limit) = jitter {
-            *unsteady = breaks(*unsteady, reading.jitter, limit, limit / 2);
-            if *unsteady {
-                let found = reading.jitter.map(|jitter| format!("{jitter:.1?}"));
-                causes.push(beyond("jitter", found, format!("{limit:?}")));
-            }
+        if let Some(limit) = jitter
+            && !unsteady.judge(reading.jitter, limit, limit / 2)
+        {
+            let found = reading.jitter.map(|jitter| format!("{jitter:.1?}"));
+            causes.push(beyond("jitter", found, format!("{limit:?}")));
         }
-        if let Some(limit) = loss_permille {
-            *lossy = breaks(*lossy, reading.loss_permille, limit, limit / 2);
-            if *lossy {
-                causes.push(beyond("loss", reading.loss_permille.map(percent), percent(limit)));
-            }
+        if let Some(limit) = loss_permille
+            && !lossy.judge(reading.loss_permille, limit, limit / 2)
+        {
+            causes.push(beyond("loss", reading.loss_permille.map(percent), percent(limit)));
         }
         if let (Some((hz, _)), Some(meter)) = (rate, &mut self.limit_rate) {
             let found = meter.handle(reading.arrived, now);
-            *slow = found < if *slow { hz } else { hz * RATE_KEPT };
-            if *slow {
+            // A rate is to be high: the greater is the better.
+            if !slow.judge(Some(-found), -hz * RATE_KEPT, -hz) {
                 causes.push(format!("{found:.1} messages a second, of {hz}"));
             }
         }
     }
-}
-
-/// Whether a figure breaks its limit, or still does. One that is not known does.
-fn breaks<T: PartialOrd>(broken: bool, found: Option<T>, limit: T, cleared_at: T) -> bool {
-    found.is_none_or(|found| found > if broken { cleared_at } else { limit })
 }
 
 fn beyond(what: &str, found: Option<String>, limit: String) -> String {
@@ -305,6 +325,7 @@ fn figures(reading: &ChannelReading, now: Instant) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Random;
 
     const SECOND: Duration = Duration::from_secs(1);
 
@@ -379,6 +400,35 @@ mod tests {
         assert_eq!(changes, 8);
         assert_eq!(look(100, 98_900, 96_000), ConditionState::Connected, "silent for 2.9 s");
         assert_eq!(look(100, 99_100, 96_000), ConditionState::Lost);
+    }
+
+    #[test]
+    fn a_limit_is_left_at_half_of_it_and_a_figure_that_becomes_known_needs_no_half() {
+        let limits = ConnectionLimits { loss_permille: Some(100), ..ConnectionLimits::default() };
+        let mut radio = judge(HEARD, limits);
+        let mut look = |loss_permille: Option<u16>| {
+            let heard_at = Some(at(0));
+            let reading = ChannelReading { heard_at, loss_permille, ..Default::default() };
+            radio.handle_reading(&reading, at(0));
+            radio.state() == ConditionState::Connected
+        };
+        let seen = [None, Some(90), Some(101), Some(90), Some(51), Some(50), Some(100)];
+        assert_eq!(seen.map(&mut look), [false, true, false, false, false, true, true]);
+    }
+
+    #[test]
+    fn an_hour_of_heartbeats_at_ten_hertz_and_thirty_percent_loss_changes_nothing() {
+        let (mut beat, mut random) = (judge(HEARD, ConnectionLimits::default()), Random::new(7));
+        let mut heard_at = at(0);
+        for tick in 0..36_000 {
+            let now = at(tick * 100);
+            if !random.chance(0.3) {
+                heard_at = now;
+            }
+            let reading = ChannelReading { heard_at: Some(heard_at), ..Default::default() };
+            beat.handle_reading(&reading, now);
+            assert_eq!(beat.state(), ConditionState::Connected, "{}", beat.cause());
+        }
     }
 
     #[test]

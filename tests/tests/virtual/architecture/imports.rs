@@ -21,6 +21,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("variable", TO_NET),
     ("actuator", TO_NET),
     ("directory", TO_NET),
+    ("condition", TO_CONDITION),
     ("service", TO_DIRECTORY),
     ("bridge", TO_NET),
     ("parameters", &["arbiter", "component", "variable"]),
@@ -42,6 +43,18 @@ const TO_NET: &[&str] = &[
     "host",
     "topic",
     "net",
+];
+const TO_CONDITION: &[&str] = &[
+    "platform",
+    "runtime",
+    "arbiter",
+    "messaging",
+    "registry",
+    "component",
+    "topic",
+    "net",
+    "actuator",
+    "directory",
 ];
 const TO_DIRECTORY: &[&str] = &[
     "platform",
