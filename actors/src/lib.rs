@@ -67,6 +67,7 @@
 //! | share values | [`Variable`](derive@Variable), [`VariableSpec`], [`VariableRef`], [`Transaction`] |
 //! | set a component up | [`Parameters`](derive@Parameters), [`NodeBuilder::parameters_from`] |
 //! | command actuators | [`ActuatorSpec`], [`Commander`] |
+//! | know whether it is still connected | [`Node::condition`], [`Connected`], [`Condition`], [`Heartbeat`] |
 //! | find the holder of a name | [`Node::claim`], [`ChildSpec::claim`], [`Claim`], [`NameWatch`] |
 //! | outlive a node | [`ServiceSpec`], [`Stateful`], [`ServiceRef`] |
 //! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`MonitorRow`] |
@@ -103,6 +104,7 @@ mod arbiter;
 #[cfg(feature = "zenoh")]
 mod bridge;
 mod component;
+mod condition;
 #[cfg(feature = "network")]
 mod directory;
 mod fault_chain;
@@ -192,6 +194,13 @@ pub use variable::{
     VariableWatch,
 };
 
+// Conditions.
+pub use blastema_core::connection::ConditionState;
+pub use condition::{
+    Condition, ConditionChanges, ConditionError, ConditionStatus, Connected, Heartbeat,
+};
+pub use node::{AcknowledgeError, Heartbeats, LostCommunicationPolicy, LostCommunicationRow, Rung};
+
 // Names of the whole robot.
 #[cfg(feature = "network")]
 pub use crate::directory::{
@@ -223,8 +232,8 @@ pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
 pub use node::ZenohBridge;
 #[cfg(feature = "network")]
 pub use node::{
-    Cable, Direction, Impairment, IsolateError, Link, LinkName, MediumRow, MemoryMedium, Network,
-    NetworkRow, NetworkSnapshot, NotReady, RouteRow,
+    Cable, Direction, Impairment, IsolateError, Link, LinkName, MediumKind, MediumRow,
+    MemoryMedium, Network, NetworkRow, NetworkSnapshot, NotReady, RouteRow,
 };
 pub use node::{
     FaultEvents, Node, NodeBuilder, NodeSnapshot, NodeState, RestartError, RestartedChild,

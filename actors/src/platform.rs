@@ -43,6 +43,7 @@ pub(crate) trait ProcessWatchdog: Send {
 struct Origin {
     runtime: tokio::time::Instant,
     monotonic_nanos: u64,
+    wall_micros: u64,
 }
 
 fn origin() -> &'static Origin {
@@ -55,6 +56,9 @@ fn origin() -> &'static Origin {
             // the first to ask, and others of the process must not depend on how far it had come.
             runtime: std::time::Instant::now().into(),
             monotonic_nanos: u64::try_from(nanos).unwrap_or_default(),
+            wall_micros: SystemTime::now()
+                .duration_since(SystemTime::UNIX_EPOCH)
+                .map_or(0, |since| u64::try_from(since.as_micros()).unwrap_or(u64::MAX)),
         }
     })
 }
@@ -71,6 +75,14 @@ pub fn now() -> Instant {
         // A clock that was paused before the time was first read.
         None => before(both, origin.runtime - now),
     }
+}
+
+/// Returns microseconds since 1970: the wall clock as it was when this process first read the time,
+/// and what [`now`] has counted since. The system steers both at one rate, and a wall clock that is
+/// set later changes nothing. It stands and leaps where a test has paused the clock.
+pub fn stamp_us() -> u64 {
+    let since = now().as_nanos().saturating_sub(origin().monotonic_nanos);
+    origin().wall_micros.saturating_add(since / 1000)
 }
 
 /// The system's coarse clock, in nanoseconds: a few nanoseconds to read, and it ticks every 1 to 10

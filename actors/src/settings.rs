@@ -164,6 +164,30 @@ pub(crate) const SHUTDOWN_WITHIN: Setting<Duration> = Setting {
     cure: "write any span",
 };
 
+/// How long a channel of a condition may be silent. More than an hour is no connection.
+pub(crate) const CONDITION_TIMEOUT: Setting<Duration, ()> = Setting {
+    name: "the timeout",
+    default: (),
+    range: Duration::ZERO..=HOUR,
+    cure: "write an hour at most",
+};
+
+/// Over which time the events of a topic are counted: conditions are looked at each 50 ms.
+pub(crate) const CONDITION_WINDOW: Setting<Duration, ()> = Setting {
+    name: "the window",
+    default: (),
+    range: Duration::from_millis(100)..=HOUR,
+    cure: "write 100 ms to an hour",
+};
+
+/// How often heartbeats are sent: no more often than an arbiter's own, and once an hour at least.
+pub(crate) const HEARTBEAT_INTERVAL: Setting<Duration, ()> = Setting {
+    name: "the interval of heartbeats",
+    default: (),
+    range: Duration::from_millis(10)..=HOUR,
+    cure: "write 10 ms to an hour",
+};
+
 /// Signs of life that come more seldom than once a day are of no use.
 pub(crate) const WATCH_INTERVAL: Setting<Duration, ()> = Setting {
     name: "the watch's interval",

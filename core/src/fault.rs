@@ -70,6 +70,9 @@ pub enum FaultKind {
     /// A node wanted to do what the robot's policy does not let it: shown by the node that refused
     /// it, and by the one whose subscription was refused.
     Forbidden,
+    /// A condition does not hold: an operator, a node or a topic is silent for longer than it may
+    /// be.
+    ConnectionLost,
     /// A fault of the application's own list.
     Custom(Arc<str>),
 }
@@ -97,7 +100,7 @@ impl fmt::Display for Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 26] = [
+    pub const BUILT_IN: [FaultKind; 27] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -124,9 +127,10 @@ impl FaultKind {
         FaultKind::NodePaused,
         FaultKind::Insecure,
         FaultKind::Forbidden,
+        FaultKind::ConnectionLost,
     ];
 
-    /// The code by which logs, tables and manuals know this kind: `B01` to `B26`, or the
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B27`, or the
     /// application's own.
     pub fn code(&self) -> &str {
         match self {
@@ -156,6 +160,7 @@ impl FaultKind {
             FaultKind::NodePaused => "B24",
             FaultKind::Insecure => "B25",
             FaultKind::Forbidden => "B26",
+            FaultKind::ConnectionLost => "B27",
             FaultKind::Custom(code) => code,
         }
     }
@@ -189,6 +194,7 @@ impl FaultKind {
             FaultKind::NodePaused => "node paused",
             FaultKind::Insecure => "insecure network",
             FaultKind::Forbidden => "forbidden",
+            FaultKind::ConnectionLost => "connection lost",
             FaultKind::Custom(code) => code,
         }
     }

@@ -292,6 +292,11 @@ impl Lease {
         }
     }
 
+    /// A command that must not fail was not carried out, or not in time: the actuator is cut off.
+    pub fn handle_not_taken(&mut self) {
+        self.cut_off(RestCause::CommandTimeout);
+    }
+
     /// The cut-off has returned, panicked, or is absent.
     pub fn handle_cut_off_returned(&mut self) {
         self.cut_offs = self.cut_offs.saturating_sub(1);

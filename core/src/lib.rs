@@ -10,6 +10,7 @@ mod backoff;
 mod hash;
 mod timer;
 
+pub mod connection;
 pub mod contract;
 pub mod delivery;
 pub mod detection;

@@ -189,7 +189,11 @@ struct CommanderState {
     incarnation: Incarnation,
     held: Mutex<Option<Held>>,
     claimed: Notify,
+    guard: Mutex<Option<CommandGuard>>,
 }
+
+/// Says why the commander may not hold its lease now.
+pub(crate) type CommandGuard = Arc<dyn Fn() -> Result<(), DeliveryError> + Send + Sync>;
 
 #[derive(Clone, Copy)]
 struct Held {
@@ -228,6 +232,7 @@ pub(crate) fn commander<M: Contract>(
         incarnation,
         held: Mutex::default(),
         claimed: Notify::new(),
+        guard: Mutex::default(),
     });
     let renewing = renew_lease(Arc::downgrade(&state));
     (Commander(state, PhantomData), renewing)
@@ -240,6 +245,9 @@ async fn renew_lease(state: Weak<CommanderState>) {
         let Some(present) = state.upgrade() else { return };
         let held = present.held();
         match held {
+            Some(Held { span, .. }) if present.may_hold().is_err() => {
+                present.release(span).await;
+            }
             Some(Held { epoch, span, .. }) => {
                 let asked = platform::now();
                 let renewed = present.send_command(CommandKind::Renew { epoch }, span).await;
@@ -267,6 +275,17 @@ impl CommanderState {
 
     fn held(&self) -> Option<Held> {
         *self.lock()
+    }
+
+    fn may_hold(&self) -> Result<(), DeliveryError> {
+        let guard = self.guard.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        guard.map_or(Ok(()), |guard| guard())
+    }
+
+    /// Gives the lease back, where one is held.
+    async fn release(&self, within: Duration) -> Option<DeliveryError> {
+        let Held { epoch, .. } = self.lock().take()?;
+        self.send_command(CommandKind::Release { epoch }, within).await.err()
     }
 
     async fn send_command(
@@ -355,6 +374,7 @@ impl<M: Contract> Commander<M> {
     }
 
     async fn try_claim(&self, within: Duration) -> Result<u64, DeliveryError> {
+        self.0.may_hold()?;
         let CommanderState { name, incarnation, .. } = &*self.0;
         let asked = platform::now();
         let wish = CommandKind::Claim { commander: name.clone(), incarnation: incarnation.0 };
@@ -418,7 +438,7 @@ impl<M: Contract> Commander<M> {
         let Held { epoch, span, way, .. } = self
             .0
             .held()
-            .filter(|held| now < held.until)
+            .filter(|held| now < held.until && self.0.may_hold().is_ok())
             .ok_or_else(|| DeliveryError::LeaseEnded { actuator: self.0.actuator.clone() })?;
         let [age_us, way_us] =
             [age, way].map(|span| u64::try_from(span.as_micros()).unwrap_or(u64::MAX));
@@ -439,13 +459,12 @@ impl<M: Contract> Commander<M> {
     /// # Errors
     /// Where this does not get through, the lease ends by itself.
     pub async fn release(&self) -> Result<(), DeliveryError> {
-        let held = self.0.lock().take();
-        match held {
-            Some(Held { epoch, .. }) => {
-                self.0.send_command(CommandKind::Release { epoch }, CLAIM_WITHIN).await.map(|_| ())
-            }
-            None => Ok(()),
-        }
+        self.0.release(CLAIM_WITHIN).await.map_or(Ok(()), Err)
+    }
+
+    /// Lets the commander claim, command and renew its lease only while this returns no error.
+    pub(crate) fn guard(&self, guard: CommandGuard) {
+        *self.0.guard.lock().unwrap_or_else(PoisonError::into_inner) = Some(guard);
     }
 }
 

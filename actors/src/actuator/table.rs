@@ -17,7 +17,7 @@ use blastema_contract::reports::AreYouAlive;
 use blastema_core::lease::{
     CommanderId, Lease, LeaseOutput, LeaseRules, LeaseStatus, RestCause, StopBy,
 };
-use blastema_core::sorted::SortedMap;
+use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{
     ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant, Machine,
     ObjectName, PeerIdentity,
@@ -89,6 +89,13 @@ pub(crate) struct ActuatorTable {
     callbacks: Callbacks,
     /// The node is in the safe state, in which no lease is granted.
     rests: Arc<AtomicBool>,
+    /// The nodes whose commanders were lost.
+    suspended: Arc<Mutex<SortedSet<String>>>,
+}
+
+/// The node of a commander.
+fn node_of(commander: &str) -> &str {
+    commander.split(':').next().unwrap_or_default()
 }
 
 impl ActuatorTable {
@@ -229,11 +236,60 @@ impl ActuatorTable {
         actuators.iter().map(row).collect()
     }
 
-    fn find(&self, object: &ObjectName, theirs: &PeerIdentity) -> Option<Arc<Actuator>> {
+    /// How long a command of this actuator counts; `None` for ever.
+    pub(crate) fn command_timeout(&self, object: &ObjectName, contract: &str) -> Option<Duration> {
+        self.named(object, contract)?.declared.rules.command_timeout
+    }
+
+    /// Ends the lease of any commander but this one.
+    pub(crate) fn seize(&self, object: &ObjectName, contract: &str, own: &str) {
+        if let Some(actuator) = self.named(object, contract) {
+            self.end_lease(&actuator, |commander| commander != own);
+        }
+    }
+
+    /// Ends the leases of all commanders of this node, and refuses its claims from now on.
+    pub(crate) fn suspend(&self, node: &str) {
+        lock(&self.suspended).insert(node.to_owned());
+        let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
+        for actuator in all {
+            self.end_lease(&actuator, |commander| node_of(commander) == node);
+        }
+    }
+
+    /// Lets commanders of this node claim again.
+    pub(crate) fn resume_commander(&self, node: &str) {
+        lock(&self.suspended).remove(node);
+    }
+
+    /// Calls the cut-off of an actuator that does not take its command.
+    pub(crate) fn cut_off_now(&self, object: &str, contract: &str) {
+        let object = ObjectName::new(object).ok();
+        if let Some(actuator) = object.and_then(|object| self.named(&object, contract)) {
+            lock(&actuator.lease).handle_not_taken();
+            self.carry_out(&actuator);
+        }
+    }
+
+    fn end_lease(&self, actuator: &Arc<Actuator>, is_meant: impl Fn(&str) -> bool) {
+        let mut lease = lock(&actuator.lease);
+        if let LeaseStatus::Held { commander, epoch, .. } = lease.status(platform::now())
+            && is_meant(&commander.name)
+        {
+            lease.handle_release(epoch);
+        }
+        drop(lease);
+        self.carry_out(actuator);
+    }
+
+    fn named(&self, object: &ObjectName, contract: &str) -> Option<Arc<Actuator>> {
         let actuators = lock(&self.actuators);
-        let mut own =
-            actuators.iter().filter(|((of, name), _)| of == object && *name == theirs.name);
+        let mut own = actuators.iter().filter(|((of, name), _)| of == object && *name == contract);
         own.next().map(|(_, actuator)| actuator.clone())
+    }
+
+    fn find(&self, object: &ObjectName, theirs: &PeerIdentity) -> Option<Arc<Actuator>> {
+        self.named(object, &theirs.name)
     }
 
     fn serve(
@@ -278,6 +334,12 @@ impl ActuatorTable {
             // Its first command would wait, perhaps for longer than the lease.
             CommandKind::Claim { .. } if !actuator.skeleton.is_at_work() => {
                 Err(DeliveryError::Restarting)
+            }
+            CommandKind::Claim { commander, .. }
+                if lock(&self.suspended).contains(node_of(&commander)) =>
+            {
+                let by = "the policy for lost communication".to_owned();
+                Err(DeliveryError::Held { actuator: object.to_string(), by })
             }
             CommandKind::Claim { commander, incarnation } => {
                 let commander =

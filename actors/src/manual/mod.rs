@@ -15,6 +15,7 @@
 //! | [variables] | values that outlive restarts: read, written and watched from any node |
 //! | [parameters] | settings with defaults, units and ranges: from a file, and set while a component runs |
 //! | [commanding] | actuators that become safe by themselves when their commander is gone |
+//! | [conditions] | whether an operator, a node or a topic is still connected, and what the robot does alone |
 //! | [services] | services that a standby on another node takes over |
 //! | [supervision] | which components are restarted together, how often, and the safe state |
 //! | [faults] | the list of faults, roots and symptoms |
@@ -58,6 +59,9 @@ pub mod parameters {}
 
 #[doc = include_str!("commanding.md")]
 pub mod commanding {}
+
+#[doc = include_str!("conditions.md")]
+pub mod conditions {}
 
 #[doc = include_str!("services.md")]
 pub mod services {}

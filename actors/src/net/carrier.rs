@@ -52,6 +52,15 @@ impl Interface {
         one.then_some(Interface::With(address))
     }
 
+    /// Whether the system says that it is wireless.
+    pub(crate) fn is_wireless(&self) -> bool {
+        self.is_wireless_in(Path::new(INTERFACES))
+    }
+
+    fn is_wireless_in(&self, interfaces: &Path) -> bool {
+        self.name().is_some_and(|name| interfaces.join(name).join("wireless").exists())
+    }
+
     fn name(&self) -> Option<String> {
         match self {
             // No path, whatever the user wrote.

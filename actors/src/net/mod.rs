@@ -462,6 +462,11 @@ impl NetHandle {
         self.stubs.is_opened(node)
     }
 
+    /// Whether a path leads to this node, and it has not left and is not isolated.
+    pub(crate) fn is_reachable(&self, node: &NodeName) -> bool {
+        self.stubs.is_reachable(node)
+    }
+
     /// Completes when messages can be sent to this node.
     pub(crate) async fn connected(&self, node: &NodeName) {
         self.stubs.opened(node).await;

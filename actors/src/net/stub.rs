@@ -289,6 +289,14 @@ impl PeerStubs {
         self.lock().get(node).is_some_and(|send_state| send_state.is_opened())
     }
 
+    /// Whether a path leads there now, to a node that has not left and is not isolated.
+    pub(super) fn is_reachable(&self, node: &NodeName) -> bool {
+        self.lock().get(node).is_some_and(|send_state| {
+            let is_there = send_state.path.load(Relaxed) && !send_state.is_isolated();
+            is_there && send_state.condition() != PeerCondition::Left
+        })
+    }
+
     /// Whether a path has led there, now or before.
     pub(super) fn has_met(&self, node: &NodeName) -> bool {
         self.lock().get(node).is_some_and(|send_state| send_state.met.load(Relaxed))

@@ -19,6 +19,7 @@ use super::error::StartError;
 use super::inspection::InspectionActor;
 #[cfg(feature = "unix")]
 use super::inspection::StartInspection;
+use super::lost_communication::{KeptPolicy, LostCommunicationPolicy};
 use super::tree::{PreparedTree, SupervisorSpec, TreeEnvironment};
 use super::watchdogs::ProcessWatchdogs;
 use super::{Node, Root, Shared};
@@ -27,6 +28,7 @@ use crate::arbiter::pool::{ArbiterPool, CULPRITS_LIMIT};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::extension::Extensions;
 use crate::component::spec_error::SpecError;
+use crate::condition::{ConditionWiring, Conditions};
 #[cfg(feature = "network")]
 use crate::directory::DirectoryTable;
 use crate::fault_chain::strategy::StrategyTable;
@@ -137,6 +139,8 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     #[cfg(feature = "network")]
     assembly.carry_services(builder.networks.services)?;
     assembly.keep_leases();
+    assembly.keep_conditions();
+    assembly.keep_policies(builder.policies)?;
     #[cfg(feature = "unix")]
     let inspection = assembly.make_inspection(builder.shown_at).await;
     assembly.enrol_all(preparation.tree).await?;
@@ -166,6 +170,7 @@ struct NodeAssembly {
     /// All that is to be watched.
     enrolments: Vec<Register>,
     undone: StopOnFailure,
+    policies: Vec<KeptPolicy>,
     /// Files and sockets that no other node has while this one lives.
     held: Vec<PathBuf>,
 }
@@ -212,6 +217,7 @@ impl NodeAssembly {
             node,
             incarnation,
             held: Vec::new(),
+            policies: Vec::new(),
             plan,
             parts,
         })
@@ -301,6 +307,45 @@ impl NodeAssembly {
         let actuators = self.environment.actuators();
         let leases = actuators.start(name.clone(), guardian, chain.arbiter.as_ref());
         self.enrolments.push(middleware(name, Some(leases)));
+    }
+
+    fn keep_conditions(&mut self) {
+        let (name, FaultChainParts { guardian, chain, .. }) = (named("conditions"), &self.parts);
+        let environment = &self.environment;
+        #[cfg(feature = "network")]
+        let (net, timeout) = match &self.networks {
+            Some(networks) => (Some(networks.handle.clone()), Some(networks.silence)),
+            None => (None, None),
+        };
+        let wiring = ConditionWiring {
+            reports: environment.reports.clone(),
+            topics: environment.topics().clone(),
+            actuators: environment.actuators().clone(),
+            registry: environment.registry.clone(),
+            #[cfg(feature = "network")]
+            directory: environment.directory().clone(),
+            #[cfg(feature = "network")]
+            net,
+            #[cfg(feature = "network")]
+            timeout,
+            #[cfg(not(feature = "network"))]
+            timeout: None,
+        };
+        let arbiter = chain.arbiter.as_ref();
+        let pings = environment.conditions().start(wiring, name.clone(), guardian, arbiter);
+        self.enrolments.push(middleware(name, Some(pings)));
+    }
+
+    fn keep_policies(&mut self, policies: Vec<LostCommunicationPolicy>) -> Result<(), StartError> {
+        let FaultChainParts { guardian, chain, .. } = &self.parts;
+        let who = (&self.node, self.incarnation);
+        for policy in policies {
+            let arbiter = chain.arbiter.as_ref();
+            let (kept, name, pings) = policy.start(who, &self.environment, guardian, arbiter)?;
+            self.policies.push(kept);
+            self.enrolments.push(middleware(name, Some(pings)));
+        }
+        Ok(())
     }
 
     /// It is opened when there is something to be seen.
@@ -402,12 +447,15 @@ impl NodeAssembly {
             dependencies: Mutex::new(dependencies),
             plan: self.plan,
             systemd,
+            policies: self.policies,
             begun: AtomicBool::new(false),
             safe: Mutex::default(),
             last_record: OnceLock::new(),
             held: self.held,
         };
-        StartingNode { node: Node(Arc::new(shared)), controller }
+        let node = Node(Arc::new(shared));
+        node.0.policies.iter().for_each(|policy| policy.attach(&node));
+        StartingNode { node, controller }
     }
 }
 
@@ -450,7 +498,8 @@ pub(crate) fn with_features(
         .with(topics)
         .with(actuators)
         .with(VariableStore::default())
-        .with(Configured::default());
+        .with(Configured::default())
+        .with(Conditions::default());
     #[cfg(feature = "network")]
     let extensions = {
         let directory = DirectoryTable::default();

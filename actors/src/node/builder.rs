@@ -5,6 +5,7 @@ mod networks;
 
 use super::controller::NodeState;
 use super::faults::{FaultEvents, FaultListener};
+use super::lost_communication::LostCommunicationPolicy;
 #[cfg(feature = "network")]
 use super::network::description::NetworkDescription;
 use super::tree::SupervisorSpec;
@@ -55,6 +56,7 @@ pub struct NodeBuilder {
     pub(super) handles_signals: bool,
     #[cfg(feature = "network")]
     pub(super) networks: NetworkDescription,
+    pub(super) policies: Vec<LostCommunicationPolicy>,
     pub(super) listeners: Vec<FaultListener>,
     pub(super) state: watch::Sender<NodeState>,
     pub(super) kept_in: Option<PathBuf>,
@@ -92,6 +94,7 @@ impl NodeBuilder {
             handles_signals: true,
             #[cfg(feature = "network")]
             networks: NetworkDescription::default(),
+            policies: Vec::new(),
             listeners: Vec::new(),
             state: watch::channel(NodeState::Starting).0,
             kept_in: None,
@@ -207,6 +210,14 @@ impl NodeBuilder {
     /// Sets the recovery plan. The default plan covers every built-in kind of fault.
     pub fn plan(mut self, plan: Plan) -> Self {
         self.plan = plan;
+        self
+    }
+
+    /// Adds what the robot does when it loses a commander. It is checked at
+    /// [`start`](NodeBuilder::start): rungs rise in time, the last one is a command, and actuators
+    /// are this node's.
+    pub fn lost_communication(mut self, policy: LostCommunicationPolicy) -> Self {
+        self.policies.push(policy);
         self
     }
 

@@ -50,6 +50,14 @@ pub enum StartError {
     /// A component depends on what does not exist, or on itself, perhaps by way of others.
     #[error(transparent)]
     Dependency(#[from] DependencyError),
+    /// A policy for lost communication cannot work.
+    #[error("the policy {policy:?} for lost communication: {reason}")]
+    LostCommunication {
+        /// The policy.
+        policy: String,
+        /// What is wrong, and what to write.
+        reason: String,
+    },
     /// The text of a network's endpoint, or of a neighbour's address there, is wrong.
     #[cfg(feature = "network")]
     #[error("network {network}: {error}")]

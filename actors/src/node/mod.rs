@@ -17,11 +17,13 @@ pub(crate) mod assembly;
 mod bridge;
 mod builder;
 mod checks;
+mod conditions;
 pub(crate) mod controller;
 mod error;
 mod faults;
 #[cfg(feature = "unix")]
 pub(crate) mod inspection;
+mod lost_communication;
 #[cfg(feature = "network")]
 mod medium_row;
 #[cfg(feature = "network")]
@@ -41,14 +43,18 @@ mod watchdogs;
 #[cfg(feature = "zenoh")]
 pub use bridge::ZenohBridge;
 pub use builder::NodeBuilder;
+pub use conditions::Heartbeats;
 pub use controller::NodeState;
 pub use error::StartError;
 pub use faults::FaultEvents;
+pub use lost_communication::{
+    AcknowledgeError, LostCommunicationPolicy, LostCommunicationRow, Rung,
+};
 #[cfg(feature = "network")]
 pub use medium_row::MediumRow;
 #[cfg(feature = "network")]
 pub use network::{
-    Cable, Direction, Impairment, IsolateError, Link, MemoryMedium, Network, NotReady,
+    Cable, Direction, Impairment, IsolateError, Link, MediumKind, MemoryMedium, Network, NotReady,
 };
 #[cfg(feature = "network")]
 pub use network_row::NetworkRow;
@@ -90,6 +96,7 @@ use blastema_core::detection::dependencies::Dependencies;
 use blastema_core::detection::{FaultRecord, MonitorRow};
 use blastema_core::{Contract, DeliveryError, Event, Incarnation, NodeName, ObjectName, Variable};
 use controller::{RestartRoot, Shutdown};
+use lost_communication::KeptPolicy;
 use std::any::type_name;
 use std::fmt;
 use std::path::PathBuf;
@@ -145,6 +152,8 @@ struct Shared {
     dependencies: Mutex<Dependencies>,
     plan: Arc<blastema_core::recovery::Plan>,
     systemd: Option<Systemd>,
+    /// What it does when communication is lost.
+    policies: Vec<KeptPolicy>,
     /// Components have begun, so that outputs may have to be made safe.
     begun: AtomicBool,
     /// The safe outputs were applied without the fault chain.
@@ -497,6 +506,7 @@ impl Shared {
     /// the process may fire.
     fn stop_threads(&self, cause: &str, in_order: bool) {
         self.environment.arbiters.stop();
+        self.environment.conditions().end();
         self.environment.variables().close_file();
         #[cfg(feature = "network")]
         if let Some(networks) = &self.networks {

@@ -26,6 +26,7 @@ use blastema_transports::{
 };
 #[cfg(feature = "ip")]
 use blastema_transports::{TcpConfig, UdpConfig};
+use serde::Deserialize;
 use std::fmt;
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -66,6 +67,31 @@ pub struct Network {
     /// The group by which beacons are sent, as it was written.
     beacons: Option<String>,
     insecure: bool,
+    kind: Option<MediumKind>,
+}
+
+/// What a network's medium is like. Conditions over it have a timeout accordingly.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum MediumKind {
+    /// A cable: 1.5 s.
+    Wired,
+    /// WiFi, LTE or another radio, which is silent for a second or two now and then: 4 s.
+    Wireless,
+    /// By satellite, where seconds of delay are usual: 30 s.
+    Satellite,
+}
+
+impl MediumKind {
+    /// How long a channel over such a medium may be silent, unless a condition says so.
+    pub const fn timeout(self) -> Duration {
+        match self {
+            MediumKind::Wired => Duration::from_millis(1500),
+            MediumKind::Wireless => Duration::from_secs(4),
+            MediumKind::Satellite => Duration::from_secs(30),
+        }
+    }
 }
 
 /// Who is admitted, as it was written.
@@ -166,6 +192,7 @@ impl Network {
             admission: None,
             beacons: None,
             insecure: false,
+            kind: None,
         }
     }
 
@@ -226,6 +253,23 @@ impl Network {
     pub fn interface(mut self, name: &str) -> Self {
         self.interface = Some(Interface::Named(name.to_owned()));
         self
+    }
+
+    /// Says what the medium is like, for the [timeouts of
+    /// conditions](crate::manual::conditions#timeouts). Otherwise it is wireless where the system
+    /// says so of the network's interface, and else wired.
+    pub fn medium(mut self, kind: MediumKind) -> Self {
+        self.kind = Some(kind);
+        self
+    }
+
+    /// What the medium is like, as the description or the system says.
+    pub(in crate::node) fn medium_kind(&self) -> MediumKind {
+        let is_wireless = || self.interface.as_ref().is_some_and(Interface::is_wireless);
+        self.kind.unwrap_or_else(|| match is_wireless() {
+            true => MediumKind::Wireless,
+            false => MediumKind::Wired,
+        })
     }
 
     /// Puts a cable before the medium that can be cut and made bad while the node runs, by

@@ -25,6 +25,7 @@ pub(crate) mod ports;
 mod publisher;
 mod subscription;
 mod table;
+mod tap;
 #[cfg(test)]
 mod tests;
 mod traffic;
@@ -35,6 +36,7 @@ use table::TopicTable;
 pub(crate) use table::Topics;
 #[cfg(feature = "network")]
 pub(crate) use table::{ForwardId, described};
+use tap::TopicTaps;
 pub use traffic::TopicRow;
 
 use crate::arbiter::heartbeat;
@@ -143,6 +145,7 @@ pub(crate) struct Topic<E: Event> {
     /// once.
     latch: Mutex<Latch<E>>,
     traffic: Traffic,
+    taps: TopicTaps<E>,
     /// Listeners here, and other nodes that have some.
     matched: watch::Sender<usize>,
     all: Weak<Mutex<TopicTable>>,
@@ -277,6 +280,7 @@ impl<E: Event> Topic<E> {
         is_foreign: bool,
         latch: Option<MutexGuard<'_, Latch<E>>>,
     ) {
+        self.taps.tell(&event, times);
         let Some(mut latch) = latch else {
             return self.fan_out(event, times);
         };

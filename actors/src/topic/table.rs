@@ -1,6 +1,7 @@
 //! The topics of one node by their names, and what other nodes want of them.
 
 use super::erased::AnyTopic;
+use super::tap::{TopicTap, TopicTaps};
 use super::traffic::{TopicRow, Traffic};
 use super::{Hubs, InterestObserver, NodeEnd, Publisher, RemoteForward, Topic, TopicKey, lock};
 use crate::messaging::dead_letters::DeadLetterLog;
@@ -141,6 +142,7 @@ impl Topics {
                 let (joined, publishing) = (self.joined.clone(), self.publishing.clone());
                 Traffic::new(platform::now(), joined, publishing)
             },
+            taps: TopicTaps::default(),
             matched: watch::Sender::new(0),
             all: Arc::downgrade(&self.inner),
             dead_letters: self.dead_letters.clone(),
@@ -160,6 +162,25 @@ impl Topics {
             interest(&key);
         }
         Ok(topic)
+    }
+
+    /// Tells this tap of every event of the topic, from now until the node ends. It counts as a
+    /// listener of this name, so that other nodes send their events.
+    ///
+    /// # Errors
+    /// As [`topic`](Self::topic).
+    #[track_caller]
+    pub(crate) fn tap<E: Event>(
+        &self,
+        name: &str,
+        listener: &ObjectName,
+        tap: TopicTap<E>,
+    ) -> Result<(), DeliveryError> {
+        let topic: Arc<Topic<E>> = self.topic(name, Location::caller())?;
+        topic.taps.add(tap);
+        let is_first = topic.add_listener(&lock(&topic.latch));
+        topic.listener_changed(listener, true, is_first);
+        Ok(())
     }
 
     /// On how many arbiters a topic has listeners.

@@ -168,6 +168,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::NodePaused
         | FaultKind::Insecure
         | FaultKind::Forbidden
+        | FaultKind::ConnectionLost
         | FaultKind::Custom(_) => false,
     }
 }

@@ -162,6 +162,8 @@ impl Default for Plan {
             FaultKind::Insecure => observe.clone(),
             // A user must change the policy, or the program.
             FaultKind::Forbidden => observe.clone(),
+            // The policy for lost communication acts; a restart brings no one back.
+            FaultKind::ConnectionLost => observe.clone(),
             // The service goes on; what is missing is on other nodes, or gone.
             FaultKind::Unreplicated | FaultKind::StateLost => observe.clone(),
             // Its nodes elect a primary by themselves as soon as they can.

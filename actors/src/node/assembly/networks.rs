@@ -38,6 +38,8 @@ pub(in crate::node) struct Networks {
     pub(super) arbiter: Option<ArbiterHandle>,
     /// The nodes that the description names.
     pub(super) described: SortedSet<NodeName>,
+    /// How long a channel may be silent over the slowest of the media.
+    pub(super) silence: Duration,
 }
 
 /// How long a node that ends waits until its peers have what was sent to them. One that is gone
@@ -164,6 +166,8 @@ fn make_networks(
     let has_keys = keys.is_some();
     let rows: Vec<_> = networks.iter().map(|network| network.row(has_keys)).collect();
     rows.iter().for_each(NetworkRow::log);
+    let silence = networks.iter().map(|network| network.medium_kind().timeout()).max();
+    let silence = silence.unwrap_or_default();
     for network in networks {
         let started = network.start((node, has_keys), guardian, arbiter.as_ref())?;
         let beacons = started.spec.discovery.iter().filter_map(|spec| spec.beacons.as_ref());
@@ -233,7 +237,7 @@ fn make_networks(
         chain.notifier.do_send(AddPort { port, recover, stand_down: None });
     }
     let transports = transports.clone();
-    Ok((Networks { handle, cables, rows, transports, arbiter, described }, enrolments))
+    Ok((Networks { handle, cables, rows, transports, arbiter, described, silence }, enrolments))
 }
 
 /// Those that are admitted by name where they are met.

@@ -13,7 +13,7 @@
 //!
 //! The table is put together first, from the file and the overrides, and then read as one.
 
-use super::{Link, Network};
+use super::{Link, MediumKind, Network};
 use crate::node::error::StartError;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{self, MapAccess, SeqAccess, Visitor};
@@ -55,6 +55,7 @@ struct DescribedNetwork {
     insecure: bool,
     interface: Option<String>,
     beacons: Option<String>,
+    medium: Option<MediumKind>,
     discover: Option<Discover>,
     #[serde(default)]
     peers: BTreeMap<String, WrittenPeer>,
@@ -171,6 +172,10 @@ impl DescribedNetwork {
         };
         let network = match &self.beacons {
             Some(group) => network.beacons(group),
+            None => network,
+        };
+        let network = match self.medium {
+            Some(kind) => network.medium(kind),
             None => network,
         };
         let network = match &self.discover {
@@ -302,6 +307,7 @@ keys = "module1.key"
 [networks.ethernet]
 endpoint = "udp://10.0.0.1:7400"
 interface = "eth0"
+medium = "satellite"
 beacons = "239.255.0.1:7399"
 discover = ["module4"]
 
@@ -331,6 +337,7 @@ peers = { module2 = "" }
         let written = [
             Network::new("ethernet", "udp://10.0.0.1:7400")
                 .interface("eth0")
+                .medium(MediumKind::Satellite)
                 .beacons("239.255.0.1:7399")
                 .discover(["module4"])
                 .peer("module2", "10.0.0.2:7400")
@@ -345,6 +352,7 @@ peers = { module2 = "" }
         assert_eq!(format!("{read:?}"), format!("{written:?}"));
         for (read, written) in read.iter().zip(&written) {
             assert_eq!((read.insecure, &read.beacons), (written.insecure, &written.beacons));
+            assert_eq!(read.kind, written.kind);
             let (ours, theirs) = (&read.admission, &written.admission);
             assert_eq!(format!("{ours:?}"), format!("{theirs:?}"));
         }
@@ -377,10 +385,11 @@ peers = { module2 = "" }
             assert!(expected.iter().all(|part| error.contains(part)), "{error}");
         };
         refused("endpoint = \"udp", "endpont = \"udp", &[], &["line 5", "endpont", "`endpoint`"]);
-        refused("cost = 20", "cots = 20", &[], &["line 12", "cots", "`cost`"]);
-        refused("\"20ms\"", "\"20\"", &[], &["line 12", "`20` is no time", "20ms"]);
-        refused("[\"module4\"]", "\"all\"", &[], &["line 8", "\"any\", or a list"]);
-        refused("= \"10.0.0.2:7400\"", "= 7", &[], &["line 11", "an address"]);
+        refused("cost = 20", "cots = 20", &[], &["line 13", "cots", "`cost`"]);
+        refused("\"20ms\"", "\"20\"", &[], &["line 13", "`20` is no time", "20ms"]);
+        refused("[\"module4\"]", "\"all\"", &[], &["line 9", "\"any\", or a list"]);
+        refused("\"satellite\"", "\"moon\"", &[], &["line 7", "`moon`", "`satellite`"]);
+        refused("= \"10.0.0.2:7400\"", "= 7", &[], &["line 12", "an address"]);
         refused("[networks.ethernet]", "[network.ethernet]", &[], &["network", "`networks`"]);
         refused("", "", &["networks.line"], &["here", "KEY=VALUE"]);
         refused("", "", &["networks..x=1"], &["here", "KEY=VALUE"]);

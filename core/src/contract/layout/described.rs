@@ -251,6 +251,6 @@ describe! {
         Overload, ContractMismatch, LinkDown, LinkDegraded, NodeLost, RestartStorm,
         NodeFaulty, NameTaken, CommanderGone, NodeInSafeState, Unreplicated,
         StateLost, ServiceUnavailable, Unavailable, CrashLoop, NodePaused, Insecure, Forbidden,
-        Custom(Arc<str>),
+        ConnectionLost, Custom(Arc<str>),
     }
 }

@@ -22,6 +22,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("actuator", TO_NET),
     ("port", TO_ACTUATOR),
     ("directory", TO_NET),
+    ("condition", TO_CONDITION),
     ("service", TO_DIRECTORY),
     ("bridge", TO_NET),
     ("parameters", &["arbiter", "component", "variable"]),
@@ -43,6 +44,18 @@ const TO_NET: &[&str] = &[
     "host",
     "topic",
     "net",
+];
+const TO_CONDITION: &[&str] = &[
+    "platform",
+    "runtime",
+    "arbiter",
+    "messaging",
+    "registry",
+    "component",
+    "topic",
+    "net",
+    "actuator",
+    "directory",
 ];
 const TO_DIRECTORY: &[&str] = &[
     "platform",

@@ -1,0 +1,54 @@
+//! Heartbeats: the events by which a sender shows that it is there.
+
+use crate::component::Component;
+use crate::component::context::Context;
+use crate::platform;
+use crate::topic::Publisher;
+use blastema_core::DeliveryError;
+use blastema_macros::Event;
+use std::time::Duration;
+
+/// A sign of life on a topic. [`Connected::heartbeat`](crate::Connected::heartbeat) listens to it.
+///
+/// Of heartbeats on their way only the newest counts, and none is retransmitted: a gap in their
+/// numbers is a loss.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Event)]
+#[contract(crate = "crate", name = "blastema/heartbeat", version = 1, delivery = "newest")]
+pub struct Heartbeat {
+    /// How many heartbeats the sender has sent before this one.
+    pub sequence: u64,
+    /// When it was sent, by the wall clock of its sender, in microseconds since 1970.
+    pub stamp_us: u64,
+}
+
+impl Heartbeat {
+    /// The heartbeat of this number, sent now.
+    pub fn new(sequence: u64) -> Self {
+        Heartbeat { sequence, stamp_us: platform::stamp_us() }
+    }
+}
+
+/// Publishes heartbeats until it is dropped.
+pub(crate) async fn publish(publisher: Publisher<Heartbeat>, interval: Duration) {
+    for sequence in 0.. {
+        // An incarnation that was fenced off gives no sign of life.
+        if publisher.publish(Heartbeat::new(sequence)).is_err() {
+            return;
+        }
+        platform::sleep(interval).await;
+    }
+}
+
+impl<C: Component> Context<C> {
+    /// Publishes a [`Heartbeat`] on this topic every `interval`, for as long as this incarnation
+    /// lasts and its thread turns.
+    ///
+    /// # Errors
+    /// As [`publisher`](Self::publisher).
+    #[track_caller]
+    pub fn heartbeat(&mut self, topic: &str, interval: Duration) -> Result<(), DeliveryError> {
+        let publisher = self.publisher::<Heartbeat>(topic)?;
+        self.spawn(publish(publisher, interval));
+        Ok(())
+    }
+}

@@ -1,0 +1,222 @@
+//! What a robot does alone: a ladder in time after the loss of communication.
+//!
+//! ```text
+//!            lost                    after 1 s       after 10 s        after 60 s
+//!  Commanded ────► Lost { since } ──► rung 0 ──────► rung 1 ─────────► rung 2
+//!      ▲                                 │ connected: no further rung is entered
+//!      └── connected for a while, or acknowledged ◄──┘
+//! ```
+
+use crate::{Instant, Machine};
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// What ends the ladder once communication is back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LostCommunicationEnd {
+    /// It has been back for so long without a break.
+    Stable(Duration),
+    /// A person acknowledges it.
+    Acknowledged,
+}
+
+/// What the ladder wants done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LostCommunicationOutput {
+    /// Leave the present rung, if there is one, and carry this one out.
+    Enter(usize),
+    /// Leave the present rung: others command again.
+    End,
+}
+
+/// A ladder that is climbed while communication is lost.
+#[derive(Debug)]
+pub struct LostCommunication {
+    /// When each rung is entered, counted from the loss.
+    rungs: Vec<Duration>,
+    end: LostCommunicationEnd,
+    state: State,
+    outputs: VecDeque<LostCommunicationOutput>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    /// Communication was never lost, or is back for good.
+    Commanded,
+    Lost {
+        since: Instant,
+        next: usize,
+    },
+    /// Communication is back since `at`; the ladder stays where it is.
+    Back {
+        since: Instant,
+        next: usize,
+        at: Instant,
+    },
+}
+
+impl LostCommunication {
+    /// A ladder of rungs at these times after the loss, in rising order.
+    pub fn new(rungs: Vec<Duration>, end: LostCommunicationEnd) -> Self {
+        LostCommunication { rungs, end, state: State::Commanded, outputs: VecDeque::new() }
+    }
+
+    /// The rung that is carried out.
+    pub fn rung(&self) -> Option<usize> {
+        match self.state {
+            State::Commanded => None,
+            State::Lost { next, .. } | State::Back { next, .. } => next.checked_sub(1),
+        }
+    }
+
+    /// When communication was lost, unless all is over.
+    pub fn since(&self) -> Option<Instant> {
+        match self.state {
+            State::Commanded => None,
+            State::Lost { since, .. } | State::Back { since, .. } => Some(since),
+        }
+    }
+
+    /// Whether communication is back, and the ladder waits for its end.
+    pub fn is_back(&self) -> bool {
+        matches!(self.state, State::Back { .. })
+    }
+
+    /// Communication is lost. Where it was back and not yet stable, the time goes on from the first
+    /// loss.
+    pub fn handle_lost(&mut self, now: Instant) {
+        self.state = match self.state {
+            State::Commanded => State::Lost { since: now, next: 0 },
+            State::Back { since, next, .. } => State::Lost { since, next },
+            lost @ State::Lost { .. } => lost,
+        };
+        self.handle_timeout(now);
+    }
+
+    /// Communication is there, within its limits.
+    pub fn handle_connected(&mut self, now: Instant) {
+        match self.state {
+            // No rung was due: nothing is to be ended.
+            State::Lost { next: 0, .. } => self.state = State::Commanded,
+            State::Lost { since, next } => self.state = State::Back { since, next, at: now },
+            State::Commanded | State::Back { .. } => {}
+        }
+        self.handle_timeout(now);
+    }
+
+    /// A person says that the robot may be commanded again. Returns whether there was something to
+    /// acknowledge: communication is back, and the ladder still holds.
+    pub fn handle_acknowledged(&mut self) -> bool {
+        let is_back = self.is_back();
+        if is_back {
+            self.finish();
+        }
+        is_back
+    }
+
+    fn finish(&mut self) {
+        self.state = State::Commanded;
+        self.outputs.push_back(LostCommunicationOutput::End);
+    }
+}
+
+impl Machine for LostCommunication {
+    type Output = LostCommunicationOutput;
+
+    fn poll_output(&mut self) -> Option<LostCommunicationOutput> {
+        self.outputs.pop_front()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        match (self.state, self.end) {
+            (State::Lost { since, next }, _) => self.rungs.get(next).map(|after| since + *after),
+            (State::Back { at, .. }, LostCommunicationEnd::Stable(span)) => Some(at + span),
+            (State::Back { .. }, LostCommunicationEnd::Acknowledged) | (State::Commanded, _) => {
+                None
+            }
+        }
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        if self.poll_timeout().is_none_or(|due| now < due) {
+            return;
+        }
+        match &mut self.state {
+            State::Lost { since, next } => {
+                // Of several rungs that are due at once the last counts.
+                let is_due = |after: &&Duration| now >= *since + **after;
+                *next = self.rungs.iter().take_while(is_due).count();
+                let entered = next.saturating_sub(1);
+                self.outputs.push_back(LostCommunicationOutput::Enter(entered));
+            }
+            State::Back { .. } => self.finish(),
+            State::Commanded => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use LostCommunicationOutput::{End, Enter};
+
+    fn at(seconds: u64) -> Instant {
+        Instant::from_millis(seconds * 1000)
+    }
+
+    fn ladder(end: LostCommunicationEnd) -> LostCommunication {
+        LostCommunication::new([1, 10, 60].map(Duration::from_secs).into(), end)
+    }
+
+    fn outputs(ladder: &mut LostCommunication) -> Vec<LostCommunicationOutput> {
+        std::iter::from_fn(|| ladder.poll_output()).collect()
+    }
+
+    #[test]
+    fn rungs_come_in_their_time_and_a_short_loss_is_none() {
+        let mut ladder = ladder(LostCommunicationEnd::Stable(Duration::from_secs(5)));
+        ladder.handle_connected(at(0));
+        ladder.handle_lost(at(100));
+        ladder.handle_connected(Instant::from_millis(100_900));
+        assert_eq!((outputs(&mut ladder), ladder.poll_timeout()), (vec![], None));
+
+        ladder.handle_lost(at(200));
+        for due in [201, 210, 260] {
+            assert_eq!(ladder.poll_timeout(), Some(at(due)));
+            ladder.handle_timeout(at(due));
+        }
+        assert_eq!(outputs(&mut ladder), [Enter(0), Enter(1), Enter(2)]);
+        assert_eq!((ladder.poll_timeout(), ladder.rung()), (None, Some(2)));
+    }
+
+    #[test]
+    fn the_ladder_ends_when_communication_is_stable_and_else_goes_on_from_the_first_loss() {
+        let mut ladder = ladder(LostCommunicationEnd::Stable(Duration::from_secs(5)));
+        ladder.handle_lost(at(0));
+        ladder.handle_timeout(at(1));
+        ladder.handle_connected(at(7));
+        ladder.handle_timeout(at(11));
+        assert_eq!((outputs(&mut ladder), ladder.rung()), (vec![Enter(0)], Some(0)));
+        assert!(ladder.is_back(), "and does not climb while it is");
+
+        ladder.handle_lost(at(11));
+        assert_eq!(outputs(&mut ladder), [Enter(1)], "eleven seconds after the first loss");
+        ladder.handle_connected(at(12));
+        ladder.handle_timeout(at(17));
+        assert_eq!((outputs(&mut ladder), ladder.rung()), (vec![End], None));
+    }
+
+    #[test]
+    fn a_ladder_that_a_person_ends_waits_for_that_and_takes_no_word_while_it_is_lost() {
+        let mut ladder = ladder(LostCommunicationEnd::Acknowledged);
+        assert!(!ladder.handle_acknowledged(), "nothing was lost");
+        ladder.handle_lost(at(0));
+        ladder.handle_timeout(at(70));
+        assert_eq!(outputs(&mut ladder), [Enter(2)], "the last of those that are due");
+        assert!(!ladder.handle_acknowledged());
+        ladder.handle_connected(at(80));
+        assert_eq!(ladder.poll_timeout(), None);
+        assert!(ladder.handle_acknowledged());
+        assert_eq!(outputs(&mut ladder), [End]);
+    }
+}

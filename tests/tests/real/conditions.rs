@@ -1,0 +1,125 @@
+//! A condition over an operator whose process is killed and started again.
+
+use blastema::prelude::*;
+use blastema::{
+    ActuatorSpec, ConditionState, Connected, Hold, Link, LostCommunicationPolicy, Network, Rung,
+};
+use blastema_tests::{Process, free_addresses};
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+/// For everything that takes time on a busy computer.
+const PATIENCE: Duration = Duration::from_secs(60);
+const NODES: [&str; 2] = ["rover", "operator"];
+
+#[derive(Clone, Debug, PartialEq, Request)]
+#[contract(name = "wheels/drive", reply = ())]
+enum Drive {
+    Safe,
+    Forward,
+    Stop,
+}
+
+/// Remembers each other command.
+struct Wheels(Arc<Mutex<Vec<Drive>>>);
+
+impl Component for Wheels {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.actuator(ActuatorSpec::new(Drive::Safe, Hold).lease(Duration::from_secs(2)));
+    }
+}
+
+impl Handle<Drive> for Wheels {
+    async fn handle(&mut self, drive: Drive, _: &mut Context<Self>) {
+        let mut seen = self.0.lock().unwrap();
+        if seen.last() != Some(&drive) {
+            seen.push(drive);
+        }
+    }
+}
+
+fn network(addresses: &[SocketAddr], own: usize) -> Network {
+    let other = 1 - own;
+    let link = Link::new(NODES[other], addresses[other]).hello_every(Duration::from_millis(100));
+    Network::udp("ethernet", addresses[own]).link(link)
+}
+
+#[test]
+fn a_process_plays_its_role() {
+    let Some(role) = blastema_tests::role() else { return };
+    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
+    assert_eq!(role, "operator");
+    let addresses: Vec<SocketAddr> = blastema_tests::addresses()
+        .iter()
+        .map(|address| address.parse().expect("an address"))
+        .collect();
+    blastema::run(async {
+        let node = Node::builder("operator").network(network(&addresses, 1)).start().await.unwrap();
+        let _beats = node.heartbeat("operator/beat", Duration::from_millis(50)).unwrap();
+        let wheels = node.commander::<Drive>("rover:wheels", "console").unwrap();
+        loop {
+            if wheels.claim_within(PATIENCE).await.is_ok() {
+                while wheels.command(Drive::Forward).await.is_ok() {
+                    blastema::sleep(Duration::from_millis(50)).await;
+                }
+            }
+            blastema::sleep(Duration::from_millis(50)).await;
+        }
+    });
+}
+
+#[test]
+fn a_killed_operator_is_lost_the_robot_stops_by_itself_and_is_commanded_again_by_the_next() {
+    let _turn = blastema_doubles::turn();
+    let addresses = free_addresses(2);
+    let texts: Vec<String> = addresses.iter().map(SocketAddr::to_string).collect();
+    let start = || Process::start_with(module_path!(), "operator", &texts, &[]);
+    blastema::run(async {
+        let seen = Arc::<Mutex<Vec<Drive>>>::default();
+        let kept = seen.clone();
+        let beat = || {
+            let topic = Connected::heartbeat("operator/beat").timeout(Duration::from_secs(3));
+            Connected::all([topic, Connected::session("operator").timeout(PATIENCE)])
+        };
+        let policy = LostCommunicationPolicy::new("operator", beat())
+            .commander("operator")
+            .after(Duration::from_millis(100), Rung::command("stop", "wheels", Drive::Stop))
+            .until_stable_for(Duration::from_millis(500));
+        let node = Node::builder("rover")
+            .network(network(&addresses, 0))
+            .child(ChildSpec::new("wheels", move || Wheels(kept.clone())))
+            .lost_communication(policy)
+            .start()
+            .await
+            .unwrap();
+        let condition = node.condition("operator", beat()).unwrap();
+        let drives = async |wanted: Drive| {
+            let drives = async {
+                while seen.lock().unwrap().last() != Some(&wanted) {
+                    blastema::sleep(Duration::from_millis(5)).await;
+                }
+            };
+            tokio::time::timeout(PATIENCE, drives).await.unwrap_or_else(|_| {
+                panic!("no {wanted:?}: {:?}, {}", seen.lock().unwrap(), condition.status().cause)
+            });
+        };
+        for _ in 0..2 {
+            let mut operator = start();
+            drives(Drive::Forward).await;
+            tokio::time::timeout(PATIENCE, condition.acceptable()).await.expect("it is heard");
+
+            operator.kill();
+            tokio::time::timeout(PATIENCE, condition.lost()).await.expect("it is silent");
+            drives(Drive::Stop).await;
+            assert_eq!(node.lost_communication()[0].rung.as_deref(), Some("stop"));
+        }
+        let mut lost = node.faults().await.entries;
+        lost.retain(|entry| entry.fault.kind == FaultKind::ConnectionLost);
+        assert_eq!(lost.len(), 2);
+        assert_eq!(condition.state(), ConditionState::Lost);
+        let _operator = start();
+        drives(Drive::Forward).await;
+        node.shutdown().await;
+    });
+}
