@@ -1,5 +1,6 @@
 //! The description of a policy for lost communication, and how a rung commands.
 
+use crate::actuator::command::ActuatorCommand;
 use crate::actuator::{self, ActuatorTable, Commander};
 use crate::component::Component;
 use crate::condition::Connected;
@@ -250,8 +251,10 @@ async fn keep_commanding<M: Contract + Clone>(
     // Three commands in a timeout tolerate two late ones.
     let repeat = actuators.command_timeout(&object, M::NAME).map(|timeout| timeout / 3);
     let (commander, renewing): (Commander<M>, _) = loop {
-        match actuator::commander(&registry, &actuator, (own.clone(), incarnation)) {
-            Ok((commander, renewing)) => break (commander, renewing),
+        match registry.sender::<ActuatorCommand>(&actuator) {
+            Ok(way) => {
+                break actuator::commander(actuator.clone(), way, (own.clone(), incarnation));
+            }
             // Its component is not there; the last rung cuts it off.
             Err(_) => platform::sleep(RETRY_DELAY).await,
         }
