@@ -103,7 +103,7 @@ impl<C: Handle<E>, E: Event> Drop for ListenPort<'_, C, E> {
             let topic = topics.topic::<E>(&topic, at)?;
             Ok(Arc::new(TopicSubscription::new(topic, only_if)) as Arc<dyn Subscription<C>>)
         };
-        self.ports.keep_latched::<E>();
+        self.ports.keep_latched::<E>(&name);
         let declared = self.ports.feature::<ListenPorts<C>>();
         declared.0.push((name, E::NAME, Box::new(bind)));
     }
