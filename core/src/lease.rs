@@ -13,8 +13,10 @@
 //! Every claim that is granted has a greater epoch than any before; what comes under an older one
 //! is refused.
 //!
-//! A command counts for the command timeout. Then the safe command is given once. The commander
-//! keeps its lease, which being alive renews, and its next command counts again.
+//! A command counts for the command timeout, and while the incarnation lasts that it was given to.
+//! Then the safe command is given once. The commander keeps its lease, which being alive renews,
+//! and its next command counts again. The cut-off is called once where the component does not take
+//! the safe command.
 //!
 //! While the component leaves work in order, claims are refused, and an actuator that has carried
 //! out a command gets its stop command. The cut-off is called only where that fails or comes too
@@ -48,7 +50,8 @@ pub struct LeaseGrant {
 /// Why an actuator is brought to rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RestCause {
-    /// The last command has counted for as long as it may. The commander keeps its lease.
+    /// The last command has counted for as long as it may, or its incarnation has failed. The
+    /// commander keeps its lease.
     CommandTimeout,
     /// The commander was silent for too long.
     Expired,
@@ -77,6 +80,8 @@ pub struct LeaseRules {
     pub span: Duration,
     /// How long a command counts; `None` for ever.
     pub command_timeout: Option<Duration>,
+    /// How long the component has to begin the safe command of a command timeout while it could.
+    pub max_wait: Duration,
     /// What stops the actuator in order.
     pub stop_by: StopBy,
 }
@@ -120,7 +125,10 @@ pub enum LeaseOutput {
     /// The safe command of a command timeout has not been carried out yet: tell
     /// [`Lease::handle_check`] whether the component still serves what it served before. It is asked
     /// every beat.
-    CheckTaken,
+    CheckTaken {
+        /// The component has had its `max_wait` to begin it.
+        is_late: bool,
+    },
     /// Call the cut-off, and tell [`Lease::handle_cut_off_returned`] when it has returned, or at
     /// once where the actuator has none.
     CutOff {
@@ -143,13 +151,16 @@ pub struct Lease {
     /// Until when the last command counts; `None` where none does, or for ever.
     counts_until: Option<Instant>,
     /// When to look next whether the component has begun the safe command of a command timeout, and
-    /// goes on with it.
-    check_at: Option<Instant>,
+    /// goes on with it; and by when it has to have begun.
+    check_at: Option<(Instant, Instant)>,
     /// What was given and has not been carried out.
     given: Option<RestCause>,
     /// Cut-offs that are still to be called, or run: they would stop the actuator under its next
     /// commander.
     cut_offs: u32,
+    /// It has been cut off, and since then the component has taken neither a command nor one that
+    /// brings it to rest.
+    is_cut: bool,
     work: Work,
     outputs: VecDeque<LeaseOutput>,
 }
@@ -186,6 +197,7 @@ impl Lease {
             check_at: None,
             given: None,
             cut_offs: 0,
+            is_cut: false,
             work: Work::Goes,
             outputs: VecDeque::new(),
         }
@@ -261,7 +273,7 @@ impl Lease {
     /// Whether the component has begun the safe command of a command timeout, or could have.
     pub fn handle_check(&mut self, is_taken: bool) {
         if !is_taken && self.check_at.take().is_some() {
-            self.cut_off(RestCause::CommandTimeout);
+            self.miss();
         }
     }
 
@@ -274,6 +286,7 @@ impl Lease {
 
     /// The safe or the stop command that was given for this cause was carried out, or could not be.
     pub fn handle_applied(&mut self, cause: RestCause, applied: bool) {
+        self.is_cut &= !applied;
         // Another one may have taken its place.
         if self.given != Some(cause) {
             return;
@@ -306,8 +319,10 @@ impl Lease {
     /// The component is at work, at first or again.
     pub fn handle_at_work(&mut self) {
         self.work = Work::Goes;
-        if let Some(cause) = self.given {
-            self.give(cause, true);
+        match self.given {
+            Some(cause) => self.give(cause, true),
+            // The next command reaches an incarnation that owes nothing.
+            None => self.is_cut = false,
         }
     }
 
@@ -354,6 +369,20 @@ impl Lease {
         }
         // It may have been the safe command that failed.
         self.handle_check(hook_done);
+        // What it was commanded counts no more: it has its safe command to carry out when it is at
+        // work again.
+        if !hook_done && self.work == Work::Goes && self.moves {
+            self.counts_until = None;
+            self.given.get_or_insert(RestCause::CommandTimeout);
+        }
+    }
+
+    /// The incarnation has ended, and none follows at once.
+    pub fn handle_ended(&mut self) {
+        self.handle_left(false);
+        if self.given.is_some() && self.moves {
+            self.miss();
+        }
     }
 
     /// The actuator has been stopped in order.
@@ -387,8 +416,16 @@ impl Lease {
         }
     }
 
+    /// The component does not take its safe command.
+    fn miss(&mut self) {
+        if !self.is_cut {
+            self.cut_off(RestCause::CommandTimeout);
+        }
+    }
+
     fn cut_off(&mut self, cause: RestCause) {
         self.cut_offs += 1;
+        self.is_cut = true;
         self.outputs.push_back(LeaseOutput::CutOff { cause });
     }
 
@@ -409,7 +446,8 @@ impl Machine for Lease {
     fn poll_timeout(&self) -> Option<Instant> {
         match self.state {
             State::Held { due } => {
-                [Some(due), self.counts_until, self.check_at].into_iter().flatten().min()
+                let check_at = self.check_at.map(|(at, _)| at);
+                [Some(due), self.counts_until, check_at].into_iter().flatten().min()
             }
             State::Free | State::Settling => None,
         }
@@ -422,10 +460,13 @@ impl Machine for Lease {
         }
         if self.counts_until.is_some_and(|until| now >= until) {
             self.give(RestCause::CommandTimeout, false);
-            self.check_at = Some(now + BEAT);
-        } else if self.check_at.is_some_and(|at| now >= at) {
-            self.check_at = self.given.map(|_| now + BEAT);
-            self.outputs.extend(self.given.map(|_| LeaseOutput::CheckTaken));
+            self.check_at = Some((now + BEAT, now + self.rules.max_wait));
+        } else if let Some((at, begun_by)) = self.check_at
+            && now >= at
+        {
+            self.check_at = self.given.map(|_| (now + BEAT, begun_by));
+            let is_late = now >= begun_by;
+            self.outputs.extend(self.given.map(|_| LeaseOutput::CheckTaken { is_late }));
         }
     }
 }
@@ -449,7 +490,7 @@ mod tests {
     }
 
     fn held_by_planner(stop_by: StopBy) -> (Lease, u64) {
-        held_under(LeaseRules { span: SPAN, command_timeout: None, stop_by })
+        held_under(LeaseRules { span: SPAN, command_timeout: None, max_wait: SPAN, stop_by })
     }
 
     fn held_under(rules: LeaseRules) -> (Lease, u64) {
@@ -471,7 +512,7 @@ mod tests {
     fn applied(lease: &mut Lease) -> Option<(RestCause, bool)> {
         match lease.poll_output()? {
             LeaseOutput::Apply { cause, again, .. } => Some((cause, again)),
-            LeaseOutput::CutOff { .. } | LeaseOutput::CheckTaken => applied(lease),
+            LeaseOutput::CutOff { .. } | LeaseOutput::CheckTaken { .. } => applied(lease),
         }
     }
 
@@ -479,7 +520,8 @@ mod tests {
     fn outputs(lease: &mut Lease) -> Vec<&'static str> {
         let name = |output| match output {
             LeaseOutput::CutOff { .. } => "cut-off",
-            LeaseOutput::CheckTaken => "check",
+            LeaseOutput::CheckTaken { is_late: false } => "check",
+            LeaseOutput::CheckTaken { is_late: true } => "late",
             LeaseOutput::Apply { cause: RestCause::Stopped, .. } => "stop",
             LeaseOutput::Apply { .. } => "safe",
         };
@@ -678,8 +720,9 @@ mod tests {
     /// Commanded at 10 ms and renewed since, under a command timeout of 40 ms.
     fn overdue() -> (Lease, u64) {
         let command_timeout = Some(Duration::from_millis(40));
-        let stop_by = StopBy::SafeCommand;
-        let (mut lease, epoch) = held_under(LeaseRules { span: SPAN, command_timeout, stop_by });
+        let (stop_by, max_wait) = (StopBy::SafeCommand, Duration::from_millis(40));
+        let rules = LeaseRules { span: SPAN, command_timeout, max_wait, stop_by };
+        let (mut lease, epoch) = held_under(rules);
         lease.handle_command(ms(10));
         lease.handle_renewal(epoch, ms(49)).unwrap();
         lease.handle_timeout(ms(49));
@@ -731,6 +774,7 @@ mod tests {
             assert_eq!(outputs(&mut lease), ["cut-off"]);
             [not_begun, dies, fails].iter().for_each(|step| step(&mut lease));
             lease.handle_timeout(ms(90));
+            lease.handle_ended();
             assert_eq!(outputs(&mut lease), [""; 0]);
 
             lease.handle_command(ms(91));
@@ -738,6 +782,69 @@ mod tests {
             lease.handle_renewal(epoch, ms(131)).unwrap();
             lease.handle_timeout(ms(131));
             assert_eq!(outputs(&mut lease), ["safe"], "the command of 91 counted to 131");
+        }
+    }
+
+    #[test]
+    fn a_commander_that_sends_on_does_not_have_it_cut_off_again_before_the_component_takes_any() {
+        let (mut lease, epoch) = overdue();
+        lease.handle_check(false);
+        assert_eq!(outputs(&mut lease), ["cut-off"]);
+        for now in [60, 110, 160] {
+            lease.handle_command(ms(now));
+            lease.handle_renewal(epoch, ms(now + 40)).unwrap();
+            lease.handle_timeout(ms(now + 40));
+            lease.handle_check(false);
+            assert_eq!(outputs(&mut lease), ["safe"]);
+        }
+
+        lease.handle_applied(RestCause::CommandTimeout, true);
+        lease.handle_command(ms(201));
+        lease.handle_renewal(epoch, ms(241)).unwrap();
+        lease.handle_timeout(ms(241));
+        lease.handle_check(false);
+        assert_eq!(outputs(&mut lease), ["safe", "cut-off"]);
+    }
+
+    #[test]
+    fn a_component_that_could_begin_its_safe_command_and_does_not_is_late_after_max_wait() {
+        let (mut lease, epoch) = overdue();
+        for (now, then) in [(60, "check"), (89, "check"), (99, "late")] {
+            lease.handle_renewal(epoch, ms(now)).unwrap();
+            lease.handle_timeout(ms(now));
+            assert_eq!(outputs(&mut lease), [then]);
+            lease.handle_check(true);
+        }
+    }
+
+    #[test]
+    fn what_is_commanded_ends_with_its_incarnation_and_is_cut_off_where_none_follows_at_once() {
+        for (follows, then) in [(true, vec![]), (false, vec!["cut-off"])] {
+            let (mut lease, epoch) = held();
+            lease.handle_left(false);
+            lease.handle_ended();
+            lease.handle_at_work();
+            assert_eq!(outputs(&mut lease), [""; 0], "it has not moved");
+
+            lease.handle_command(ms(1));
+            lease.handle_left(false);
+            if !follows {
+                lease.handle_ended();
+                lease.handle_ended();
+            }
+            assert_eq!(outputs(&mut lease), then);
+            lease.handle_at_work();
+            assert_eq!(outputs(&mut lease), ["safe"]);
+            lease.handle_applied(RestCause::CommandTimeout, true);
+            lease.handle_renewal(epoch, ms(2)).unwrap();
+            lease.handle_ended();
+            assert_eq!(outputs(&mut lease), [""; 0], "it is at rest");
+
+            lease.handle_command(ms(3));
+            lease.handle_left(false);
+            lease.handle_command(ms(4));
+            lease.handle_at_work();
+            assert_eq!(outputs(&mut lease), [""; 0], "a command that came since counts");
         }
     }
 

@@ -92,7 +92,9 @@ impl<M: Contract> ActuatorSpec<M> {
     pub fn new(safe: M, command_timeout: impl Into<CommandTimeout>) -> Self {
         let command_timeout = command_timeout.into().span();
         let (span, stop_by) = (LEASE.default, StopBy::SafeCommand);
-        let rules = LeaseRules { span, command_timeout, stop_by };
+        // The component's own is known when it is declared.
+        let max_wait = command_timeout.unwrap_or_default();
+        let rules = LeaseRules { span, command_timeout, max_wait, stop_by };
         ActuatorSpec { safe, rules, stop: None, settle_within: Duration::ZERO, cut_off: None }
     }
 
@@ -136,8 +138,8 @@ impl<M: Contract> ActuatorSpec<M> {
     /// Sets a function that sets the outputs to their safe value. It is called when a lease ends
     /// other than by an orderly stop of the component, in addition to the safe command, so that a
     /// hang of the component does not prevent it; where the component does not take the safe
-    /// command of a command timeout; and where a stop command fails or is not carried out within
-    /// `shutdown_within`.
+    /// command of a command timeout; where it fails after a command, and is not restarted on the
+    /// spot; and where a stop command fails or is not carried out within `shutdown_within`.
     /// The cut-offs and [safe outputs](crate::NodeBuilder::safe_outputs) of a node are called one
     /// after the other on a thread of their own. One that blocks it for longer than
     /// [`callback_limit`](crate::NodeBuilder::callback_limit) is a fault of the component, and the

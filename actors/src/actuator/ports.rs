@@ -92,7 +92,7 @@ impl CellListener for Withdrawal {
     }
 
     fn deactivated(&self) {
-        self.left_work(false);
+        self.table.handle_work(&self.owner, Lease::handle_ended);
     }
 
     fn removed(&self) {
@@ -140,8 +140,13 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
         // Those that could not be encoded were refused by the check.
         let declared = self.declared.into_iter();
         let declared = declared.filter_map(|(declared, open, _)| Some((declared.ok()?, open)));
-        let declared: Vec<_> =
-            declared.map(|(declared, open)| (declared, open(cell).into_skeleton())).collect();
+        let max_wait = cell.record.limits.hang.max_wait;
+        let declared: Vec<_> = declared
+            .map(|(mut declared, open)| {
+                declared.rules.max_wait = max_wait;
+                (declared, open(cell).into_skeleton())
+            })
+            .collect();
         let within = cell.record.limits.shutdown_within;
         let settle_within = declared.iter().map(|(actuator, _)| actuator.settle_within).max();
         if let Some(longer) = settle_within.filter(|span| *span > within) {

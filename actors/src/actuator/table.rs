@@ -438,9 +438,11 @@ impl ActuatorTable {
                     // Last: a log may block.
                     info!(%object, who, %incarnation, epoch, ?cause, "the actuator is brought to rest");
                 }
-                Some(LeaseOutput::CheckTaken) => {
+                Some(LeaseOutput::CheckTaken { is_late }) => {
                     let turn = actuator.skeleton.turn();
-                    let is_taken = turn.is_multiple_of(2) || turn != actuator.turn.load(Relaxed);
+                    // A neighbour may keep the thread of one that serves nothing.
+                    let could_begin = turn.is_multiple_of(2) && !is_late;
+                    let is_taken = could_begin || turn != actuator.turn.load(Relaxed);
                     lock(&actuator.lease).handle_check(is_taken);
                 }
                 Some(LeaseOutput::CutOff { cause }) => {
@@ -648,6 +650,7 @@ mod tests {
             rules: LeaseRules {
                 span: Duration::from_secs(60),
                 command_timeout: None,
+                max_wait: Duration::from_secs(60),
                 stop_by: StopBy::SafeCommand,
             },
             max_age: None,

@@ -12,6 +12,7 @@ use crate::component::control::{CommandQueue, HostCommand};
 use crate::component::declaration::CellListener;
 use crate::component::envelope::{BoxedEnvelope, Times, enqueue_time, seal_message};
 use crate::component::exits::DueExits;
+use crate::component::ports::QueuePort;
 use crate::component::subscription::Subscriptions;
 use crate::component::{Component, Handle};
 use crate::liveness::activity::ActivitySlotRef;
@@ -51,8 +52,8 @@ const QUARANTINE: u8 = 2;
 
 pub(crate) struct ComponentCell<C: Component> {
     pub(crate) queue: BoundedQueue<BoxedEnvelope<C>>,
-    /// The contracts whose port in the queue is not the common one.
-    ports: SortedMap<TypeId, usize>,
+    /// What has another port in the queue than the common one.
+    ports: SortedMap<QueuePort, usize>,
     pub(crate) record: CellCore,
     pub(crate) factory: Box<dyn Fn() -> C + Send + Sync>,
     /// Of its present placement.
@@ -367,17 +368,17 @@ impl CellCore {
 }
 
 impl<C: Component> ComponentCell<C> {
-    /// The queue is for all contracts that have none of their own among `queues`.
+    /// The queue is for all that has none of its own among `queues`.
     pub(crate) fn new(
         record: CellCore,
         queue: (usize, WhenFull),
-        queues: SortedMap<TypeId, (usize, WhenFull)>,
+        queues: SortedMap<QueuePort, (usize, WhenFull)>,
         factory: Box<dyn Fn() -> C + Send + Sync>,
     ) -> Self {
         let bounds = [queue].into_iter().chain(queues.values().copied());
         ComponentCell {
             queue: BoundedQueue::with_ports(bounds.collect()),
-            ports: queues.keys().copied().zip(1..).collect(),
+            ports: queues.keys().cloned().zip(1..).collect(),
             record,
             factory,
             control: Mutex::default(),
@@ -390,8 +391,14 @@ impl<C: Component> ComponentCell<C> {
     pub(crate) fn port_of<M: Contract>(&self) -> usize {
         match self.ports.is_empty() {
             true => 0,
-            false => self.ports.get(&TypeId::of::<M>()).copied().unwrap_or(0),
+            false => self.ports.get(&(TypeId::of::<M>(), String::new())).copied().unwrap_or(0),
         }
+    }
+
+    /// At which port events of this topic wait.
+    pub(crate) fn port_of_topic<M: Contract>(&self, topic: &str) -> usize {
+        let own = self.ports.get(&(TypeId::of::<M>(), topic.to_owned()));
+        own.copied().unwrap_or_else(|| self.port_of::<M>())
     }
 
     pub(crate) fn control(&self) -> Option<Arc<CommandQueue>> {
@@ -479,8 +486,8 @@ impl<C: Component> ComponentCell<C> {
         }
     }
 
-    /// An event for a component that is busy, or has just been.
-    pub(crate) fn queue_event<M: Contract>(&self, event: M, times: impl Into<Times>)
+    /// An event for a component that is busy, or has just been. It waits at this port.
+    pub(crate) fn queue_event<M: Contract>(&self, port: usize, event: M, times: impl Into<Times>)
     where
         C: Handle<M>,
     {
@@ -488,7 +495,7 @@ impl<C: Component> ComponentCell<C> {
         let refused = match self.record.refusal(None) {
             Some(why) => why,
             None => {
-                let pushed = self.push(event, |m| seal_message::<C, M>(m, None, None, times));
+                let pushed = self.push(port, event, |m| seal_message::<C, M>(m, None, None, times));
                 let Err((_, why)) = pushed else { return };
                 why
             }
@@ -601,7 +608,10 @@ impl<C: Component> ComponentCell<C> {
         let logged = self.record.log_sent(M::NAME);
         let times = Times { logged, ..posted_at.into() };
         let offered = match self.admit(None) {
-            Ok(()) => self.push(message, |m| seal_message::<C, M>(m, None, None, times)),
+            Ok(()) => {
+                let port = self.port_of::<M>();
+                self.push(port, message, |m| seal_message::<C, M>(m, None, None, times))
+            }
             Err(why) => Err((message, why)),
         };
         offered.map_err(|(message, why)| {
@@ -627,7 +637,8 @@ impl<C: Component> ComponentCell<C> {
         let posted = match self.admit(id) {
             Ok(()) => {
                 let times = Times { logged, ..posted_at.into() };
-                self.push(message, |m| seal_message::<C, M>(m, answer.take(), id, times))
+                let port = self.port_of::<M>();
+                self.push(port, message, |m| seal_message::<C, M>(m, answer.take(), id, times))
             }
             Err(why) => Err((message, why)),
         };
@@ -643,15 +654,15 @@ impl<C: Component> ComponentCell<C> {
         })
     }
 
-    /// Puts a message into the queue. Where it has no room, what has expired leaves its place, and
-    /// the oldest one is returned where it has to give way.
+    /// Puts a message into the queue at this port. Where it has no room, what has expired leaves its
+    /// place, and the oldest one is returned where it has to give way.
     #[inline]
     fn push<M: Contract>(
         &self,
+        port: usize,
         message: M,
         seal: impl FnOnce(M) -> BoxedEnvelope<C>,
     ) -> Result<(), (M, DeliveryError)> {
-        let port = self.port_of::<M>();
         let is_over =
             |envelope: &BoxedEnvelope<C>| envelope.is_void() || envelope.header().is_expired();
         for over in self.queue.purge(port, is_over) {

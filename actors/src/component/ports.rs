@@ -20,6 +20,9 @@ use std::time::Duration;
 /// Makes the skeleton for one contract.
 pub(crate) type PortConstructor<C> = fn(&Arc<ComponentCell<C>>) -> ContractPort;
 
+/// What waits in a queue of its own: the messages of a contract, or of one of its topics.
+pub(crate) type QueuePort = (TypeId, String);
+
 /// The ports of one component: filled in `Component::ports`.
 pub struct Ports<C: Component> {
     open: Vec<PortConstructor<C>>,
@@ -27,9 +30,10 @@ pub struct Ports<C: Component> {
     declared: Vec<DeclaredPort>,
     /// Describes its parameters.
     pub(crate) parameters: Option<fn() -> Vec<ParameterDescription>>,
-    /// The contracts that have a queue of their own, with the component's capacity where none is
-    /// given.
-    queues: SortedMap<TypeId, (Option<usize>, WhenFull)>,
+    /// The contracts that have a queue of their own.
+    queues: SortedMap<TypeId, (usize, WhenFull)>,
+    /// The topics of latched contracts that it listens to.
+    latched: Vec<QueuePort>,
     /// What features add, each once.
     features: Vec<Box<dyn Declarations<C>>>,
     /// How long handlers may await something, unless the child spec says so.
@@ -39,8 +43,9 @@ pub struct Ports<C: Component> {
 impl<C: Component> Ports<C> {
     /// What the component declares.
     pub(crate) fn of() -> Self {
-        let (open, declared, parameters, queues, features) = Default::default();
-        let mut ports = Ports { open, declared, parameters, queues, features, max_wait: None };
+        let (open, declared, parameters, queues, latched, features) = Default::default();
+        let mut ports =
+            Ports { open, declared, parameters, queues, latched, features, max_wait: None };
         C::ports(&mut ports);
         ports
     }
@@ -100,28 +105,36 @@ impl<C: Component> Ports<C> {
 
     /// Gives messages of this contract a queue of their own, whether they are served, accepted or
     /// listened to: they take no places in the component's [queue](crate::ChildSpec::queue), and
-    /// nothing else takes theirs. Whatever its contract, what came first is served first. A contract
-    /// that is `latched` has such a queue in any case, as long as the component's, which drops the
-    /// oldest event.
+    /// nothing else takes theirs. Whatever its contract, what came first is served first. Each topic
+    /// of a `latched` contract that the component listens to has a queue of its own in any case, as
+    /// long as its contract's, or else the component's, which drops the oldest event.
     pub fn queue<M: Contract>(&mut self, capacity: usize, when_full: WhenFull) -> &mut Self
     where
         C: Handle<M>,
     {
-        self.queues.insert(TypeId::of::<M>(), (Some(capacity), when_full));
+        self.queues.insert(TypeId::of::<M>(), (capacity, when_full));
         self
     }
 
-    /// Gives events of a contract that is `latched` a queue of their own, unless they have one.
-    pub(crate) fn keep_latched<E: Event>(&mut self) {
+    /// Gives the events of this topic a queue of their own where their contract is `latched`.
+    pub(crate) fn keep_latched<E: Event>(&mut self, topic: &str) {
         if E::LATCHED {
-            self.queues.entry(TypeId::of::<E>()).or_insert((None, WhenFull::DropOldest));
+            self.latched.push((TypeId::of::<E>(), topic.to_owned()));
         }
     }
 
-    /// The queues of single contracts, of a component whose own has this capacity.
-    pub(crate) fn queues(&self, capacity: usize) -> SortedMap<TypeId, (usize, WhenFull)> {
-        let queues = self.queues.iter();
-        queues.map(|(of, (own, when_full))| (*of, (own.unwrap_or(capacity), *when_full))).collect()
+    /// The queues of single contracts and topics, of a component whose own has this capacity.
+    pub(crate) fn queues(&self, capacity: usize) -> SortedMap<QueuePort, (usize, WhenFull)> {
+        let contracts = self.queues.iter().map(|(of, bound)| ((*of, String::new()), *bound));
+        let of_latched = |of| match self.queues.get(of) {
+            Some((capacity, _)) => (*capacity, WhenFull::DropOldest),
+            None => (capacity, WhenFull::DropOldest),
+        };
+        let topics = self.latched.iter().map(|port| (port.clone(), of_latched(&port.0)));
+        // Topics that a port is connected to while all runs.
+        let connected = self.latched.iter().filter(|(of, _)| !self.queues.contains_key(of));
+        let connected = connected.map(|(of, _)| ((*of, String::new()), of_latched(of)));
+        contracts.chain(topics).chain(connected).collect()
     }
 
     /// More contracts that it takes.

@@ -107,7 +107,12 @@ impl Shared {
             platform::wait(POLL_INTERVAL);
             left = left.saturating_sub(POLL_INTERVAL);
         };
-        outcome.err().unwrap_or("safe outputs applied")
+        match outcome {
+            Err(why) => why,
+            Ok(()) if self.chain.safe_outputs.are_declared() => "safe outputs applied",
+            Ok(()) if actuators.are_at_rest() => "its actuators are at rest",
+            Ok(()) => "its actuators have not all carried out their safe commands",
+        }
     }
 }
 

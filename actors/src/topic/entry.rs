@@ -17,6 +17,8 @@ use std::sync::Arc;
 /// The component behind a listener of a hub.
 pub(super) struct Resident<C: Component> {
     pub(super) cell: Arc<ComponentCell<C>>,
+    /// Where events wait while it is busy.
+    pub(super) port: usize,
     pub(super) executor: RefCell<Weak<RefCell<ComponentExecutor<C>>>>,
 }
 
@@ -56,7 +58,9 @@ impl<C: Handle<E>, E: Event> EventListener<E> for Resident<C> {
                         service.serve(event, posted.at);
                         hub.runs.set(Runs::Other);
                     }
-                    None if hub.still_gets(entry) => self.cell.queue_event(event, posted.at),
+                    None if hub.still_gets(entry) => {
+                        self.cell.queue_event(self.port, event, posted.at);
+                    }
                     None => drop(event),
                 }
             }

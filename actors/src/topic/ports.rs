@@ -115,7 +115,7 @@ impl<C: Handle<E>, E: Event> Drop for ListenPort<'_, C, E> {
             let topic = topics.topic::<E>(&topic, at)?;
             Ok(Arc::new(TopicSubscription::new(topic, only_if, at)) as Arc<dyn Subscription<C>>)
         };
-        self.ports.keep_latched::<E>();
+        self.ports.keep_latched::<E>(&name);
         self.ports.declare::<E>(std::mem::take(&mut self.named), ConnectionRole::Listens);
         let declared = self.ports.feature::<ListenPorts<C>>();
         declared.0.push((name, E::NAME, Box::new(bind)));

@@ -104,7 +104,11 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
             number,
             since,
             activity_slot: Cell::new(None),
-            listener: Box::new(Resident { cell: cell.clone(), executor: RefCell::default() }),
+            listener: Box::new(Resident {
+                cell: cell.clone(),
+                port: cell.port_of_topic::<E>(self.topic.key.topic.as_str()),
+                executor: RefCell::default(),
+            }),
         });
         drop(newcomers);
         hub.shared.bring(number, left);

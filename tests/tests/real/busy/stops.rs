@@ -3,6 +3,7 @@
 use super::{BusyThreads, LONG, burn};
 use blastema::prelude::*;
 use blastema::{ActuatorSpec, Commander, Hold, LeaseStatus, Lifecycle};
+use std::sync::mpsc::{self, Receiver};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -181,6 +182,70 @@ fn a_base_stops_once_when_its_goals_cease_though_their_forwarder_lives() {
             let status = node.actuators().remove(0).status;
             assert!(matches!(status, LeaseStatus::Held { .. }), "{status:?}");
         }
+        node.shutdown().await;
+    });
+}
+
+/// Keeps the thread of its receiver until the test goes on.
+#[derive(Clone, Debug, Event)]
+struct Keep;
+
+struct Neighbour(Arc<Mutex<Receiver<()>>>);
+
+impl Component for Neighbour {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Keep>();
+    }
+}
+
+impl Handle<Keep> for Neighbour {
+    async fn handle(&mut self, _: Keep, _: &mut Context<Self>) {
+        // An error: the test has failed.
+        let _ = self.0.lock().unwrap().recv_timeout(LONG);
+    }
+}
+
+/// Has its neighbour keep their thread once it turns.
+struct Cart(Log);
+
+impl Component for Cart {}
+
+impl Handle<Turn> for Cart {
+    async fn handle(&mut self, turn: Turn, cx: &mut Context<Self>) {
+        if turn.0 > 0 {
+            cx.sender::<Keep>("neighbour").unwrap().tell(Keep).unwrap();
+        }
+        self.0.lock().unwrap().push(format!("turn {}", turn.0));
+    }
+}
+
+#[test]
+fn a_neighbour_that_keeps_the_thread_past_the_command_timeout_has_the_actuator_cut_off() {
+    let _turn = blastema_doubles::turn();
+    let log = Log::default();
+    let (kept, cut) = (log.clone(), log.clone());
+    let (release, released) = mpsc::channel();
+    let released = Arc::new(Mutex::new(released));
+    blastema::run(async {
+        let neighbour = ChildSpec::new("neighbour", move || Neighbour(released.clone()));
+        let cart = ChildSpec::new("cart", move || Cart(kept.clone()))
+            .max_wait(Duration::from_millis(200))
+            .max_delay(LONG)
+            .with_ports(move |ports| {
+                let spec = ActuatorSpec::new(Turn(0), Duration::from_secs(2)).lease(LONG);
+                ports.actuator(spec.cut_off(move || cut.lock().unwrap().push("cut off".into())));
+            });
+        let node = Node::builder("module1").work_threads(1).child(neighbour.max_block(2 * LONG));
+        let node = node.child(cart).start().await.unwrap();
+        let commander = node.commander::<Turn>("cart", "console").unwrap();
+        commander.claim_within(LONG).await.unwrap();
+        commander.command(Turn(1)).await.unwrap();
+
+        until("it is cut off", || log.lock().unwrap().len() == 2).await;
+        assert_eq!(*log.lock().unwrap(), ["turn 1", "cut off"]);
+        release.send(()).unwrap();
+        until("it gets its safe command", || log.lock().unwrap().len() == 3).await;
+        assert_eq!(*log.lock().unwrap(), ["turn 1", "cut off", "turn 0"]);
         node.shutdown().await;
     });
 }

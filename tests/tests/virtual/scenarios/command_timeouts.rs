@@ -2,7 +2,8 @@
 
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Commander, Direction, Hold, Impairment, LeaseStatus, Link, MemoryMedium, Network,
+    ActuatorSpec, CommandTimeout, Commander, Direction, Hold, Impairment, LeaseStatus, Link,
+    MemoryMedium, Network,
 };
 use blastema_testkit::{TestNode, now};
 use std::sync::{Arc, Mutex};
@@ -20,6 +21,7 @@ struct Drive(f32);
 /// Never returns.
 const JAM: Drive = Drive(-1.0);
 const FAIL: Drive = Drive(-2.0);
+const PANIC: Drive = Drive(-3.0);
 
 /// The same, made from data that may be so old.
 #[derive(Clone, Debug, Request)]
@@ -61,6 +63,7 @@ impl Handle<Drive> for Wheels {
         match drive {
             JAM => std::future::pending().await,
             FAIL => cx.fail("the brake is worn"),
+            PANIC => panic!("a wheel is off"),
             _ => {}
         }
     }
@@ -81,15 +84,15 @@ impl Handle<Nap> for Wheels {
 }
 
 fn wheels(log: &Log) -> ChildSpec<Wheels> {
-    wheels_that_stop_by(log, Drive(0.0))
+    wheels_that_stop_by(log, Drive(0.0), TIMEOUT.into())
 }
 
-fn wheels_that_stop_by(log: &Log, safe: Drive) -> ChildSpec<Wheels> {
+fn wheels_that_stop_by(log: &Log, safe: Drive, timeout: CommandTimeout) -> ChildSpec<Wheels> {
     let (log, cut) = (log.clone(), log.clone());
     ChildSpec::new("wheels", move || Wheels(log.clone())).with_ports(move |ports| {
         let cut_off = move || cut.lock().unwrap().push("cut off".into());
         ports
-            .actuator(ActuatorSpec::new(safe.clone(), TIMEOUT).cut_off(cut_off))
+            .actuator(ActuatorSpec::new(safe.clone(), timeout).cut_off(cut_off))
             .actuator(ActuatorSpec::new(Follow(0.0), Hold));
     })
 }
@@ -198,7 +201,8 @@ async fn a_component_that_awaits_for_longer_than_a_command_counts_hangs_and_its_
 async fn the_cut_off_is_called_once_where_the_safe_command_is_begun_and_fails_or_never_ends() {
     for safe in [JAM, FAIL] {
         let log = Log::default();
-        let node = Node::builder("module1").child(wheels_that_stop_by(&log, safe.clone()));
+        let node =
+            Node::builder("module1").child(wheels_that_stop_by(&log, safe.clone(), TIMEOUT.into()));
         let node = TestNode::start(node).await;
         let _commander = driving(&node).await;
 
@@ -207,6 +211,60 @@ async fn the_cut_off_is_called_once_where_the_safe_command_is_begun_and_fails_or
         let done = all(&log);
         assert_eq!(done[..3], ["drive 1".into(), format!("drive {}", safe.0), "cut off".into()]);
         assert_eq!(done.iter().filter(|what| *what == "cut off").count(), 1, "{done:?}");
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_commander_that_sends_on_has_a_busy_component_cut_off_once() {
+    let log = Log::default();
+    let node = Node::builder("module1").child(wheels(&log).max_wait(60 * SECOND));
+    let node = TestNode::start(node).await;
+    let commander = driving(&node).await;
+    node.sender::<Nap>("wheels").unwrap().tell(Nap(2000)).unwrap();
+    node.settle().await;
+
+    for _ in 0..90 {
+        let commander = commander.clone();
+        tokio::task::spawn_local(async move { commander.command(Drive(2.0)).await });
+        node.advance(20 * MS).await;
+    }
+    assert_eq!(all(&log), ["drive 1", "cut off"]);
+    node.advance(2 * SECOND).await;
+    assert_eq!(all(&log)[2..4], ["nap", "drive 0"]);
+
+    // One that it misses after it has taken one is another.
+    commander.command(Drive(3.0)).await.unwrap();
+    node.sender::<Nap>("wheels").unwrap().tell(Nap(2000)).unwrap();
+    node.advance(SECOND).await;
+    assert_eq!(all(&log).last().unwrap(), "cut off");
+}
+
+#[blastema_testkit::test]
+async fn an_actuator_that_holds_its_command_gets_the_safe_one_however_its_component_fails() {
+    for (end, is_cut_off) in [(PANIC, false), (PANIC, true), (FAIL, false), (JAM, true)] {
+        let log = Log::default();
+        let spec = wheels_that_stop_by(&log, Drive(0.0), Hold).max_wait(SECOND);
+        let mut node = Node::builder("module1");
+        if is_cut_off {
+            // Its successor does not follow on the spot.
+            node = node.supervisor(SupervisorSpec::new("base", Strategy::OneForAll).child(spec));
+        } else {
+            node = node.child(spec);
+        }
+        let node = TestNode::start(node).await;
+        let commander = driving(&node).await;
+
+        let (moves, last) = (commander.clone(), end.clone());
+        tokio::task::spawn_local(async move { moves.command(last).await });
+        node.advance(10 * SECOND).await;
+
+        let done: Vec<_> =
+            all(&log)[2..].iter().filter(|what| *what != "cut off").cloned().collect();
+        assert_eq!(done, ["drive 0"], "{end:?}: {:?}", all(&log));
+        let cut_offs = all(&log).iter().filter(|what| *what == "cut off").count();
+        assert_eq!(cut_offs, usize::from(is_cut_off), "{end:?}: {:?}", all(&log));
+        commander.command(Drive(2.0)).await.unwrap();
+        assert_eq!(all(&log).last().unwrap(), "drive 2");
     }
 }
 

@@ -195,6 +195,7 @@ impl Component for Base {
     fn ports(ports: &mut Ports<Self>) {
         ports.accept::<Scan>().accept::<Halt>();
         ports.listen::<Mode>();
+        ports.listen::<Mode>().on("test/gear");
     }
 
     async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
@@ -244,6 +245,34 @@ async fn a_latched_event_comes_to_each_incarnation_however_full_its_queue_is() {
         let served = served.lock().unwrap();
         let newest = served.iter().rfind(|line| line.starts_with("mode"));
         assert_eq!(newest.map(String::as_str), Some("mode 2"), "{lasts:?}: {served:?}");
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_flood_on_one_topic_displaces_no_latched_event_of_another_of_the_same_contract() {
+    for own in [None, Some(WhenFull::DropNewest)] {
+        let served = Arc::<Mutex<Vec<String>>>::default();
+        let own = move |ports: &mut Ports<Base>| {
+            own.into_iter().for_each(|when_full| drop(ports.queue::<Mode>(3, when_full)));
+        };
+        let spec = Base::spec(&served, false).with_ports(own);
+        let node = TestNode::start(Node::builder("module1").child(spec)).await;
+        let mode = node.publisher::<Mode>("test/mode").unwrap();
+        let gear = node.publisher::<Mode>("test/gear").unwrap();
+        node.sender::<Scan>("base").unwrap().tell(Scan(13)).unwrap();
+        node.settle().await;
+
+        gear.publish(Mode(101)).unwrap();
+        for n in 1..=20 {
+            mode.publish(Mode(n)).unwrap();
+            node.settle().await;
+        }
+        node.advance(Duration::from_secs(3)).await;
+
+        let served = served.lock().unwrap();
+        for newest in ["mode 101", "mode 20"] {
+            assert!(served.iter().any(|line| line == newest), "{newest}: {served:?}");
+        }
     }
 }
 
