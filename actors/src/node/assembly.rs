@@ -132,7 +132,7 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     assembly.check_parameters()?;
     for (from, to) in builder.connections {
         let connected = assembly.environment.registry.connect_ports(&from, &to);
-        connected.map_err(|why| StartError::Connection { from, to, why })?;
+        connected.map_err(|why| StartError::Connection { from, to, why: Box::new(why) })?;
     }
     #[cfg(feature = "network")]
     assembly.carry_services(builder.networks.services)?;

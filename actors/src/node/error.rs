@@ -42,7 +42,7 @@ pub enum StartError {
         /// Where it ends.
         to: String,
         /// What is wrong, and what to write.
-        why: ConnectError,
+        why: Box<ConnectError>,
     },
     /// The liveness settings of an object are invalid.
     #[error(transparent)]

@@ -21,12 +21,15 @@ pub(crate) trait CurrentReceiver: Send + Sync {
     fn changes(&self) -> watch::Receiver<u64>;
 }
 
+/// A sender, with what it was found for.
+type FoundSender<M> = ((String, u64), Sender<M>);
+
 /// Messages of one contract to the present receiver.
 pub(crate) struct CurrentSender<M: Contract, R> {
     receiver: R,
     registry: Registry,
     /// Who was sent to last, and how.
-    last: Mutex<Option<((String, u64), Sender<M>)>>,
+    last: Mutex<Option<FoundSender<M>>>,
 }
 
 impl<M: Contract, R: CurrentReceiver> CurrentSender<M, R> {
