@@ -31,9 +31,12 @@ impl ComponentEnvironment {
     }
 }
 
+/// An actuator, its skeleton, and what changes it.
+type ActuatorPort<C> = (Result<DeclaredActuator, DeliveryError>, PortConstructor<C>, ApplySettings);
+
 /// The actuators that a component declares.
 struct ActuatorPorts<C: Component> {
-    declared: Vec<(Result<DeclaredActuator, DeliveryError>, PortConstructor<C>, ApplySettings)>,
+    declared: Vec<ActuatorPort<C>>,
     /// The contract of settings that do not apply, and why.
     refused: Option<(String, String)>,
 }

@@ -29,7 +29,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// The type of a handle, the port that it is for, and the handle.
-type KnownHandle = (TypeId, Option<Box<str>>, Rc<dyn Any>);
+pub(crate) type KeptHandle = (TypeId, Option<Box<str>>, Rc<dyn Any>);
 
 /// A component's way to its host, lent to every hook and handler.
 ///
@@ -40,7 +40,7 @@ pub struct Context<C: Component> {
     pub(crate) state: Rc<IncarnationState<C>>,
     /// Publishers on topics under their contract's own name, and the handles of out ports with the
     /// port's name: made once.
-    pub(crate) handles: RefCell<Vec<KnownHandle>>,
+    pub(crate) handles: RefCell<Vec<KeptHandle>>,
     /// Boxed, since few components watch others.
     #[cfg(feature = "network")]
     pub(super) far_watches: Option<Box<FarWatches>>,

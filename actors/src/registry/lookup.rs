@@ -12,24 +12,24 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
 
-/// The name or address of a receiver, and a number that is another one for another receiver of the
-/// same name.
-pub(crate) type Current = (String, u64);
-
 /// Finds the present receiver: the holder of a name of the whole robot, or what a port is connected
 /// to.
 pub(crate) trait CurrentReceiver: Send + Sync {
-    fn current(&self) -> Result<Current, DeliveryError>;
+    /// Its name or address, and a number that changes where it is another one of the same name.
+    fn current(&self) -> Result<(String, u64), DeliveryError>;
     /// Changes whenever it may be another one.
     fn changes(&self) -> watch::Receiver<u64>;
 }
+
+/// A sender, with what it was found for.
+type FoundSender<M> = ((String, u64), Sender<M>);
 
 /// Messages of one contract to the present receiver.
 pub(crate) struct CurrentSender<M: Contract, R> {
     receiver: R,
     registry: Registry,
     /// Who was sent to last, and how.
-    last: Mutex<Option<(Current, Sender<M>)>>,
+    last: Mutex<Option<FoundSender<M>>>,
 }
 
 impl<M: Contract, R: CurrentReceiver> CurrentSender<M, R> {
