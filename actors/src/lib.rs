@@ -103,6 +103,8 @@ mod arbiter;
 #[cfg(feature = "zenoh")]
 mod bridge;
 mod component;
+#[cfg(feature = "device")]
+mod device;
 #[cfg(feature = "network")]
 mod directory;
 mod fault_chain;
@@ -188,6 +190,10 @@ pub use variable::{
     Reading, RestoreDecision, RestorePolicy, Transaction, ValueState, VariableRef, VariableSpec,
     VariableWatch,
 };
+
+// Microcontrollers.
+#[cfg(feature = "device")]
+pub use crate::device::{DeviceProxy, DeviceSpec};
 
 // Names of the whole robot.
 #[cfg(feature = "network")]

@@ -23,6 +23,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("directory", TO_NET),
     ("service", TO_DIRECTORY),
     ("bridge", TO_NET),
+    ("device", TO_NET_AND_VALUES),
     ("parameters", &["arbiter", "component", "variable"]),
 ];
 const TO_REGISTRY: &[&str] =
@@ -56,6 +57,8 @@ const TO_DIRECTORY: &[&str] = &[
     "net",
     "directory",
 ];
+const TO_NET_AND_VALUES: &[&str] =
+    &["platform", "messaging", "component", "host", "topic", "variable", "actuator"];
 /// The top layer imports all others.
 const TOP: &str = "node";
 /// What every layer may name: the atomics, the table of settings, and the pages of the manual.
