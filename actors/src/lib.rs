@@ -68,6 +68,7 @@
 //! | set a component up | [`Parameters`](derive@Parameters), [`NodeBuilder::parameters_from`] |
 //! | command actuators | [`ActuatorSpec`], [`Commander`] |
 //! | find the holder of a name | [`Node::claim`], [`ChildSpec::claim`], [`Claim`], [`NameWatch`] |
+//! | run microcontrollers as components | [`DeviceSpec`], [manual](manual::devices) |
 //! | outlive a node | [`ServiceSpec`], [`Stateful`], [`ServiceRef`] |
 //! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`MonitorRow`] |
 //! | recover | [`recovery::Plan`], [`RecoveryStrategy`] |
@@ -84,6 +85,7 @@
 //! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each, and `network` |
 //! | `zenoh` | networks over Zenoh, and `ZenohBridge`, which publishes topics as plain keys; compiles for minutes, and is no default |
 //! | `unix` | [`NodeBuilder::inspection_socket`] too, at which `blastema monitor` looks |
+//! | `device` | [small devices](manual::devices), and `serial`; with `ip` also those on UDP |
 //! | `journal` | `journal` and `NodeBuilder::journal`, by SQLite: needs a C compiler |
 //!
 //! The default is all media but Zenoh. A robot of one process needs none of it: with

@@ -1,7 +1,7 @@
 //! The C header of a device's firmware.
 
-use super::DeviceSpec;
 use super::port::{DevicePort, PortUse};
+use super::{DeviceProxy, DeviceSpec};
 use blastema_core::contract::layout::{Fields, LayoutOf, Primitive, Shape};
 use blastema_lite::PortKind;
 use std::fmt::Write;
@@ -97,7 +97,7 @@ impl DeviceSpec {
 }
 
 /// `GRIPPER_CLOSE_IN0`: the contract, the direction and the number.
-fn port_name(port: &DevicePort) -> String {
+fn port_name(port: &DevicePort<DeviceProxy>) -> String {
     let (direction, first) = match port.used {
         PortUse::In { .. } => ("IN", 0x40),
         PortUse::Out { .. } => ("OUT", 0x60),
@@ -161,8 +161,8 @@ fn declared(before: &str, of: LayoutOf, name: &str, depth: usize) -> String {
                 })
                 .collect();
             format!(
-                "{indent}{before}struct {{\n{indent}    uint8_t tag; {listed}\n{indent}    union {{\n\
-                 {cases}{indent}    }} as;\n{indent}}} {name}"
+                "{indent}{before}struct {{\n{indent}    uint8_t tag; {listed}\n\
+                 {indent}    union {{\n{cases}{indent}    }} as;\n{indent}}} {name}"
             )
         }
         // They have no packed form, and no port has them.

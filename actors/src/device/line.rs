@@ -24,7 +24,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 use tokio::sync::{Notify, oneshot};
 use tokio::time::{sleep_until, timeout};
-use tracing::{info, warn};
+use tracing::{debug, warn};
 
 /// A port is tried again after this, and after twice as long each time up to [`REOPEN_MAX`].
 const REOPEN_FIRST: Duration = Duration::from_millis(10);
@@ -37,14 +37,14 @@ const WRITE_MAX: Duration = Duration::from_secs(5);
 const LOOK: Duration = Duration::from_millis(100);
 
 /// The lines of the process: a port has one user.
-static LINES: Mutex<Vec<Weak<Line>>> = Mutex::new(Vec::new());
+static LINES: Mutex<Vec<Weak<DeviceLine>>> = Mutex::new(Vec::new());
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A line, for as long as a device is declared for it.
-pub(super) struct Line {
+pub(super) struct DeviceLine {
     medium: DeviceMedium,
     pub(super) changed: Arc<Notify>,
     attached: Arc<Mutex<Attached>>,
@@ -59,12 +59,12 @@ struct Attached {
     ended: bool,
 }
 
-impl Line {
+impl DeviceLine {
     /// The line at this medium.
     ///
     /// # Errors
     /// Another device is declared for the same port with other settings.
-    pub(super) fn of(medium: &DeviceMedium) -> Result<Arc<Line>, String> {
+    pub(super) fn of(medium: &DeviceMedium) -> Result<Arc<DeviceLine>, String> {
         let mut lines = lock(&LINES);
         lines.retain(|line| line.strong_count() > 0);
         for line in lines.iter().filter_map(Weak::upgrade) {
@@ -82,7 +82,7 @@ impl Line {
             }
         }
         let (medium, changed, attached) = (medium.clone(), Arc::default(), Arc::default());
-        let line = Arc::new(Line { medium, changed, attached });
+        let line = Arc::new(DeviceLine { medium, changed, attached });
         lines.push(Arc::downgrade(&line));
         Ok(line)
     }
@@ -96,7 +96,9 @@ impl Line {
         let same = |other: &Arc<DeviceLink>| other.config.address == link.config.address;
         attached.links.iter().filter(|other| same(other)).for_each(|other| other.release());
         attached.links.retain(|other| other.status.borrow().phase != DevicePhase::Released);
-        let all = attached.links.iter().chain([&link]);
+        // One that has the line to itself is asked as often as it answers.
+        let shares = |link: &&Arc<DeviceLink>| link.config.address.is_some();
+        let all = attached.links.iter().chain([&link]).filter(shares);
         let round: Duration = all.clone().map(|link| link.config.slot()).sum();
         if let Some(short) = all.map(|link| link.config.interval).find(|each| *each < round) {
             return Err(io::Error::other(format!(
@@ -116,7 +118,7 @@ impl Line {
     }
 }
 
-impl Drop for Line {
+impl Drop for DeviceLine {
     fn drop(&mut self) {
         lock(&self.attached).ended = true;
         self.changed.notify_one();
@@ -154,7 +156,7 @@ struct LineService {
 }
 
 impl Drop for LineService {
-    /// Also after a panic: then the proxies begin anew, with another thread.
+    /// Also after a panic: then the proxies restart, and their line with another thread.
     fn drop(&mut self) {
         let mut attached = lock(&self.attached);
         attached.is_served = false;
@@ -248,14 +250,17 @@ impl LineService {
             Ok(port) => {
                 self.port = Some(port);
                 self.line = HostLine::default();
-                self.reopen.1 = REOPEN_FIRST;
                 self.each_absent("it does not answer");
             }
             Err(error) => {
-                self.reopen = (now + self.reopen.1, (self.reopen.1 * 2).min(REOPEN_MAX));
+                self.reopen_later(now);
                 self.each_absent(&error.to_string());
             }
         }
+    }
+
+    fn reopen_later(&mut self, now: Instant) {
+        self.reopen = (now + self.reopen.1, (self.reopen.1 * 2).min(REOPEN_MAX));
     }
 
     fn each_absent(&self, why: &str) {
@@ -264,15 +269,18 @@ impl LineService {
     }
 
     fn close(&mut self, error: &io::Error) {
-        info!("the line of devices is closed: {error}");
+        debug!("the line of devices is closed: {error}");
         self.port = None;
-        self.reopen.0 = platform::now() + self.reopen.1;
+        self.reopen_later(platform::now());
         self.hosts.iter_mut().for_each(Host::handle_line_closed);
         self.take_events();
         self.each_absent(&error.to_string());
     }
 
     fn take(&mut self, mut bytes: &[u8]) {
+        if !bytes.is_empty() {
+            self.reopen.1 = REOPEN_FIRST;
+        }
         while !bytes.is_empty() {
             self.line.handle_bytes(&mut self.hosts, &mut bytes, since(platform::now()));
             self.take_events();
@@ -410,12 +418,7 @@ impl Client {
             }
             HostEvent::OutOfStep => warn!("a device was out of step: its line damages packets"),
             HostEvent::TooFewTries { needed, failed_per_mille } => {
-                let percent = f64::from(failed_per_mille) / 10.0;
-                let warning = format!(
-                    "{percent} % of requests to the device fail: write tries({needed}), or mend \
-                     the line"
-                );
-                self.link.status.send_modify(|status| status.warning = Some(warning));
+                warn!("{failed_per_mille} of 1000 requests to a device fail: set tries({needed})");
             }
         }
     }

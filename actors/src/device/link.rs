@@ -62,8 +62,6 @@ pub(super) struct DeviceStatus {
     pub(super) resets: (u32, String),
     /// An object of it is in Error by itself.
     pub(super) fault: Option<String>,
-    /// The line loses more than the number of tries allows for.
-    pub(super) warning: Option<String>,
 }
 
 #[derive(Default)]
@@ -99,7 +97,7 @@ impl DeviceLink {
     ) -> Self {
         let phase = DevicePhase::Absent("it has not answered yet".to_owned());
         let resets = (0, String::new());
-        let status = DeviceStatus { phase, resets, fault: None, warning: None };
+        let status = DeviceStatus { phase, resets, fault: None };
         DeviceLink {
             config,
             contracts,
@@ -218,7 +216,7 @@ impl DeviceLink {
     /// Ends the use of the line.
     pub(super) fn release(&self) {
         self.set_phase(DevicePhase::Released);
-        // Whoever waits for an outcome gets it by the drop.
+        // A handler that waits for an outcome gets it when its sender is dropped.
         self.orders().waiting.clear();
         self.changed.notify_one();
     }

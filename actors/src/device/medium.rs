@@ -89,13 +89,13 @@ impl DeviceMedium {
 }
 
 /// A byte stream in both directions.
-pub(super) trait ByteStream: AsyncRead + AsyncWrite + Send + Unpin {}
+pub(super) trait DeviceStream: AsyncRead + AsyncWrite + Send + Unpin {}
 
-impl<T: AsyncRead + AsyncWrite + Send + Unpin> ByteStream for T {}
+impl<T: AsyncRead + AsyncWrite + Send + Unpin> DeviceStream for T {}
 
 /// An open port or socket. It carries frames; a datagram is one without its framing.
 pub(super) enum OpenLine {
-    Bytes(Box<dyn ByteStream>),
+    Bytes(Box<dyn DeviceStream>),
     #[cfg(feature = "ip")]
     Datagrams(UdpSocket),
 }

@@ -1,7 +1,7 @@
 //! Small devices: a microcontroller as a component, with no recovery code on the chip.
 //!
 //! ```text
-//!  other components ─ ports ─► DeviceProxy ─► DeviceLink ─► Line ═ serial, UDP ═ chip
+//!  other components ─ ports ─► DeviceProxy ─► DeviceLink ─► DeviceLine ═ serial, UDP ═ chip
 //! ```
 //!
 //! The proxy is a component like any other: supervised, monitored, reached from other nodes. The
@@ -22,10 +22,10 @@ use crate::component::ports::Ports;
 use crate::host::spec::ChildSpec;
 use crate::variable::VariableSpec;
 use blastema_core::{Contract, Event, Request, Variable};
-use blastema_lite::{HostConfig, PORTS_MAX, Tries, message};
-use line::Line;
+use blastema_lite::{HostConfig, PORTS_MAX, PortKind, Tries, message};
+use line::DeviceLine;
 use medium::DeviceMedium;
-use port::{DevicePort, Direction, PortUse};
+use port::{DevicePort, PortUse};
 use proxy::ProxySettings;
 use std::any::TypeId;
 use std::fmt;
@@ -76,7 +76,7 @@ pub struct DeviceSpec {
     host: HostConfig<()>,
     period: Option<Duration>,
     object: u8,
-    ports: Vec<DevicePort>,
+    ports: Vec<DevicePort<DeviceProxy>>,
     declare: Vec<DeclarePort>,
     /// What is wrong with it; the node refuses to start.
     problem: Option<String>,
@@ -147,7 +147,7 @@ impl DeviceSpec {
     }
 
     /// Sets after how long a silence of this node, or of the proxy, the device makes itself safe;
-    /// 500 ms unless set. Must be longer than a few intervals; the firmware has a limit of its own.
+    /// 500 ms unless set, at least two intervals. The firmware has a limit of its own.
     pub fn deadman(mut self, deadman: Duration) -> Self {
         self.host.deadman = deadman;
         self
@@ -203,13 +203,13 @@ impl DeviceSpec {
 
     /// Declares out port `number`, whose values are published on this topic.
     pub fn publishes<E: Event>(mut self, number: u8, topic: &str) -> Self {
-        self.add::<E>(number, Direction::Out, PortUse::output::<E>(topic));
+        self.add::<E>(number, PortKind::Out, PortUse::output::<E>(topic));
         self
     }
 
     /// Declares operation `number`, which answers this request.
     pub fn serves<M: Request>(mut self, number: u8) -> Self {
-        self.add::<M>(number, Direction::Call, PortUse::Call);
+        self.add::<M>(number, PortKind::Call, PortUse::Call);
         self.declare.push(Box::new(|ports| _ = ports.serve::<M>()));
         self
     }
@@ -217,7 +217,7 @@ impl DeviceSpec {
     /// Declares variable `number`. Its value is the node's, which sets the device's whenever it
     /// changes, and again in each incarnation by the policy of the [`VariableSpec`].
     pub fn variable<V: Variable>(mut self, number: u8, spec: VariableSpec<V>) -> Self {
-        self.add::<V>(number, Direction::Variable, PortUse::variable::<V>());
+        self.add::<V>(number, PortKind::Variable, PortUse::variable::<V>());
         self.declare.push(Box::new(|ports| _ = ports.variable(spec)));
         self
     }
@@ -226,7 +226,12 @@ impl DeviceSpec {
     /// is wrong with the spec is an error when the node starts.
     pub fn child(self) -> ChildSpec<DeviceProxy> {
         let DeviceSpec { name, medium, host, period, ports, declare, problem, .. } = self;
-        let line = medium.and_then(|medium| Line::of(&medium));
+        let short = format!(
+            "a deadman of {:?} is too short for an interval of {:?}: at least twice as long",
+            host.deadman, host.interval
+        );
+        let problem = problem.or((host.deadman < host.interval * 2).then_some(short));
+        let line = medium.and_then(|medium| DeviceLine::of(&medium));
         let (line, problem) = match line {
             Ok(line) => (Some(line), problem),
             Err(error) => (None, problem.or(Some(error))),
@@ -262,16 +267,16 @@ impl DeviceSpec {
         DeviceProxy: Handle<M>,
     {
         let reorders = self.medium.as_ref().is_ok_and(DeviceMedium::reorders);
-        self.add::<M>(number, Direction::In, PortUse::input::<M>(reorders));
+        self.add::<M>(number, PortKind::In, PortUse::input::<M>(reorders));
     }
 
-    fn add<M: Contract>(&mut self, number: u8, direction: Direction, used: PortUse) {
-        let is_out = |port: &DevicePort| matches!(port.used, PortUse::Out { .. });
-        match DevicePort::new::<M>(self.object, number, direction, used) {
+    fn add<M: Contract>(&mut self, number: u8, kind: PortKind, used: PortUse<DeviceProxy>) {
+        let is_out = |port: &DevicePort<DeviceProxy>| matches!(port.used, PortUse::Out { .. });
+        match DevicePort::new::<M>(self.object, number, kind, used) {
             Ok(port) => {
                 let twice = self.ports.iter().any(|known| {
                     let same = known.of == TypeId::of::<M>() && !is_out(known) && !is_out(&port);
-                    let at = |port: &DevicePort| (port.port.object(), port.port.id());
+                    let at = |port: &DevicePort<DeviceProxy>| (port.port.object(), port.port.id());
                     same || at(known) == at(&port)
                 });
                 let room = self.ports.len() < PORTS_MAX;

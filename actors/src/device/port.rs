@@ -1,13 +1,13 @@
 //! One port or variable of a device, with what the proxy does with its contract.
 
 use super::link::{DeviceLink, DeviceOrder, Receive};
-use super::proxy::DeviceProxy;
+use crate::component::Component;
 use crate::component::context::Context;
 use crate::variable::VariableRef;
 use blastema_core::contract::layout::LayoutOf;
 use blastema_core::contract::packed;
 use blastema_core::{Contract, Delivery, DeliveryError, Described, Event, Variable};
-use blastema_lite::Port;
+use blastema_lite::{Port, PortKind};
 use std::any::TypeId;
 use std::future::Future;
 use std::pin::Pin;
@@ -18,46 +18,35 @@ use tracing::warn;
 pub(super) type ProxyFuture<T> = Pin<Box<dyn Future<Output = T>>>;
 
 /// The packed value of a variable.
-type ReadVariable = fn(&Context<DeviceProxy>) -> ProxyFuture<Result<Vec<u8>, DeliveryError>>;
+type ReadVariable<C> = fn(&Context<C>) -> ProxyFuture<Result<Vec<u8>, DeliveryError>>;
 
 /// Sets the variable of the device whenever that of the node changes.
-type FollowVariable = fn(&Context<DeviceProxy>, Arc<DeviceLink>, usize) -> ProxyFuture<()>;
+type FollowVariable<C> = fn(&Context<C>, Arc<DeviceLink>, usize) -> ProxyFuture<()>;
 
-/// What the proxy does with a port.
-#[derive(Clone)]
-pub(super) enum PortUse {
+/// What the proxy, of type `C`, does with a port.
+pub(super) enum PortUse<C: Component> {
     /// It sends messages of the contract to the device; only the newest where that is all that
     /// counts.
     In { newest: bool },
     /// It publishes the device's values on this topic.
-    Out { topic: String, make: fn(&Context<DeviceProxy>, &str) -> Result<Receive, DeliveryError> },
+    Out { topic: String, make: fn(&Context<C>, &str) -> Result<Receive, DeliveryError> },
     /// It asks the device.
     Call,
     /// It sets the variable of the device to the value that the node has.
-    Variable { read: ReadVariable, follow: FollowVariable },
+    Variable { read: ReadVariable<C>, follow: FollowVariable<C> },
 }
 
 /// One port of a device.
-#[derive(Clone)]
-pub(super) struct DevicePort {
+pub(super) struct DevicePort<C: Component> {
     pub(super) port: Port,
     pub(super) contract: &'static str,
     pub(super) of: TypeId,
     pub(super) message: LayoutOf,
     pub(super) reply: LayoutOf,
-    pub(super) used: PortUse,
+    pub(super) used: PortUse<C>,
 }
 
-/// A direction, by which the port's number is counted.
-#[derive(Clone, Copy)]
-pub(super) enum Direction {
-    In,
-    Out,
-    Call,
-    Variable,
-}
-
-impl DevicePort {
+impl<C: Component> DevicePort<C> {
     /// The port of a contract.
     ///
     /// # Errors
@@ -65,15 +54,15 @@ impl DevicePort {
     pub(super) fn new<M: Contract>(
         object: u8,
         number: u8,
-        direction: Direction,
-        used: PortUse,
+        kind: PortKind,
+        used: PortUse<C>,
     ) -> Result<Self, String> {
         let size = |of| {
             let size = packed::size(of).map_err(|error| format!("`{}`: {error}", M::NAME))?;
             Ok::<_, String>(u8::try_from(size).unwrap_or(u8::MAX))
         };
         let (bytes, fingerprint) = (size(M::layout)?, packed::fingerprint::<M>());
-        let limit = if matches!(direction, Direction::Call) { 64 } else { 32 };
+        let limit = if kind == PortKind::Call { 64 } else { 32 };
         if number >= limit {
             return Err(format!(
                 "`{}`: port {number}, and ports count from 0 to {}",
@@ -81,35 +70,38 @@ impl DevicePort {
                 limit - 1
             ));
         }
-        let port = match direction {
-            Direction::In => Port::input(object, number, bytes, fingerprint),
-            Direction::Out => Port::output(object, number, bytes, fingerprint),
-            Direction::Call => {
+        let port = match kind {
+            PortKind::In => Port::input(object, number, bytes, fingerprint),
+            PortKind::Out => Port::output(object, number, bytes, fingerprint),
+            PortKind::Call => {
                 Port::call(object, number, bytes, size(M::Reply::layout)?, fingerprint)
             }
-            Direction::Variable => Port::variable(object, number, bytes, fingerprint),
+            PortKind::Variable => Port::variable(object, number, bytes, fingerprint),
         };
         let (contract, of) = (M::NAME, TypeId::of::<M>());
         Ok(DevicePort { port, contract, of, message: M::layout, reply: M::Reply::layout, used })
     }
 }
 
-impl PortUse {
+impl<C: Component> PortUse<C> {
     pub(super) fn input<M: Contract>(reorders: bool) -> Self {
         // On media that reorder packets an older value would take the place of a newer one.
         PortUse::In { newest: M::DELIVERY == Delivery::Newest && !reorders }
     }
 
     pub(super) fn output<E: Event>(topic: &str) -> Self {
-        PortUse::Out { topic: topic.to_owned(), make: publisher::<E> }
+        PortUse::Out { topic: topic.to_owned(), make: publisher::<E, C> }
     }
 
     pub(super) fn variable<V: Variable>() -> Self {
-        PortUse::Variable { read: read::<V>, follow: follow::<V> }
+        PortUse::Variable { read: read::<V, C>, follow: follow::<V, C> }
     }
 }
 
-fn publisher<E: Event>(cx: &Context<DeviceProxy>, topic: &str) -> Result<Receive, DeliveryError> {
+fn publisher<E: Event, C: Component>(
+    cx: &Context<C>,
+    topic: &str,
+) -> Result<Receive, DeliveryError> {
     let publisher = cx.publisher::<E>(topic)?;
     Ok(Box::new(move |bytes| match packed::unpack::<E>(bytes) {
         Ok(event) => publisher.publish_or_count(event, None),
@@ -117,7 +109,7 @@ fn publisher<E: Event>(cx: &Context<DeviceProxy>, topic: &str) -> Result<Receive
     }))
 }
 
-fn own<V: Variable>(cx: &Context<DeviceProxy>) -> Result<VariableRef<V>, DeliveryError> {
+fn own<V: Variable, C: Component>(cx: &Context<C>) -> Result<VariableRef<V>, DeliveryError> {
     cx.variable::<V>(cx.name().as_str())
 }
 
@@ -125,17 +117,17 @@ fn packed_value<V: Variable>(value: &V) -> Result<Vec<u8>, DeliveryError> {
     packed::pack(value).map_err(|error| DeliveryError::CheckFailed { reason: error.to_string() })
 }
 
-fn read<V: Variable>(cx: &Context<DeviceProxy>) -> ProxyFuture<Result<Vec<u8>, DeliveryError>> {
-    let variable = own::<V>(cx);
+fn read<V: Variable, C: Component>(cx: &Context<C>) -> ProxyFuture<Result<Vec<u8>, DeliveryError>> {
+    let variable = own::<V, C>(cx);
     Box::pin(async move { packed_value(&variable?.read().await?.value) })
 }
 
-fn follow<V: Variable>(
-    cx: &Context<DeviceProxy>,
+fn follow<V: Variable, C: Component>(
+    cx: &Context<C>,
     link: Arc<DeviceLink>,
     port: usize,
 ) -> ProxyFuture<()> {
-    let variable = own::<V>(cx);
+    let variable = own::<V, C>(cx);
     Box::pin(async move {
         let Ok(variable) = variable else { return };
         let mut watch = variable.watch();

@@ -7,7 +7,7 @@
 //! on_reset        RESET                    absent            unavailable, tried again
 //! ```
 
-use super::line::Line;
+use super::line::DeviceLine;
 use super::link::{DeviceLink, DeviceOrder, DevicePhase};
 use super::port::{DevicePort, PortUse};
 use crate::component::context::Context;
@@ -27,9 +27,9 @@ const ANSWER: Duration = Duration::from_secs(1);
 
 /// What all incarnations of a proxy share.
 pub(super) struct ProxySettings {
-    pub(super) line: Arc<Line>,
+    pub(super) line: Arc<DeviceLine>,
     pub(super) host: HostConfig<Vec<Port>>,
-    pub(super) ports: Vec<DevicePort>,
+    pub(super) ports: Vec<DevicePort<DeviceProxy>>,
     /// The period of the device's context in milliseconds, unless its own.
     pub(super) period_ms: Option<u16>,
 }
@@ -130,10 +130,6 @@ impl DeviceProxy {
         let Some(link) = self.link.clone() else { return };
         link.served();
         let status = link.status.borrow().clone();
-        if let Some(warning) = status.warning {
-            link.status.send_modify(|status| status.warning = None);
-            cx.declare_fault(FaultKind::LinkDegraded, warning);
-        }
         if status.phase != DevicePhase::Serving {
             cx.fail(Failure::fatal(self.absence()));
         } else if status.resets.0 > 0 {
@@ -224,8 +220,10 @@ impl Component for DeviceProxy {
         if let Some(link) = &self.link {
             link.set_active(false);
             if link.status.borrow().phase == DevicePhase::Serving {
-                // Objects in error have made themselves safe.
-                let _ = self.change(LifecycleChange::Deactivate).await;
+                for object in self.objects() {
+                    // Objects in error refuse it: they have made themselves safe.
+                    link.outcome(DeviceOrder::Change(object, LifecycleChange::Deactivate)).await;
+                }
             }
         }
         Ok(())
@@ -243,7 +241,9 @@ impl<M: Contract> Handle<M> for DeviceProxy {
         match self.deliver(&message).await {
             Ok(reply) => reply,
             Err(why) => {
-                cx.cell.record.record_dead_letter(M::NAME, &why);
+                if TypeId::of::<M::Reply>() == TypeId::of::<()>() {
+                    cx.cell.record.record_dead_letter(M::NAME, &why);
+                }
                 refuse(why).await
             }
         }

@@ -14,6 +14,7 @@
 //! | [variables] | values that outlive restarts: read, written and watched from any node |
 //! | [parameters] | settings with defaults, units and ranges: from a file, and set while a component runs |
 //! | [commanding] | actuators that become safe by themselves when their commander is gone |
+//! | [devices] | microcontrollers as components: firmware, lines, faults, what a restart restores |
 //! | [services] | services that a standby on another node takes over |
 //! | [supervision] | which components are restarted together, how often, and the safe state |
 //! | [faults] | the list of faults, roots and symptoms |
@@ -54,6 +55,9 @@ pub mod parameters {}
 
 #[doc = include_str!("commanding.md")]
 pub mod commanding {}
+
+#[doc = include_str!("devices.md")]
+pub mod devices {}
 
 #[doc = include_str!("services.md")]
 pub mod services {}

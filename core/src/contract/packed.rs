@@ -64,13 +64,13 @@ pub fn size(of: LayoutOf) -> Result<usize, PackedError> {
 }
 
 fn size_at(of: LayoutOf, depth: usize) -> Result<usize, PackedError> {
-    let unbounded = |what| Err(PackedError::Unbounded { what });
+    let endless = |what| Err(PackedError::Unbounded { what });
     if depth > DEPTH_MAX {
-        return unbounded("type that contains itself");
+        return endless("type that contains itself");
     }
     let part = |of: &LayoutOf| size_at(*of, depth + 1);
     Ok(match &of().shape {
-        Shape::Leaf(leaf) => return leaf_size(*leaf).map_or_else(|| unbounded("text"), Ok),
+        Shape::Leaf(leaf) => return leaf_size(*leaf).map_or_else(|| endless("text"), Ok),
         Shape::Optional(of) => 1 + part(of)?,
         Shape::Array(of, length) => part(of)?.saturating_mul(*length as usize),
         Shape::Tuple(parts) => parts.iter().map(part).sum::<Result<_, _>>()?,
@@ -82,9 +82,9 @@ fn size_at(of: LayoutOf, depth: usize) -> Result<usize, PackedError> {
             let sizes = variants.iter().map(|variant| fields_size(&variant.fields, depth));
             1 + sizes.collect::<Result<Vec<_>, _>>()?.into_iter().max().unwrap_or(0)
         }
-        Shape::Sequence(_) => return unbounded("sequence"),
-        Shape::Set(_) => return unbounded("set"),
-        Shape::Map(..) => return unbounded("map"),
+        Shape::Sequence(_) => return endless("sequence"),
+        Shape::Set(_) => return endless("set"),
+        Shape::Map(..) => return endless("map"),
     })
 }
 
@@ -294,7 +294,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn arbitrary_bytes_are_a_value_exactly_if_it_packs_to_them(bytes in prop::collection::vec(0u8..4, 0..9)) {
+        fn arbitrary_bytes_are_a_value_exactly_if_it_packs_to_them(
+            bytes in prop::collection::vec(0u8..4, 0..9),
+        ) {
             if let Ok(value) = unpack::<(Option<u8>, bool, Option<[bool; 2]>, char)>(&bytes) {
                 prop_assert_eq!(pack(&value).expect("a value"), bytes);
             }

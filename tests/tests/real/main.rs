@@ -5,6 +5,7 @@ mod actix_facts;
 mod busy;
 mod busy_computer;
 mod chain_outside;
+mod devices;
 mod discovery;
 mod exposure;
 mod hostile_transports;
