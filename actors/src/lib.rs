@@ -69,6 +69,7 @@
 //! | command actuators | [`ActuatorSpec`], [`Commander`] |
 //! | know whether it is still connected | [`Node::condition`], [`Connected`], [`Condition`], [`Heartbeat`] |
 //! | find the holder of a name | [`Node::claim`], [`ChildSpec::claim`], [`Claim`], [`NameWatch`] |
+//! | run microcontrollers as components | [`DeviceSpec`], [manual](manual::devices) |
 //! | outlive a node | [`ServiceSpec`], [`Stateful`], [`ServiceRef`] |
 //! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`MonitorRow`] |
 //! | recover | [`recovery::Plan`], [`RecoveryStrategy`] |
@@ -85,6 +86,7 @@
 //! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each, and `network` |
 //! | `zenoh` | networks over Zenoh, and `ZenohBridge`, which publishes topics as plain keys; compiles for minutes, and is no default |
 //! | `unix` | [`NodeBuilder::inspection_socket`] too, at which `blastema monitor` looks |
+//! | `device` | [small devices](manual::devices), and `serial`; with `ip` also those on UDP |
 //! | `journal` | `journal` and `NodeBuilder::journal`, by SQLite: needs a C compiler |
 //!
 //! The default is all media but Zenoh. A robot of one process needs none of it: with
@@ -105,6 +107,8 @@ mod arbiter;
 mod bridge;
 mod component;
 mod condition;
+#[cfg(feature = "device")]
+mod device;
 #[cfg(feature = "network")]
 mod directory;
 mod fault_chain;
@@ -200,6 +204,10 @@ pub use condition::{
     Condition, ConditionChanges, ConditionError, ConditionStatus, Connected, Heartbeat,
 };
 pub use node::{AcknowledgeError, Heartbeats, LostCommunicationPolicy, LostCommunicationRow, Rung};
+
+// Microcontrollers.
+#[cfg(feature = "device")]
+pub use crate::device::{DeviceProxy, DeviceSpec};
 
 // Names of the whole robot.
 #[cfg(feature = "network")]

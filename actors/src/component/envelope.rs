@@ -16,6 +16,7 @@ use crate::messaging::reply::Responder;
 use crate::platform;
 use blastema_core::{Contract, DeliveryError, Instant, MessageId};
 use std::any::{Any, TypeId};
+use std::cell::Cell;
 use std::future::Future;
 use std::pin::Pin;
 use std::rc::Rc;
@@ -203,7 +204,14 @@ where
     #[inline]
     fn poll(&mut self, cx: &mut Context<'_>) -> Poll<()> {
         let Some(future) = self.future.as_mut().as_pin_mut() else { return Poll::Ready(()) };
-        let Poll::Ready(reply) = future.poll(cx) else { return Poll::Pending };
+        let Poll::Ready(reply) = future.poll(cx) else {
+            let Some(why) = REFUSED.take() else { return Poll::Pending };
+            if let Some(answer) = self.answer.take() {
+                answer.refuse(why, None);
+            }
+            self.future.set(None);
+            return Poll::Ready(());
+        };
         if let Some(answer) = self.answer.take() {
             match heartbeat::send_refusal() {
                 None => answer.give(reply),
@@ -226,12 +234,23 @@ where
     fn begin(&mut self, event: M, slot: &Rc<ComponentSlot<C>>, cx: &mut Context<'_>) -> Poll<()> {
         self.future.set(Some((self.make)(slot.clone(), event)));
         let Some(future) = self.future.as_mut().as_pin_mut() else { return Poll::Ready(()) };
-        if future.poll(cx).is_pending() {
+        if future.poll(cx).is_pending() && REFUSED.take().is_none() {
             return Poll::Pending;
         }
         self.future.set(None);
         Poll::Ready(())
     }
+}
+
+thread_local! {
+    /// Why the handler that was just polled refuses its message.
+    static REFUSED: Cell<Option<DeliveryError>> = const { Cell::new(None) };
+}
+
+/// Ends the handler that awaits this: the asker gets the error in place of a reply.
+pub(crate) async fn refuse<R>(why: DeliveryError) -> R {
+    REFUSED.set(Some(why));
+    std::future::pending().await
 }
 
 /// When the message was posted: exactly where its contract limits its age, else to the beat.

@@ -16,6 +16,7 @@
 //! | [parameters] | settings with defaults, units and ranges: from a file, and set while a component runs |
 //! | [commanding] | actuators that become safe by themselves when their commander is gone |
 //! | [conditions] | whether an operator, a node or a topic is still connected, and what the robot does alone |
+//! | [devices] | microcontrollers as components: firmware, lines, faults, what a restart restores |
 //! | [services] | services that a standby on another node takes over |
 //! | [supervision] | which components are restarted together, how often, and the safe state |
 //! | [faults] | the list of faults, roots and symptoms |
@@ -62,6 +63,9 @@ pub mod commanding {}
 
 #[doc = include_str!("conditions.md")]
 pub mod conditions {}
+
+#[doc = include_str!("devices.md")]
+pub mod devices {}
 
 #[doc = include_str!("services.md")]
 pub mod services {}

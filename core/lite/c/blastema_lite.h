@@ -50,6 +50,15 @@
 
 #include <stdint.h>
 
+/* A 64-bit floating point number in a struct. Some chips' double has 4 bytes. */
+#if defined(__SIZEOF_DOUBLE__) && __SIZEOF_DOUBLE__ == 8
+typedef double bl_f64;
+#else
+typedef struct {
+    uint8_t bytes[8];
+} bl_f64;
+#endif
+
 /* First part: the sizes of this device, from the compiler's command line or a header that it names
  * by -DBL_CONFIG='"gripper.h"'. */
 
@@ -96,15 +105,6 @@
 #define BL_ROM
 #define BL_ROM_U8(p) (*(const uint8_t *)(p))
 #define BL_ROM_COPY(to, from, n) memcpy((to), (from), (n))
-#endif
-
-/* A 64-bit floating point number in a struct. Some chips' double has 4 bytes. */
-#if defined(__SIZEOF_DOUBLE__) && __SIZEOF_DOUBLE__ == 8
-typedef double bl_f64;
-#else
-typedef struct {
-    uint8_t bytes[8];
-} bl_f64;
 #endif
 
 enum { BL_ON_INITIALIZE, BL_ON_ACTIVATED, BL_ON_EXECUTE, BL_ON_DEACTIVATED,

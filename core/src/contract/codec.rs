@@ -240,6 +240,22 @@ pub fn decode_bounded<T: DeserializeOwned, const LIMIT: usize>(
     decode_within::<T, NumberLimit<LIMIT>>(bytes)
 }
 
+/// The most bytes of a value with integers of fixed size: many times a packet to a device.
+const FIXED_LIMIT: usize = 4 * 1024;
+
+/// Encodes a small value with integers of fixed size.
+pub(super) fn encode_fixed<T: Serialize>(value: &T) -> Result<Vec<u8>, EncodeError> {
+    let (mut buffer, config) = (Vec::new(), config::standard().with_fixed_int_encoding());
+    let writer = BufferWriter { end: FIXED_LIMIT, buffer: &mut buffer };
+    write_by(value, writer, config).map_err(|refusal| encode_error(refusal, FIXED_LIMIT))?;
+    Ok(buffer)
+}
+
+/// Decodes a small value with integers of fixed size.
+pub(super) fn decode_fixed<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, DecodeError> {
+    read(bytes, config::standard().with_fixed_int_encoding().with_limit::<FIXED_LIMIT>())
+}
+
 trait Limit {
     const BYTES: usize;
 
@@ -302,7 +318,15 @@ fn read<T: DeserializeOwned>(bytes: &[u8], config: impl Config) -> Result<T, Dec
 }
 
 fn write<T: Serialize, W: Writer>(value: &T, writer: W) -> Result<W, Refusal> {
-    let mut encoder = EncoderImpl::new(writer, config::standard());
+    write_by(value, writer, config::standard())
+}
+
+fn write_by<T: Serialize, W: Writer>(
+    value: &T,
+    writer: W,
+    config: impl Config,
+) -> Result<W, Refusal> {
+    let mut encoder = EncoderImpl::new(writer, config);
     bincode::Encode::encode(&bincode::serde::BorrowCompat(value), &mut encoder)?;
     Ok(encoder.into_writer())
 }

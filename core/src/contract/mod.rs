@@ -6,6 +6,7 @@ pub mod codec;
 pub mod field;
 pub mod gather_buffer;
 pub mod layout;
+pub mod packed;
 pub mod previous_version;
 
 use crate::sorted::SortedMap;

@@ -6,6 +6,7 @@ mod busy;
 mod busy_computer;
 mod chain_outside;
 mod conditions;
+mod devices;
 mod discovery;
 mod exposure;
 mod hostile_transports;

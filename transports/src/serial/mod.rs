@@ -114,19 +114,60 @@ impl SerialLine {
             self.timer = Some(Box::pin(tokio::time::sleep(due - now)));
         }
     }
+}
 
-    fn explain(&self, error: &tokio_serial::Error) -> String {
-        let there = self.config.path.exists();
-        let advice = match error.kind() {
-            ErrorKind::Io(io::ErrorKind::PermissionDenied) => {
-                "the system forbids it: let this user use the port, often by the group dialout"
-            }
-            _ if !there => "there is no such port: plug the device in, or check the path",
-            ErrorKind::NoDevice => "another program uses this port: end it, or choose another port",
-            _ => "check that it is a serial port, and that it can what is asked of it",
-        };
-        format!("{error}: {advice}")
+/// Opens the port for bytes alone, without frames: for a device that speaks a protocol of its own.
+/// What the port had received before is dropped. At its end, a read returns an error or no bytes.
+///
+/// # Errors
+/// The system refuses it; the text says what helps.
+pub fn open_bytes(
+    config: &SerialConfig,
+) -> io::Result<impl AsyncRead + AsyncWrite + Send + Unpin + 'static> {
+    let port = open_port(config)?;
+    // A pty cannot always do so, and has nothing to drop.
+    let _ = port.clear(ClearBuffer::All);
+    Ok(port)
+}
+
+fn open_port(config: &SerialConfig) -> io::Result<SerialStream> {
+    let SerialConfig { path, baud, parity, stop_bits, hardware_flow, rs485, .. } = config;
+    let parity = match parity {
+        Parity::None => tokio_serial::Parity::None,
+        Parity::Odd => tokio_serial::Parity::Odd,
+        Parity::Even => tokio_serial::Parity::Even,
+    };
+    let stop_bits = match stop_bits {
+        StopBits::One => tokio_serial::StopBits::One,
+        StopBits::Two => tokio_serial::StopBits::Two,
+    };
+    let flow = if *hardware_flow { FlowControl::Hardware } else { FlowControl::None };
+    let builder = tokio_serial::new(path.to_string_lossy(), *baud)
+        .data_bits(DataBits::Eight)
+        .parity(parity)
+        .stop_bits(stop_bits)
+        .flow_control(flow);
+    match rs485 {
+        DirectionControl::Unchanged => {}
+        DirectionControl::Off => turn_no_more(path)?,
+        DirectionControl::Driver(how) => turn_by_driver(path, how)?,
     }
+    // The lines DTR and RTS are left as the driver sets them: a pty has none, and many a device
+    // takes a change of them for a reset.
+    SerialStream::open(&builder).map_err(|error| io::Error::other(explain(config, &error)))
+}
+
+fn explain(config: &SerialConfig, error: &tokio_serial::Error) -> String {
+    let there = config.path.exists();
+    let advice = match error.kind() {
+        ErrorKind::Io(io::ErrorKind::PermissionDenied) => {
+            "the system forbids it: let this user use the port, often by the group dialout"
+        }
+        _ if !there => "there is no such port: plug the device in, or check the path",
+        ErrorKind::NoDevice => "another program uses this port: end it, or choose another port",
+        _ => "check that it is a serial port, and that it can what is asked of it",
+    };
+    format!("{error}: {advice}")
 }
 
 impl FrameMedium for SerialLine {
@@ -148,33 +189,8 @@ impl FrameMedium for SerialLine {
 
     fn open(&mut self) -> io::Result<OpenedMedium> {
         self.close();
-        let SerialConfig { path, baud, parity, stop_bits, hardware_flow, rs485, .. } = &self.config;
-        let parity = match parity {
-            Parity::None => tokio_serial::Parity::None,
-            Parity::Odd => tokio_serial::Parity::Odd,
-            Parity::Even => tokio_serial::Parity::Even,
-        };
-        let stop_bits = match stop_bits {
-            StopBits::One => tokio_serial::StopBits::One,
-            StopBits::Two => tokio_serial::StopBits::Two,
-        };
-        let flow = if *hardware_flow { FlowControl::Hardware } else { FlowControl::None };
-        let builder = tokio_serial::new(path.to_string_lossy(), *baud)
-            .data_bits(DataBits::Eight)
-            .parity(parity)
-            .stop_bits(stop_bits)
-            .flow_control(flow);
-        match rs485 {
-            DirectionControl::Unchanged => {}
-            DirectionControl::Off => turn_no_more(path)?,
-            DirectionControl::Driver(how) => turn_by_driver(path, how)?,
-        }
-        // The lines DTR and RTS are left as the driver sets them: a pty has none, and many a device
-        // takes a change of them for a reset.
-        let port =
-            SerialStream::open(&builder).map_err(|error| io::Error::other(self.explain(&error)))?;
-        self.port = Some(port);
-        if *baud >= NOMINAL_BAUD && is_usb_device(path) {
+        self.port = Some(open_port(&self.config)?);
+        if self.config.baud >= NOMINAL_BAUD && is_usb_device(&self.config.path) {
             self.pace = LinePacer::of_device();
         }
         Ok(OpenedMedium { local: MediumAddress::Line, mtu: self.config.mtu() })

@@ -25,6 +25,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("condition", TO_CONDITION),
     ("service", TO_DIRECTORY),
     ("bridge", TO_NET),
+    ("device", TO_NET_AND_VALUES),
     ("parameters", &["arbiter", "component", "variable"]),
 ];
 const TO_REGISTRY: &[&str] =
@@ -71,6 +72,8 @@ const TO_DIRECTORY: &[&str] = &[
     "directory",
 ];
 const TO_ACTUATOR: &[&str] = &["messaging", "registry", "component", "topic", "actuator"];
+const TO_NET_AND_VALUES: &[&str] =
+    &["platform", "messaging", "component", "host", "topic", "variable", "actuator"];
 /// The top layer imports all others.
 const TOP: &str = "node";
 /// What every layer may name: the atomics, the table of settings, and the pages of the manual.

@@ -34,7 +34,13 @@ const PLACES: [Place; 18] = [
     },
     Place {
         package: "blastema",
-        below: &["blastema-core", "blastema-macros", "blastema-contract", "blastema-transports"],
+        below: &[
+            "blastema-core",
+            "blastema-lite",
+            "blastema-macros",
+            "blastema-contract",
+            "blastema-transports",
+        ],
         below_in_tests: &["blastema-doubles"],
     },
     Place {

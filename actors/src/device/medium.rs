@@ -1,0 +1,137 @@
+//! The port or socket behind which devices are.
+
+use blastema_lite::FRAME_MAX;
+#[cfg(feature = "ip")]
+use blastema_lite::{
+    PACKET_MAX,
+    cobs::{self, CobsDecoder},
+};
+use blastema_transports::Endpoint;
+use blastema_transports::serial::{SerialConfig, open_bytes};
+use std::io;
+#[cfg(feature = "ip")]
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+#[cfg(feature = "ip")]
+use tokio::net::UdpSocket;
+
+/// Where a device is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum DeviceMedium {
+    Serial(SerialConfig),
+    /// A device at this address, which answers datagrams.
+    #[cfg(feature = "ip")]
+    Datagrams(SocketAddr),
+}
+
+impl DeviceMedium {
+    /// Reads an endpoint.
+    pub(super) fn parse(text: &str) -> Result<Self, String> {
+        #[cfg_attr(not(feature = "ip"), expect(unused_variables))]
+        let (endpoint, insecure) = Endpoint::parse(text).map_err(|error| error.to_string())?;
+        match endpoint {
+            Endpoint::Serial(config) => Ok(DeviceMedium::Serial(config)),
+            #[cfg(feature = "ip")]
+            Endpoint::Udp(config) => {
+                let (device, settings) = (config.bind, text.split_once('?'));
+                if device.ip().is_multicast() || settings.is_some_and(|(_, it)| it != "insecure") {
+                    return Err(format!(
+                        "{text}: the endpoint of a device on UDP is its own address, without \
+                         settings but `insecure`"
+                    ));
+                }
+                match device.ip().is_loopback() || insecure {
+                    true => Ok(DeviceMedium::Datagrams(device)),
+                    false => Err(format!(
+                        "{text}: datagrams to a device are not authenticated, and every station on \
+                         the network can command it: use a network of the robot's own, and write \
+                         `?insecure`"
+                    )),
+                }
+            }
+            other => Err(format!(
+                "{text}: devices are reached over `serial` or `udp`, and not over `{}`",
+                other.medium()
+            )),
+        }
+    }
+
+    /// How long one byte takes; nothing for datagrams.
+    pub(super) fn byte_time(&self) -> Duration {
+        match self {
+            DeviceMedium::Serial(config) => config.time_of(1),
+            #[cfg(feature = "ip")]
+            DeviceMedium::Datagrams(_) => Duration::ZERO,
+        }
+    }
+
+    /// Whether packets can overtake each other.
+    pub(super) fn reorders(&self) -> bool {
+        !matches!(self, DeviceMedium::Serial(_))
+    }
+
+    pub(super) async fn open(&self) -> io::Result<OpenLine> {
+        Ok(match self {
+            DeviceMedium::Serial(config) => OpenLine::Bytes(Box::new(open_bytes(config)?)),
+            #[cfg(feature = "ip")]
+            DeviceMedium::Datagrams(device) => {
+                let own: SocketAddr = match device {
+                    SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
+                    SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
+                };
+                let socket = UdpSocket::bind(own).await?;
+                socket.connect(device).await?;
+                OpenLine::Datagrams(socket)
+            }
+        })
+    }
+}
+
+/// A byte stream in both directions.
+pub(super) trait DeviceStream: AsyncRead + AsyncWrite + Send + Unpin {}
+
+impl<T: AsyncRead + AsyncWrite + Send + Unpin> DeviceStream for T {}
+
+/// An open port or socket. It carries frames; a datagram is one without its framing.
+pub(super) enum OpenLine {
+    Bytes(Box<dyn DeviceStream>),
+    #[cfg(feature = "ip")]
+    Datagrams(UdpSocket),
+}
+
+impl OpenLine {
+    /// Waits for bytes. Nothing is lost when the future is dropped.
+    pub(super) async fn read(&mut self, buffer: &mut [u8; FRAME_MAX]) -> io::Result<usize> {
+        match self {
+            OpenLine::Bytes(port) => match port.read(buffer).await? {
+                0 => Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the port has ended")),
+                count => Ok(count),
+            },
+            #[cfg(feature = "ip")]
+            OpenLine::Datagrams(socket) => {
+                // One byte more than a packet has, so that a longer one is known for what it is.
+                let mut packet = [0; PACKET_MAX + 1];
+                let count = socket.recv(&mut packet).await?;
+                let packet = packet.get(..count).filter(|packet| packet.len() <= PACKET_MAX);
+                Ok(packet.map_or(0, |packet| cobs::encode(packet, buffer).len()))
+            }
+        }
+    }
+
+    pub(super) async fn write(&mut self, frame: &[u8]) -> io::Result<()> {
+        match self {
+            OpenLine::Bytes(port) => port.write_all(frame).await,
+            #[cfg(feature = "ip")]
+            OpenLine::Datagrams(socket) => {
+                let mut decoder = CobsDecoder::default();
+                for byte in frame {
+                    if let Some(packet) = decoder.push(*byte) {
+                        socket.send(packet).await?;
+                    }
+                }
+                Ok(())
+            }
+        }
+    }
+}

@@ -1,0 +1,486 @@
+//! Microcontrollers as components: real firmware in C, as processes on ptys and on UDP.
+
+use blastema::prelude::*;
+use blastema::{
+    ActorRef, DeliveryError, DeviceProxy, DeviceSpec, Lifecycle, Network, VariableSpec,
+};
+use blastema_ptys::Cable;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+use tempfile::TempDir;
+
+const PATIENCE: Duration = Duration::from_secs(60);
+
+#[derive(Clone, Debug, PartialEq, Structure)]
+enum Mode {
+    Idle,
+    Turn(i16),
+}
+
+/// A value with a field of each kind.
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(name = "devices/value")]
+struct Value {
+    number: i32,
+    #[contract(unit = "m")]
+    level: f64,
+    mode: Mode,
+    note: Option<char>,
+    trace: [u8; 4],
+}
+
+fn value(number: i32) -> Value {
+    let mode = if number % 2 == 0 { Mode::Idle } else { Mode::Turn(-7) };
+    Value { number, level: 0.5, mode, note: Some('ä'), trace: [0, 1, 2, 3] }
+}
+
+#[derive(Debug, Request)]
+#[contract(name = "devices/add", reply = Total)]
+struct Add {
+    amount: u32,
+}
+
+#[derive(Clone, Debug, PartialEq, Structure)]
+struct Total {
+    total: u32,
+    calls: u32,
+    /// The variable as the chip has it.
+    limit: u16,
+    boots: u16,
+}
+
+#[derive(Clone, Debug, Variable)]
+#[contract(name = "devices/limit")]
+struct Limit {
+    max: u16,
+}
+
+/// What firmware of another edition has in place of [`Add`].
+#[derive(Debug, Request)]
+#[contract(name = "devices/add", reply = Total)]
+struct WideAdd {
+    amount: u64,
+}
+
+const A: u32 = 0xa;
+const B: u32 = 0xb;
+
+fn spec<Sum: Request>(
+    endpoint: &str,
+    name: &str,
+    device_type: u32,
+    topics: [&str; 2],
+) -> DeviceSpec {
+    DeviceSpec::new(name, endpoint, device_type)
+        .interval(Duration::from_millis(20))
+        .listens::<Value>(0, topics[0])
+        .publishes::<Value>(0, topics[1])
+        .serves::<Sum>(0)
+        .variable(0, VariableSpec::new(Limit { max: 5 }))
+}
+
+/// A device and its line.
+struct Chip {
+    folder: TempDir,
+    program: PathBuf,
+    /// The end of its line, or its UDP port.
+    port: PathBuf,
+    process: Option<Child>,
+}
+
+impl Chip {
+    /// Compiles the firmware with the header of this device and switches it on.
+    fn new<Sum: Request>(device_type: u32, port: &Path, flags: &[&str]) -> Chip {
+        let folder = TempDir::new().expect("a folder for the firmware");
+        let header = spec::<Sum>("serial:///dev/null", "chip", device_type, ["in", "out"]).header();
+        let header = header.expect("the spec is right");
+        std::fs::write(folder.path().join("chip.h"), header).expect("a header");
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let library = root.join("../core/lite/c");
+        let program = folder.path().join("firmware");
+        let output = Command::new("cc")
+            .args(["-std=c99", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Werror"])
+            .args(["-DBL_CONFIG=\"chip.h\"", "-I"])
+            .arg(folder.path())
+            .args(flags)
+            .arg("-I")
+            .args([&library, Path::new("-o"), &program, &library.join("blastema_lite.c")])
+            .arg(root.join("devices/firmware.c"))
+            .output()
+            .expect("the tests need a C compiler, `cc`");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let mut chip = Chip { folder, program, port: port.to_owned(), process: None };
+        chip.switch_on();
+        chip
+    }
+
+    fn switch_on(&mut self) {
+        let boots = self.folder.path().join("boots");
+        let child = Command::new(&self.program).arg(&self.port).arg(boots).spawn();
+        self.process = Some(child.expect("the firmware starts"));
+    }
+
+    fn cut_power(&mut self) {
+        if let Some(mut process) = self.process.take() {
+            process.kill().expect("it runs");
+            process.wait().expect("it has ended");
+        }
+    }
+
+    fn signal(&self, signal: &str) {
+        let id = self.process.as_ref().expect("it is on").id().to_string();
+        let status = Command::new("kill").args([signal, &id]).status().expect("kill runs");
+        assert!(status.success());
+    }
+}
+
+impl Drop for Chip {
+    fn drop(&mut self) {
+        self.cut_power();
+    }
+}
+
+fn at(path: &Path) -> String {
+    format!("serial://{}?baud=115200", path.display())
+}
+
+/// Collects what comes back.
+struct Console(Arc<Mutex<Vec<Value>>>);
+
+impl Component for Console {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Value>().on("back");
+    }
+}
+
+impl Handle<Value> for Console {
+    async fn handle(&mut self, value: Value, _: &mut Context<Self>) {
+        self.0.lock().expect("no one panics with it").push(value);
+    }
+}
+
+/// Waits until it holds.
+async fn until(what: &str, mut holds: impl AsyncFnMut() -> bool) {
+    let waits = async {
+        while !holds().await {
+            blastema::sleep(Duration::from_millis(5)).await;
+        }
+    };
+    tokio::time::timeout(PATIENCE, waits).await.unwrap_or_else(|_| panic!("{what}: never"));
+}
+
+async fn add(node: &Node, name: &str, amount: u32) -> Result<Total, DeliveryError> {
+    let sender: Sender<Add> = node.sender(name)?;
+    sender.ask_within(Add { amount }, PATIENCE).await.map_err(|error| error.kind)
+}
+
+fn proxy(node: &Node, name: &str) -> ActorRef<DeviceProxy> {
+    node.actor(name).expect("a device")
+}
+
+async fn faults(node: &Node) -> String {
+    format!("{:?}", node.faults().await)
+}
+
+async fn is_active(node: &Node, name: &str) -> bool {
+    proxy(node, name).state() == Lifecycle::Active
+}
+
+fn robot() -> blastema::NodeBuilder {
+    Node::builder("robot").intensity(1000, Duration::from_secs(60))
+}
+
+/// The experiment of RTComponent-Lite (Suzuki et al. 2007, figures 5 and 6), and what follows.
+#[test]
+fn values_go_from_a_console_through_two_devices_and_back_and_each_is_recovered_by_itself() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let cables = [Cable::new(), Cable::new()];
+        let mut a = Chip::new::<Add>(A, &cables[0].right(), &[]);
+        let _b = Chip::new::<Add>(B, &cables[1].right(), &[]);
+        let received = Arc::new(Mutex::new(Vec::new()));
+        let (got, there) = (received.clone(), format!("memory://devices/{}", std::process::id()));
+        let node = robot()
+            .network(Network::new("memory", &there).insecure())
+            .child(spec::<Add>(&at(&cables[0].left()), "a", A, ["forth", "between"]).child())
+            .child(spec::<Add>(&at(&cables[1].left()), "b", B, ["between", "back"]).child())
+            .child(ChildSpec::new("console", move || Console(got.clone())))
+            .start()
+            .await
+            .expect("the node starts");
+        for name in ["a", "b"] {
+            until("both work", async || is_active(&node, name).await).await;
+        }
+        let forth = node.publisher::<Value>("forth").expect("the topic");
+        let mut sent = 0;
+        let mut round_trip = async || {
+            sent += 1;
+            let expected = Value { trace: [2, 1, 2, 3], ..value(sent) };
+            // A device samples its in port: the next value waits for this one.
+            forth.publish(value(sent)).expect("it is published");
+            until("the value comes back", async || {
+                received.lock().expect("no one panics with it").last() == Some(&expected)
+            })
+            .await;
+        };
+        for _ in 0..20 {
+            round_trip().await;
+        }
+        let limit = node.variable::<Limit>("a").expect("it has the variable");
+        limit.write(Limit { max: 77 }).await.expect("it is written");
+        until("the device has it", async || {
+            add(&node, "a", 1).await.is_ok_and(|it| it.limit == 77)
+        })
+        .await;
+        let before = [proxy(&node, "a").incarnation(), proxy(&node, "b").incarnation()];
+
+        a.cut_power();
+        until("the loss is found", async || !is_active(&node, "a").await).await;
+
+        let beside = add(&node, "b", 1).await.expect("b works beside it");
+        assert_eq!((beside.calls, beside.boots), (1, 1));
+        until("it is told", async || faults(&node).await.contains("the device is lost")).await;
+        a.switch_on();
+        until("a is back", async || is_active(&node, "a").await).await;
+        let total = add(&node, "a", 3).await.expect("a works");
+        assert_eq!(total, Total { total: 3, calls: 1, limit: 77, boots: 2 }, "restored");
+        round_trip().await;
+        assert!(proxy(&node, "a").incarnation() > before[0]);
+        assert_eq!(proxy(&node, "b").incarnation(), before[1]);
+
+        // A hang, after which the chip goes on as if nothing had been.
+        a.signal("-STOP");
+        until("the silence is found", async || !is_active(&node, "a").await).await;
+        a.signal("-CONT");
+        until("a is back", async || is_active(&node, "a").await).await;
+        assert_eq!(add(&node, "a", 3).await.map(|it| (it.total, it.boots)), Ok((6, 2)));
+
+        // The cable, and the port with it.
+        cables[0].unplug();
+        until("the end of the port is found", async || !is_active(&node, "a").await).await;
+        cables[0].plug();
+        until("a is back", async || is_active(&node, "a").await).await;
+        assert_eq!(add(&node, "a", 3).await.map(|it| (it.total, it.boots)), Ok((9, 2)));
+        assert_eq!(proxy(&node, "b").incarnation(), before[1]);
+        node.shutdown().await;
+
+        // Another process of the node finds the devices as they are.
+        let node = robot()
+            .child(spec::<Add>(&at(&cables[0].left()), "a", A, ["forth", "between"]).child())
+            .start()
+            .await
+            .expect("the node starts again");
+        until("a works", async || is_active(&node, "a").await).await;
+        let total = add(&node, "a", 1).await.expect("a works");
+        assert_eq!((total.total, total.boots), (10, 2), "nothing twice, no reset");
+        assert_eq!(total.limit, 5, "the new node's own");
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn each_of_two_thousand_commands_is_carried_out_once_also_with_garbage_on_the_line() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let cable = Cable::new();
+        let _chip = Chip::new::<Add>(A, &cable.right(), &[]);
+        let network = |own: &str, peer: &str, name: &str| {
+            let id = std::process::id();
+            let (own, peer) = (format!("memory://{own}-{id}"), format!("{peer}-{id}"));
+            Network::new("memory", &own).peer(name, &peer)
+        };
+        let node = robot()
+            .network(network("near", "far", "desk"))
+            // What is damaged is repeated soon.
+            .child(
+                spec::<Add>(&at(&cable.left()), "a", A, ["in", "out"])
+                    .turnaround(Duration::from_millis(5))
+                    .tries(20)
+                    .child(),
+            )
+            .start()
+            .await
+            .expect("the node starts");
+        let desk = Node::builder("desk").network(network("far", "near", "robot")).start().await;
+        let desk = desk.expect("the other node starts");
+        assert!(desk.connected("robot", PATIENCE).await);
+        until("it works", async || is_active(&node, "a").await).await;
+
+        for count in 1..=2000 {
+            if count % 100 == 0 {
+                // A frame that is cut, and noise in both directions.
+                cable.inject(&cable.left(), &[5, 0x7f, 0xff, 1, 0, 9, 9]);
+                cable.inject(&cable.right(), &[0x40, 0x59, 1, 0x10, 0x8a]);
+            }
+            let total = match count % 10 {
+                0 => add(&desk, "robot:a", 2).await,
+                _ => add(&node, "a", 2).await,
+            };
+            let expected = Total { total: 2 * count, calls: count, limit: 5, boots: 1 };
+            assert_eq!(total, Ok(expected));
+        }
+        desk.shutdown().await;
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_command_across_a_reset_has_an_unknown_outcome_and_an_error_of_the_device_is_told_and_reset() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let cable = Cable::new();
+        let _chip = Chip::new::<Add>(A, &cable.right(), &[]);
+        let node = robot()
+            .child(spec::<Add>(&at(&cable.left()), "a", A, ["in", "out"]).child())
+            .start()
+            .await
+            .expect("the node starts");
+        until("it works", async || is_active(&node, "a").await).await;
+        let first = proxy(&node, "a").incarnation();
+
+        let refused = add(&node, "a", 666).await;
+        assert!(matches!(refused, Err(DeliveryError::CheckFailed { .. })), "{refused:?}");
+        let across = add(&node, "a", 667).await;
+
+        assert!(matches!(across, Err(DeliveryError::OutcomeUnknown { .. })), "{across:?}");
+        until("it is a new incarnation", async || proxy(&node, "a").incarnation() > first).await;
+        let total = add(&node, "a", 1).await.expect("it works again");
+        assert_eq!((total.calls, total.boots), (1, 2), "the command was not repeated");
+
+        let second = proxy(&node, "a").incarnation();
+        let values = node.publisher::<Value>("in").expect("the topic");
+        values.publish(value(666)).expect("it is published");
+        let text = "object 1 of the device is in error, code 7: over travel";
+        until("its own error is told", async || faults(&node).await.contains(text)).await;
+        until("it works again", async || is_active(&node, "a").await).await;
+        assert_eq!(proxy(&node, "a").incarnation(), second, "a reset is enough");
+        assert_eq!(add(&node, "a", 1).await.map(|it| it.boots), Ok(2));
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn devices_that_were_swapped_and_firmware_of_another_contract_are_refused_by_name() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let cables = [Cable::new(), Cable::new()];
+        let folder = TempDir::new().expect("a folder for ports");
+        let ports = ["a", "b"].map(|name| folder.path().join(name));
+        let plug = |order: [usize; 2]| {
+            for (port, cable) in ports.iter().zip(order) {
+                let _ = std::fs::remove_file(port);
+                symlink(cables[cable].left(), port).expect("a port of that name");
+            }
+            // The system gives the adapters these names when they are plugged in.
+            cables.iter().for_each(Cable::unplug);
+            cables.iter().for_each(Cable::plug);
+        };
+        let _a = Chip::new::<Add>(A, &cables[0].right(), &[]);
+        let b = Chip::new::<Add>(B, &cables[1].right(), &[]);
+        plug([1, 0]);
+        let node = robot()
+            .child(spec::<Add>(&at(&ports[0]), "a", A, ["in", "out"]).child())
+            .child(spec::<Add>(&at(&ports[1]), "b", B, ["in", "out"]).child())
+            .start()
+            .await
+            .expect("the node starts");
+
+        let swapped = ["type 0x0000000b answers, and 0x0000000a", "type 0x0000000a answers"];
+        for text in swapped {
+            until(text, async || faults(&node).await.contains(text)).await;
+        }
+        assert!(!is_active(&node, "a").await && !is_active(&node, "b").await);
+        plug([0, 1]);
+        for name in ["a", "b"] {
+            until("both work in their places", async || is_active(&node, name).await).await;
+        }
+
+        drop(b);
+        let _wide = Chip::new::<WideAdd>(B, &cables[1].right(), &[]);
+        let text = "`devices/add` has 4 bytes and fingerprint";
+        until(text, async || faults(&node).await.contains(text)).await;
+        assert!(!is_active(&node, "b").await);
+        assert!(add(&node, "a", 1).await.is_ok());
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_device_that_is_absent_does_not_delay_the_others_of_its_line() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let cable = Cable::new();
+        let _chip = Chip::new::<Add>(A, &cable.right(), &["-DBL_ADDRESS=7"]);
+        let device = |name: &str, address| {
+            spec::<Add>(&at(&cable.left()), name, A, ["in", name])
+                .address(address)
+                .interval(Duration::from_millis(100))
+                .turnaround(Duration::from_millis(5))
+                .child()
+        };
+        let node = robot().child(device("a", 7)).child(device("b", 8)).start().await;
+        let node = node.expect("the node starts");
+        until("a works", async || is_active(&node, "a").await).await;
+
+        for count in 1..=100 {
+            assert_eq!(add(&node, "a", 1).await.map(|it| it.calls), Ok(count));
+        }
+
+        assert!(!is_active(&node, "b").await);
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_device_on_udp_is_a_component_as_on_a_serial_line() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let socket = std::net::UdpSocket::bind("127.0.0.1:0").expect("a free port");
+        let address = socket.local_addr().expect("it is bound");
+        drop(socket);
+        let port = PathBuf::from(address.port().to_string());
+        let mut chip = Chip::new::<Add>(A, &port, &["-DBL_DATAGRAM"]);
+        let endpoint = format!("udp://{address}");
+        let node = robot()
+            .child(spec::<Add>(&endpoint, "a", A, ["in", "out"]).child())
+            .start()
+            .await
+            .expect("the node starts");
+        for boots in 1..=2 {
+            until("it works", async || is_active(&node, "a").await).await;
+            for calls in 1..=100 {
+                let total = add(&node, "a", 1).await.map(|it| (it.calls, it.boots));
+                assert_eq!(total, Ok((calls, boots)));
+            }
+            chip.cut_power();
+            until("the loss is found", async || !is_active(&node, "a").await).await;
+            chip.switch_on();
+        }
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_device_that_is_declared_wrongly_keeps_the_node_from_starting() {
+    let _turn = blastema_doubles::turn();
+    let refused = |spec: DeviceSpec, text: &str| {
+        blastema::run(async {
+            let error = Node::builder("robot").child(spec.child()).start().await;
+            let error = error.expect_err("it is wrong").to_string();
+            assert!(error.contains(text), "{error}");
+        });
+    };
+    let device = |endpoint: &str| DeviceSpec::new("a", endpoint, A);
+    refused(device("can://can0"), "devices are reached over `serial` or `udp`");
+    refused(device("serial:///dev/x?buad=9600"), "did you mean `baud`?");
+    refused(device("udp://10.0.0.7:9000"), "write `?insecure`");
+    refused(device("serial:///dev/x").accepts::<Value>(32), "ports count from 0 to 31");
+    refused(
+        device("serial:///dev/x").accepts::<Value>(0).listens::<Value>(1, "t"),
+        "is declared twice",
+    );
+    refused(device("serial:///dev/x").address(248), "1 to 247");
+}
