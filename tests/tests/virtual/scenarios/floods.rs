@@ -253,7 +253,9 @@ async fn a_flood_on_one_topic_displaces_no_latched_event_of_another_of_the_same_
     for own in [None, Some(WhenFull::DropNewest)] {
         let served = Arc::<Mutex<Vec<String>>>::default();
         let own = move |ports: &mut Ports<Base>| {
-            own.into_iter().for_each(|when_full| drop(ports.queue::<Mode>(3, when_full)));
+            if let Some(when_full) = own {
+                ports.queue::<Mode>(3, when_full);
+            }
         };
         let spec = Base::spec(&served, false).with_ports(own);
         let node = TestNode::start(Node::builder("module1").child(spec)).await;
@@ -299,7 +301,9 @@ async fn what_has_expired_keeps_no_place_in_a_queue() {
 #[blastema_testkit::test]
 async fn a_sender_that_waits_for_the_place_of_what_has_expired_is_served() {
     let served = Arc::<Mutex<Vec<String>>>::default();
-    let own = |ports: &mut Ports<Base>| drop(ports.queue::<Scan>(2, WhenFull::Wait));
+    let own = |ports: &mut Ports<Base>| {
+        ports.queue::<Scan>(2, WhenFull::Wait);
+    };
     let spec = Base::spec(&served, false).queue(2, WhenFull::Refuse).with_ports(own);
     let node = TestNode::start(Node::builder("module1").child(spec)).await;
     let (scan, halt) = (node.sender::<Scan>("base").unwrap(), node.sender::<Halt>("base").unwrap());
