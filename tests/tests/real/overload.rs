@@ -39,7 +39,7 @@ impl Handle<Plan30> for Planner {
     async fn handle(&mut self, _: Plan30, _: &mut Context<Self>) {
         let rounds = self.0.rounds.load(SeqCst);
         burn(30 * MS);
-        // On one thread with the planner, nobody has a round meanwhile.
+        // On one thread with the planner, the safety component has no round meanwhile.
         self.0.beside.fetch_add(self.0.rounds.load(SeqCst) - rounds, SeqCst);
         self.0.planned.fetch_add(1, SeqCst);
     }

@@ -12,7 +12,7 @@ use blastema_contract::transport::{
     Attach, Close, MediumAddress, ReadCounters, ReadInjectedFaults, Received, Transmit, Transport,
     TransportCounters, TransportReport,
 };
-use blastema_doubles::{PATIENCE, Probe, long};
+use blastema_doubles::{PATIENCE, Probe, Turn, turn, turn_if_long};
 use bytes::Bytes;
 use media::*;
 use std::cell::Cell;
@@ -178,8 +178,14 @@ fn start<A: Actor<Context = Context<A>> + Supervised>(actor: A) -> (Addr<A>, Rc<
     (address, panic)
 }
 
-/// Instantiates the suite for one medium. A medium behind the wrapper of a network is one of a long
-/// list: one of them is tried by day.
+/// The turn of a test of this module. Of the media behind the wrapper, a long list, one is tried by
+/// day.
+fn turn_of(module: &str) -> Option<Turn> {
+    let by_night = module.ends_with("_behind_the_wrapper") && !module.starts_with("udp");
+    if by_night { turn_if_long() } else { Some(turn()) }
+}
+
+/// Instantiates the suite for one medium.
 macro_rules! conformance {
     ($module:ident, $medium:ty: $($test:ident),+ $(,)?) => {
         mod $module {
@@ -187,11 +193,7 @@ macro_rules! conformance {
             $(
                 #[test]
                 fn $test() {
-                    let name = stringify!($module);
-                    if name.ends_with("_behind_the_wrapper") && !name.starts_with("udp") && !long() {
-                        return;
-                    }
-                    let _turn = blastema_doubles::turn();
+                    let Some(_turn) = turn_of(stringify!($module)) else { return };
                     <$medium as Medium>::run(super::$test::<$medium>());
                 }
             )+
