@@ -648,8 +648,9 @@ fn part_of_setting(setting: &str) -> ElementPart {
     }
 }
 
-/// Takes what is wrong out of a component. False: that leaves nothing of it.
+/// Takes what is wrong out of a component. False: nothing in it is, so it is the type that is wrong.
 fn without(component: &mut ComponentDescription, part: &ElementPart) -> bool {
+    let before = component.clone();
     match part {
         ElementPart::Value("queue") => component.queue = None,
         ElementPart::Value("rate") => component.rate_hz = None,
@@ -670,9 +671,9 @@ fn without(component: &mut ComponentDescription, part: &ElementPart) -> bool {
         ElementPart::Child { element: "actuator", key: (_, port), .. } => {
             component.actuators.retain(|(name, _)| name != port && !port.is_empty());
         }
-        _ => return false,
+        _ => {}
     }
-    true
+    *component != before
 }
 
 fn key_of(error: &ParameterError) -> &str {

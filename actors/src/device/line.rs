@@ -106,13 +106,14 @@ impl DeviceLine {
                  {short:?}: raise its interval or the baud rate, or lower the turnaround"
             )));
         }
-        attached.links.push(link);
         if !attached.is_served {
+            // The service locks what is attached when it is dropped: the thread comes first.
+            let arbiter = platform::own_arbiter()?;
             attached.is_served = true;
             let (medium, changed) = (self.medium.clone(), self.changed.clone());
-            let service = LineService::new(medium, changed, self.attached.clone());
-            platform::own_arbiter()?.spawn(service.run());
+            arbiter.spawn(LineService::new(medium, changed, self.attached.clone()).run());
         }
+        attached.links.push(link);
         self.changed.notify_one();
         Ok(())
     }

@@ -1,7 +1,11 @@
 //! Planted mistakes: each is found at its line, with a golden text, and nothing else is.
 
 use crate::program::types;
+use blastema::ActuatorSpec;
+use blastema::prelude::*;
+use blastema_robot::Types;
 use std::path::Path;
+use std::time::Duration;
 use std::{env, fs};
 
 /// Set, the texts are written instead of compared.
@@ -49,4 +53,39 @@ fn every_planted_mistake_is_found_at_its_line() {
 fn a_file_that_is_not_there_is_no_mistake_of_the_robot() {
     let error = blastema::run(async { types().load(Path::new("tests/wrong/none.xml"), &[]) });
     assert!(error.expect_err("there is none").is_unreadable);
+}
+
+#[derive(Clone, Debug, Event)]
+#[contract(name = "robot/brake")]
+struct Brake;
+
+/// Its code asks for a lease that no actuator has.
+#[derive(Default)]
+struct Brakes;
+
+impl Component for Brakes {
+    fn ports(ports: &mut Ports<Self>) {
+        let lease = Duration::from_secs(3600);
+        ports.actuator::<Brake>(ActuatorSpec::new(Brake, Duration::from_millis(200)).lease(lease));
+    }
+}
+
+impl Handle<Brake> for Brakes {
+    async fn handle(&mut self, _: Brake, _: &mut Context<Self>) {}
+}
+
+#[test]
+fn a_mistake_of_the_code_is_found_once_at_the_component() {
+    let folder = tempfile::TempDir::new().expect("a folder");
+    let file = folder.path().join("brakes.robot.xml");
+    let text = "<robot schema=\"1\" name=\"r\">\n<node name=\"base\">\n\
+                <component name=\"brakes\" type=\"Brakes\"/>\n</node>\n</robot>\n";
+    fs::write(&file, text).expect("it can be written");
+    let types = Types::new().component::<Brakes>("Brakes");
+
+    let found = blastema::run(async { types.load(&file, &[]) }).expect_err("it is refused");
+
+    let found = found.to_string();
+    assert_eq!(found.matches("robot::").count(), 1, "{found}");
+    assert!(found.contains("brakes.robot.xml:3:"), "{found}");
 }
