@@ -199,7 +199,8 @@ impl<'a> RobotChecker<'a> {
         }
     }
 
-    /// Shows what a start would refuse, and takes it out of the trial. False: nothing was taken out.
+    /// Shows what a start would refuse, and takes it out of the trial. False: nothing was taken
+    /// out.
     fn refused(
         &mut self,
         node: &'a NodeDescription,
@@ -458,7 +459,8 @@ impl<'a> RobotChecker<'a> {
 
     /// Everything that is needed is there and starts before, and nothing needs itself.
     fn dependencies(&mut self) {
-        // Of each object the place in the order of its node: of a supervisor, that of its last child.
+        // The place of each object in the order of its node; a supervisor has that of its last
+        // child.
         let mut order: BTreeMap<String, (usize, usize)> = BTreeMap::new();
         let mut needs: BTreeMap<String, Vec<(String, &ComponentDescription)>> = BTreeMap::new();
         for (at, node) in self.robot.nodes.iter().enumerate() {
@@ -648,7 +650,7 @@ fn part_of_setting(setting: &str) -> ElementPart {
     }
 }
 
-/// Takes what is wrong out of a component. False: nothing in it is, so it is the type that is wrong.
+/// Takes what is wrong out of a component. False: nothing in it is, so its type is wrong.
 fn without(component: &mut ComponentDescription, part: &ElementPart) -> bool {
     let before = component.clone();
     match part {
