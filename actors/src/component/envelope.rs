@@ -248,6 +248,7 @@ thread_local! {
 }
 
 /// Ends the handler that awaits this: the asker gets the error in place of a reply.
+#[cfg(feature = "device")]
 pub(crate) async fn refuse<R>(why: DeliveryError) -> R {
     REFUSED.set(Some(why));
     std::future::pending().await
