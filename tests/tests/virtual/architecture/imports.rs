@@ -23,6 +23,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("port", TO_ACTUATOR),
     ("directory", TO_NET),
     ("condition", TO_CONDITION),
+    ("trees", TO_TREES),
     ("service", TO_DIRECTORY),
     ("bridge", TO_NET),
     ("device", TO_NET_AND_VALUES),
@@ -58,6 +59,8 @@ const TO_CONDITION: &[&str] = &[
     "actuator",
     "directory",
 ];
+const TO_TREES: &[&str] =
+    &["platform", "registry", "component", "host", "topic", "variable", "actuator", "condition"];
 const TO_DIRECTORY: &[&str] = &[
     "platform",
     "runtime",
