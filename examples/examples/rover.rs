@@ -108,8 +108,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
             let _ = told.send(cx.input::<String>("text")?);
             Ok(Status::Success)
         });
-    let tree =
-        BehaviorTree::of_text("mission", &leaves, include_str!("../robots/rover.tree.xml"))?;
+    let tree = BehaviorTree::of_text("mission", &leaves, include_str!("../robots/rover.tree.xml"))?;
     let rover = Node::builder("rover")
         .network(Network::udp("radio", here).link(Link::new("operator", there)).with_faults(7))
         .child(ChildSpec::new("stick", || StickReceiver))

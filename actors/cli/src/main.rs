@@ -35,7 +35,9 @@ fn main() -> ExitCode {
         Subcommand::Tree(TreeJob::Model) => {
             let model = blastema::trees::TreeLeaves::new().model();
             let printed = std::io::stdout().write_all(model.as_bytes());
-            printed.map(|()| true).map_err(|error| format!("the model could not be printed: {error}"))
+            printed
+                .map(|()| true)
+                .map_err(|error| format!("the model could not be printed: {error}"))
         }
         Subcommand::Keys(job) => keys::run(&job),
         Subcommand::Node(job) => operator::run(&job),

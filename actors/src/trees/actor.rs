@@ -197,23 +197,25 @@ impl BehaviorTree {
         if !self.active {
             return Ok(());
         }
+        let mut ticks = true;
         for TaskFault { run, why, panicked } in self.shared.faults.take() {
             let is_current = self.shared.tree.borrow_mut().leaf_context(run).is_some();
-            let rules = self.rules_of(run.node);
-            let then = if panicked { rules.on_panic } else { rules.on_error };
-            if is_current
-                && !self.handle(Found { node: run.node, run: Some(run), why, then }, cx)?
-            {
-                break;
+            if ticks && is_current {
+                let rules = self.rules_of(run.node);
+                let then = if panicked { rules.on_panic } else { rules.on_error };
+                ticks = self.handle(Found { node: run.node, run: Some(run), why, then }, cx)?;
             }
         }
         for _ in 0..PASSES {
-            let found = self.tick(cx);
-            self.take_changes(1, cx);
-            let Some(found) = found.or_else(|| self.overdue()) else { break };
-            if !self.handle(found, cx)? {
+            if !ticks {
                 break;
             }
+            let found = self.tick(cx);
+            self.take_changes(1, cx);
+            ticks = match found.or_else(|| self.overdue()) {
+                Some(found) => self.handle(found, cx)?,
+                None => false,
+            };
         }
         self.start_tasks(cx);
         self.set_alarm(cx);
@@ -456,6 +458,7 @@ impl Component for BehaviorTree {
     }
 
     async fn on_activated(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        self.shared.begin_turn();
         self.active = true;
         Ok(())
     }
