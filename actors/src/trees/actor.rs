@@ -14,7 +14,7 @@ use crate::host::spec::ChildSpec;
 use crate::platform::{self, panics};
 use blastema_contract::detector::ReadRecord;
 use blastema_core::FaultKind;
-use blastema_trees::{LeafRun, Status, TickProblem, Tree, TreeErrors, TreeNodeId};
+use blastema_trees::{LeafRun, Status, TickProblem, TreeErrors, TreeNodeId};
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::poll_fn;
@@ -86,11 +86,12 @@ pub enum TreeFileError {
 /// # })?;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
+#[derive(Default)]
 pub struct BehaviorTree {
     source: Arc<TreeSource>,
     shared: Rc<TreeShared>,
     host: Option<Arc<TreeHost>>,
-    view: Option<Arc<TreeView>>,
+    view: Arc<TreeView>,
     /// The futures and rules of the leaves that have any.
     tasks: BTreeMap<TreeNodeId, MakeTask>,
     rules: BTreeMap<TreeNodeId, LeafRules>,
@@ -103,6 +104,7 @@ pub struct BehaviorTree {
 }
 
 /// What all incarnations of a tree are made from. It has been loaded once without an error.
+#[derive(Default)]
 struct TreeSource {
     leaves: TreeLeaves,
     file: String,
@@ -110,19 +112,9 @@ struct TreeSource {
     included: BTreeMap<String, String>,
 }
 
-impl TreeSource {
-    fn load(&self) -> Result<Tree, TreeErrors> {
-        let mut include = |path: &str| {
-            self.included.get(path).cloned().ok_or_else(|| "no files are included here".to_owned())
-        };
-        self.leaves.factory.load_with(&self.file, &self.text, None, &mut include)
-    }
-}
-
 /// A fault of a leaf, or of another node, and what becomes of it.
 struct Found {
     node: TreeNodeId,
-    run: Option<LeafRun>,
     why: String,
     then: LeafFault,
 }
@@ -137,10 +129,8 @@ impl BehaviorTree {
         leaves: &TreeLeaves,
         text: &str,
     ) -> Result<ChildSpec<BehaviorTree>, TreeErrors> {
-        let (leaves, file, text) = (leaves.clone(), format!("{name}.xml"), text.to_owned());
-        let source = TreeSource { leaves, file, text, included: BTreeMap::new() };
-        source.load()?;
-        Ok(BehaviorTree::spec(name, source))
+        let file = (format!("{name}.xml"), text.to_owned());
+        BehaviorTree::of(name, leaves, file, |_| Err("no files are included here".to_owned()))
     }
 
     /// A component of this name that ticks the main tree of this file. Included files lie in the
@@ -156,27 +146,32 @@ impl BehaviorTree {
         let file = file.as_ref();
         let text = fs::read_to_string(file)
             .map_err(|error| TreeFileError::Unreadable { file: file.to_owned(), error })?;
-        let (folder, mut included) = (file.parent().unwrap_or(Path::new("")), BTreeMap::new());
-        let name_of = file.display().to_string();
+        let folder = file.parent().unwrap_or(Path::new(""));
+        let include =
+            |path: &str| fs::read_to_string(folder.join(path)).map_err(|error| error.to_string());
+        Ok(BehaviorTree::of(name, leaves, (file.display().to_string(), text), include)?)
+    }
+
+    fn of(
+        name: &str,
+        leaves: &TreeLeaves,
+        (file, text): (String, String),
+        read: impl Fn(&str) -> Result<String, String>,
+    ) -> Result<ChildSpec<BehaviorTree>, TreeErrors> {
+        let (leaves, mut included) = (leaves.clone(), BTreeMap::new());
         let mut include = |path: &str| {
-            let text = fs::read_to_string(folder.join(path)).map_err(|error| error.to_string())?;
+            let text = read(path)?;
             included.insert(path.to_owned(), text.clone());
             Ok(text)
         };
-        leaves.factory.load_with(&name_of, &text, None, &mut include)?;
-        let leaves = leaves.clone();
-        Ok(BehaviorTree::spec(name, TreeSource { leaves, file: name_of, text, included }))
-    }
-
-    fn spec(name: &str, source: TreeSource) -> ChildSpec<BehaviorTree> {
-        let source = Arc::new(source);
-        ChildSpec::new(name, move || BehaviorTree::new(source.clone())).rate_hz(RATE_HZ)
-    }
-
-    fn new(source: Arc<TreeSource>) -> Self {
-        let (shared, host, view, alarm, active) = (Rc::default(), None, None, None, false);
-        let (tasks, rules, tries, faulty) = Default::default();
-        BehaviorTree { source, shared, host, view, tasks, rules, active, alarm, tries, faulty }
+        leaves.factory.load_with(&file, &text, None, &mut include)?;
+        let source = Arc::new(TreeSource { leaves, file, text, included });
+        let make = move || {
+            let mut tree = BehaviorTree::default();
+            tree.source = source.clone();
+            tree
+        };
+        Ok(ChildSpec::new(name, make).rate_hz(RATE_HZ))
     }
 
     /// The time of all trees: since the origin of the node's clock.
@@ -201,9 +196,8 @@ impl BehaviorTree {
         for TaskFault { run, why, panicked } in self.shared.faults.take() {
             let is_current = self.shared.tree.borrow_mut().leaf_context(run).is_some();
             if ticks && is_current {
-                let rules = self.rules_of(run.node);
-                let then = if panicked { rules.on_panic } else { rules.on_error };
-                ticks = self.handle(Found { node: run.node, run: Some(run), why, then }, cx)?;
+                let then = self.rules_of(run.node).after(panicked);
+                ticks = self.handle(Found { node: run.node, why, then }, cx)?;
             }
         }
         for _ in 0..PASSES {
@@ -227,26 +221,23 @@ impl BehaviorTree {
         let shared = &self.shared;
         let ticked =
             panics::caught(|| shared.tree.borrow_mut().tick_while_yielding(BehaviorTree::now()));
-        let (node, why, is_leafs, panicked) = match ticked {
+        let (node, why, then) = match ticked {
             Ok(Ok(_)) => return None,
             Ok(Err(error)) => {
-                let is_leafs = matches!(error.problem, TickProblem::Leaf(_));
-                (error.node, error.problem.to_string(), is_leafs, false)
+                let then = match error.problem {
+                    TickProblem::Leaf(_) => self.rules_of(error.node).after(false),
+                    // A script, a port or a number in the file: no leaf can fail in its place.
+                    _ => LeafFault::RestartTree,
+                };
+                (error.node, error.problem.to_string(), then)
             }
             Err(why) => match shared.tree.borrow().panicked() {
-                Some(node) => (node, why, true, true),
+                Some(node) => (node, why, self.rules_of(node).after(true)),
                 // No leaf was called: the engine itself is wrong.
                 None => panic!("the tree {} {why}", cx.name()),
             },
         };
-        let rules = self.rules_of(node);
-        let then = match (is_leafs, panicked) {
-            // A script, a port or a number in the file: no leaf could fail in its place.
-            (false, _) => LeafFault::RestartTree,
-            (true, true) => rules.on_panic,
-            (true, false) => rules.on_error,
-        };
-        Some(Found { node, run: None, why, then })
+        Some(Found { node, why, then })
     }
 
     /// The first leaf that has exceeded its time limit.
@@ -256,9 +247,9 @@ impl BehaviorTree {
             now.saturating_sub(self.last_sign(run, since)) >= self.rules_of(run.node).within
         };
         let (run, _) = tree.running().find(late)?;
-        let LeafRules { within, on_error: then, .. } = self.rules_of(run.node);
-        let why = format!("it has not answered for {within:?}");
-        Some(Found { node: run.node, run: Some(run), why, then })
+        let rules = self.rules_of(run.node);
+        let why = format!("it has not answered for {:?}", rules.within);
+        Some(Found { node: run.node, why, then: rules.on_error })
     }
 
     fn last_sign(&self, run: LeafRun, since: Duration) -> Duration {
@@ -273,7 +264,7 @@ impl BehaviorTree {
 
     /// Reports a fault and does what its rule says. Whether the tree is to be ticked again at once.
     fn handle(&mut self, found: Found, cx: &mut Context<Self>) -> Result<bool, Failure> {
-        let Found { node, run, why, then } = found;
+        let Found { node, why, then } = found;
         let path = self.shared.tree.borrow().path(node).to_owned();
         let detail = format!("leaf {path}: {why}");
         tracing::warn!(tree = %cx.name(), "{detail}");
@@ -284,34 +275,31 @@ impl BehaviorTree {
         let tried = self.tries.entry(node).or_default();
         let retries = matches!(then, LeafFault::Retry(times) if *tried < times);
         *tried = if retries { *tried + 1 } else { 0 };
-        match then {
-            LeafFault::RestartTree => self.halt(cx),
-            LeafFault::Plan => {
-                self.halt(cx);
-                return Err(detail.into());
-            }
-            LeafFault::Fail | LeafFault::Retry(_) => {
-                let (shared, now) = (self.shared.clone(), BehaviorTree::now());
-                let stopped = panics::caught(|| {
-                    let mut tree = shared.tree.borrow_mut();
-                    let running = tree.running().find(|(run, _)| run.node == node);
-                    match (run.or(running.map(|(run, _)| run)), retries) {
-                        (Some(run), true) => drop(tree.retry(run, now)),
-                        (Some(run), false) => drop(tree.fail(run, now)),
-                        // It failed to start: the next tick starts it again.
-                        (None, true) => {}
-                        (None, false) => drop(tree.fail_next(node)),
-                    }
-                });
-                if let Err(why) = stopped {
-                    cx.declare_fault(FaultKind::CheckFailed, format!("leaf {path}, halted: {why}"));
-                    self.halt(cx);
-                    return Ok(false);
-                }
-                return Ok(true);
-            }
+        if then == LeafFault::RestartTree {
+            self.halt(cx);
+            return Ok(false);
         }
-        Ok(false)
+        if then == LeafFault::Plan {
+            self.halt(cx);
+            return Err(detail.into());
+        }
+        let (shared, now) = (self.shared.clone(), BehaviorTree::now());
+        let stopped = panics::caught(|| {
+            let mut tree = shared.tree.borrow_mut();
+            let run = tree.running().map(|(run, _)| run).find(|run| run.node == node);
+            match (run, retries) {
+                (Some(run), true) => tree.retry(run, now),
+                (Some(run), false) => tree.fail(run, now),
+                // It failed to start: the next tick starts it again.
+                (None, true) => true,
+                (None, false) => tree.fail_next(node),
+            }
+        });
+        if let Err(why) = &stopped {
+            cx.declare_fault(FaultKind::CheckFailed, format!("leaf {path}, halted: {why}"));
+            self.halt(cx);
+        }
+        Ok(stopped.is_ok())
     }
 
     /// Halts all nodes, drops their futures, and gives all leases back.
@@ -346,9 +334,7 @@ impl BehaviorTree {
     /// Shows what has changed; the fault of a leaf that succeeds is over.
     fn take_changes(&mut self, ticks: u64, cx: &Context<Self>) {
         let tree = self.shared.tree.borrow();
-        if let Some(view) = &self.view {
-            view.take_changes(&tree, cx.name(), ticks);
-        }
+        self.view.take_changes(&tree, cx.name(), ticks);
         for change in tree.changes().iter().filter(|change| change.to == Status::Success) {
             self.tries.remove(&change.node);
             if self.faulty.remove(&change.node) && self.faulty.is_empty() {
@@ -417,7 +403,7 @@ impl BehaviorTree {
         let (shared, state) = (self.shared.clone(), cx.state.clone());
         cx.spawn(async move {
             while let Ok(record) = record.send(ReadRecord).await {
-                if host.take_faults(&record) {
+                if host.take_faults(record) {
                     shared.ask_turn(&state);
                 }
                 platform::sleep(RECORD_LOOK).await;
@@ -428,18 +414,19 @@ impl BehaviorTree {
 
 impl Component for BehaviorTree {
     async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        let mut tree = self.source.load().map_err(|error| Failure::fatal(error.to_string()))?;
+        let TreeSource { leaves, file, text, included } = &*self.source;
+        let mut include =
+            |path: &str| included.get(path).cloned().ok_or_else(|| "it was not there".to_owned());
+        let mut tree = leaves.factory.load_with(file, text, None, &mut include)?;
         let environment = cx.cell.record.environment.clone();
-        let (view, host) = (Arc::new(TreeView::of(&tree)), Arc::new(TreeHost::new(environment)));
+        let view = Arc::new(TreeView::of(&tree, cx.name()));
+        let host = Arc::new(TreeHost::new(environment));
         tree.lend(host.clone());
-        let TreeLeaves { tasks, rules, .. } = &self.source.leaves;
         for node in tree.nodes() {
-            if let Some(make) = tasks.get(node.type_name) {
-                self.tasks.insert(node.id, make.clone());
-            }
-            if let Some(rules) = rules.get(node.type_name) {
-                self.rules.insert(node.id, *rules);
-            }
+            let make = leaves.tasks.get(node.type_name);
+            self.tasks.extend(make.map(|make| (node.id, make.clone())));
+            let rules = leaves.rules.get(node.type_name);
+            self.rules.extend(rules.map(|rules| (node.id, *rules)));
         }
         let looks_at_faults = tree.nodes().any(|node| node.type_name == FAULT_CONDITION);
         self.shared.tree.replace(tree);
@@ -453,7 +440,7 @@ impl Component for BehaviorTree {
         if looks_at_faults {
             self.follow_faults(host.clone(), cx);
         }
-        (self.view, self.host) = (Some(view), Some(host));
+        (self.view, self.host) = (view, Some(host));
         Ok(())
     }
 

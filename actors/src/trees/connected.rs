@@ -1,7 +1,7 @@
 //! The conditions that come with every tree: connections, components and faults.
 
 use super::host::TreeHost;
-use crate::condition::{Condition, Connected};
+use crate::condition::Connected;
 use blastema_core::Lifecycle;
 use blastema_trees::{Factory, LeafContext, LeafError, LeafResult, Port, Status};
 use std::time::Duration;
@@ -11,6 +11,29 @@ pub(super) const FAULT_CONDITION: &str = "IsFaultPresent";
 
 const TOPIC: Port = Port::input::<String>("topic_name").about("the topic of the heartbeats");
 const TIMEOUT: Port = Port::input::<f64>("timeout_sec").or("3.0").about("longest silence, in s");
+
+/// A condition over heartbeats with a limit, as a port, and how that is set.
+type Limited = (&'static str, Port, fn(Connected, f64) -> Result<Connected, LeafError>);
+/// Silence within the timeout changes no quality.
+const LIMITS: [Limited; 3] = [
+    (
+        "IsCommsQualityAcceptable",
+        Port::input::<f64>("max_latency_sec").or("0.5").about("one way, in s"),
+        |needs, limit| Ok(needs.max_latency(Duration::try_from_secs_f64(limit)?)),
+    ),
+    (
+        "IsCommsJitterAcceptable",
+        Port::input::<f64>("max_jitter_sec").or("0.1").about("in s"),
+        |needs, limit| Ok(needs.max_jitter(Duration::try_from_secs_f64(limit)?)),
+    ),
+    (
+        "IsCommsLossAcceptable",
+        Port::input::<f64>("max_loss").or("0.1").about("from 0.0 to 1.0"),
+        |needs, limit| Ok(needs.max_loss(limit)),
+    ),
+];
+/// The states that a tree can name.
+const STATES: [Lifecycle; 3] = [Lifecycle::Initialized, Lifecycle::Active, Lifecycle::Error];
 
 /// Registers them. Names and ports of the first three are those of the source's nodes.
 pub(super) fn register(factory: &mut Factory) {
@@ -29,23 +52,16 @@ pub(super) fn register(factory: &mut Factory) {
         }
         Ok(Status::from(all.ok_or("`heartbeat_topics` names no topic")?))
     });
-    let limit = Port::input::<f64>("max_latency_sec").or("0.5").about("one way, in s");
-    factory.condition("IsCommsQualityAcceptable", [TOPIC, limit], |cx| {
-        let limit = seconds(cx, "max_latency_sec")?;
-        let suffix = format!("latency-{}ms", limit.as_millis());
-        acceptable(cx, &suffix, |needs| needs.max_latency(limit))
-    });
-    let limit = Port::input::<f64>("max_jitter_sec").or("0.1").about("in s");
-    factory.condition("IsCommsJitterAcceptable", [TOPIC, limit], |cx| {
-        let limit = seconds(cx, "max_jitter_sec")?;
-        let suffix = format!("jitter-{}ms", limit.as_millis());
-        acceptable(cx, &suffix, |needs| needs.max_jitter(limit))
-    });
-    let limit = Port::input::<f64>("max_loss").or("0.1").about("from 0.0 to 1.0");
-    factory.condition("IsCommsLossAcceptable", [TOPIC, limit], |cx| {
-        let limit: f64 = cx.input("max_loss")?;
-        acceptable(cx, &format!("loss-{limit}"), |needs| needs.max_loss(limit))
-    });
+    for (name, limit, set) in LIMITS {
+        let port = limit.name();
+        factory.condition(name, [TOPIC, limit], move |cx| {
+            let topic = topic(&cx.input::<String>("topic_name")?);
+            let limit: f64 = cx.input(port)?;
+            let needs = set(Connected::heartbeat(&topic), limit)?;
+            let name = format!("{topic}/{port}-{limit}");
+            Ok(Status::from(TreeHost::of(cx)?.condition(name, || needs)?.is_acceptable()))
+        });
+    }
     #[cfg(feature = "network")]
     {
         let node = Port::input::<String>("node").about("the name of another node");
@@ -61,17 +77,9 @@ pub(super) fn register(factory: &mut Factory) {
     factory.condition("IsComponentInState", [component, state], |cx| {
         let (component, state) = (cx.input::<String>("component")?, cx.input::<String>("state")?);
         let now = TreeHost::of(cx)?.environment.registry.state(&component)?;
-        let states = [
-            Lifecycle::Created,
-            Lifecycle::Initialized,
-            Lifecycle::Active,
-            Lifecycle::Error,
-            Lifecycle::Fatal,
-            Lifecycle::Finalized,
-        ];
-        let wanted = states.into_iter().find(|known| known.to_string() == state);
+        let wanted = STATES.into_iter().find(|known| known.to_string() == state);
         let wanted = wanted.ok_or_else(|| {
-            let known = states.map(|known| known.to_string()).join(", ");
+            let known = STATES.map(|known| known.to_string()).join(", ");
             format!("`{state}` is no state of a component: write one of {known}")
         })?;
         Ok(Status::from(now == Some(wanted)))
@@ -100,16 +108,4 @@ fn heard(cx: &LeafContext<'_>, topic: &str) -> LeafResult {
     let name = format!("{topic}/heard-within-{}ms", timeout.as_millis());
     let heard = || Connected::heartbeat(topic).timeout(timeout);
     Ok(Status::from(TreeHost::of(cx)?.condition(name, heard)?.is_connected()))
-}
-
-/// Heartbeats arrive, and well enough. Silence within the timeout changes no quality.
-fn acceptable(
-    cx: &LeafContext<'_>,
-    suffix: &str,
-    limit: impl FnOnce(Connected) -> Connected,
-) -> LeafResult {
-    let topic = topic(&cx.input::<String>("topic_name")?);
-    let needs = || limit(Connected::heartbeat(&topic));
-    let condition = TreeHost::of(cx)?.condition(format!("{topic}/{suffix}"), needs)?;
-    Ok(Status::from(Condition::is_acceptable(&condition)))
 }

@@ -15,8 +15,7 @@ pub(super) struct TreeHost {
     /// By their names; those that are new are still to be watched.
     conditions: Mutex<BTreeMap<String, Condition>>,
     fresh: Mutex<Vec<Condition>>,
-    /// The faults that stand: code and place.
-    faults: Mutex<Vec<(String, FaultLocation)>>,
+    faults: Mutex<FaultRecord>,
 }
 
 impl TreeHost {
@@ -51,16 +50,11 @@ impl TreeHost {
         std::mem::take(&mut self.fresh.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Takes the faults that stand from the record. Says whether they have changed.
-    pub(super) fn take_faults(&self, record: &FaultRecord) -> bool {
-        let standing = record.entries.iter().filter(|entry| entry.stands());
-        let standing: Vec<_> = standing
-            .map(|entry| (entry.fault.kind.code().to_owned(), entry.fault.location.clone()))
-            .collect();
-        let mut faults = self.faults.lock().unwrap_or_else(PoisonError::into_inner);
-        let changed = *faults != standing;
-        *faults = standing;
-        changed
+    /// Takes the record of faults. Says whether it has changed.
+    pub(super) fn take_faults(&self, record: FaultRecord) -> bool {
+        let mut known = self.faults.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = std::mem::replace(&mut *known, record);
+        before != *known
     }
 
     /// Whether a fault of this code stands, in this object if one is named.
@@ -71,6 +65,7 @@ impl TreeHost {
             (Some(object), other) => other.to_string() == object,
         };
         let faults = self.faults.lock().unwrap_or_else(PoisonError::into_inner);
-        faults.iter().any(|(known, location)| known == code && is_there(location))
+        let mut standing = faults.entries.iter().filter(|entry| entry.stands());
+        standing.any(|entry| entry.fault.kind.code() == code && is_there(&entry.fault.location))
     }
 }

@@ -5,7 +5,7 @@ use super::message;
 use super::task::{LeafTask, MakeTask};
 use crate::platform;
 use crate::settings::DEFAULT_DEADLINE;
-use blastema_core::{Contract, Event, Lifecycle, Request, Variable};
+use blastema_core::{Contract, DeliveryError, Described, Event, Lifecycle, Request, Variable};
 use blastema_trees::{Factory, Leaf, LeafContext, LeafError, LeafResult, Port, Status};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -48,6 +48,12 @@ impl Default for LeafRules {
     fn default() -> Self {
         let within = Duration::from_secs(60);
         LeafRules { within, on_error: LeafFault::Fail, on_panic: LeafFault::RestartTree }
+    }
+}
+
+impl LeafRules {
+    pub(super) fn after(self, panicked: bool) -> LeafFault {
+        if panicked { self.on_panic } else { self.on_error }
     }
 }
 
@@ -172,18 +178,13 @@ impl TreeLeaves {
         ports.extend(message::inputs::<M>().into_iter().chain(message::outputs::<M::Reply>()));
         self.task(name, ports, |mut leaf| async move {
             let (component, message) = (leaf.input::<String>("component")?, leaf.message::<M>()?);
-            let deadline = match leaf.optional_input::<f64>("deadline_sec")? {
-                Some(span) => Duration::try_from_secs_f64(span)?,
-                None => DEFAULT_DEADLINE,
+            let deadline = leaf.optional_input::<f64>("deadline_sec")?;
+            let deadline = deadline.map_or(Ok(DEFAULT_DEADLINE), Duration::try_from_secs_f64)?;
+            let sender = leaf.context().sender::<M>(&component);
+            let asked = async {
+                sender?.ask_within(message, deadline).await.map_err(|refused| refused.kind)
             };
-            let asked = leaf.context().sender::<M>(&component);
-            let asked = match asked {
-                Ok(sender) => {
-                    sender.ask_within(message, deadline).await.map_err(|error| error.to_string())
-                }
-                Err(error) => Err(error.to_string()),
-            };
-            done(&leaf, asked, |leaf, reply| leaf.write(reply))
+            leaf.done(asked.await)
         })
     }
 
@@ -196,9 +197,7 @@ impl TreeLeaves {
         self.task(name, ports, |mut leaf| async move {
             let (topic, event) = (leaf.input::<String>("topic")?, leaf.message::<E>()?);
             let publisher = leaf.context().publisher::<E>(&topic);
-            let published =
-                publisher.and_then(|to| to.publish(event).map_err(|refused| refused.kind));
-            done(&leaf, published.map_err(|error| error.to_string()), |_, ()| Ok(true))
+            leaf.done(publisher.and_then(|to| to.publish(event).map_err(|refused| refused.kind)))
         })
     }
 
@@ -210,21 +209,16 @@ impl TreeLeaves {
         let reads = ports(message::outputs::<V>());
         let reading = self.task(&format!("Read{name}"), reads, |mut leaf| async move {
             let component: String = leaf.input("component")?;
-            let read = match leaf.context().variable::<V>(&component) {
-                Ok(variable) => variable.read().await,
-                Err(error) => Err(error),
-            };
-            let read = read.map_err(|error| error.to_string());
-            done(&leaf, read, |leaf, reading| leaf.write(&reading.value))
+            let variable = leaf.context().variable::<V>(&component);
+            let read = async { variable?.read().await.map(|reading| reading.value) };
+            leaf.done(read.await)
         });
         let writes = ports(message::inputs::<V>());
         reading.task(&format!("Write{name}"), writes, |mut leaf| async move {
             let (component, value) = (leaf.input::<String>("component")?, leaf.message::<V>()?);
-            let written = match leaf.context().variable::<V>(&component) {
-                Ok(variable) => variable.write(value).await,
-                Err(error) => Err(error),
-            };
-            done(&leaf, written.map_err(|error| error.to_string()), |_, _| Ok(true))
+            let variable = leaf.context().variable::<V>(&component);
+            let written = async { variable?.write(value).await.map(drop) };
+            leaf.done(written.await)
         })
     }
 
@@ -234,32 +228,22 @@ impl TreeLeaves {
     #[must_use]
     pub fn actuator<M: Contract>(self, name: &str) -> Self {
         let within = Port::input::<f64>("within_sec").or("1.0").about("waits so long, in s");
-        let claims =
-            self.task(&format!("Claim{name}"), [ACTUATOR, within], |mut leaf| async move {
-                let within = Duration::try_from_secs_f64(leaf.input("within_sec")?)?;
-                let claimed = match leaf.commander::<M>()? {
-                    Ok(commander) => commander.claim_within(within).await,
-                    Err(error) => Err(error),
-                };
-                done(&leaf, claimed.map_err(|error| error.to_string()), |_, _| Ok(true))
-            });
+        let claim = format!("Claim{name}");
+        let claims = self.task(&claim, [ACTUATOR, within], |mut leaf| async move {
+            let within = Duration::try_from_secs_f64(leaf.input("within_sec")?)?;
+            let commander = leaf.commander::<M>()?;
+            let claimed = async { commander?.claim_within(within).await.map(drop) };
+            leaf.done(claimed.await)
+        });
         let ports = [vec![ACTUATOR], message::inputs::<M>(), message::outputs::<M::Reply>()];
-        let commands =
-            claims.task(&format!("Command{name}"), ports.concat(), |mut leaf| async move {
-                let command = leaf.message::<M>()?;
-                let carried_out = match leaf.commander::<M>()? {
-                    Ok(commander) => commander.command(command).await,
-                    Err(error) => Err(error),
-                };
-                let carried_out = carried_out.map_err(|error| error.to_string());
-                done(&leaf, carried_out, |leaf, reply| leaf.write(reply))
-            });
+        let command = format!("Command{name}");
+        let commands = claims.task(&command, ports.concat(), |mut leaf| async move {
+            let (command, commander) = (leaf.message::<M>()?, leaf.commander::<M>()?);
+            leaf.done(async { commander?.command(command).await }.await)
+        });
         commands.task(&format!("Release{name}"), [ACTUATOR], |mut leaf| async move {
-            let released = match leaf.commander::<M>()? {
-                Ok(commander) => commander.release().await,
-                Err(error) => Err(error),
-            };
-            done(&leaf, released.map_err(|error| error.to_string()), |_, ()| Ok(true))
+            let commander = leaf.commander::<M>()?;
+            leaf.done(async { commander?.release().await }.await)
         })
     }
 
@@ -284,24 +268,20 @@ impl LeafTask {
     /// The commander of the actuator that the leaf's port names.
     fn commander<M: Contract>(
         &mut self,
-    ) -> Result<Result<crate::Commander<M>, crate::DeliveryError>, LeafError> {
+    ) -> Result<Result<crate::Commander<M>, DeliveryError>, LeafError> {
         let actuator: String = self.input("actuator")?;
         let (shared, cx) = (self.shared.clone(), &mut self.cx);
         Ok(shared.commander(&actuator, || cx.commander::<M>(&actuator)))
     }
-}
 
-/// The answer of a leaf whose work succeeded or not; why not is logged with its path.
-fn done<T>(
-    leaf: &LeafTask,
-    result: Result<T, String>,
-    write: impl FnOnce(&LeafTask, &T) -> Result<bool, LeafError>,
-) -> LeafResult {
-    match result {
-        Ok(value) => Ok(Status::from(write(leaf, &value)?)),
-        Err(why) => {
-            tracing::info!(tree = %leaf.cx.name(), leaf = leaf.path(), "the leaf fails: {why}");
-            Ok(Status::Failure)
+    /// The answer of a leaf whose work succeeded or not; why not is logged with its path.
+    fn done<T: Described>(&self, result: Result<T, DeliveryError>) -> LeafResult {
+        match result {
+            Ok(value) => Ok(Status::from(self.write(&value)?)),
+            Err(why) => {
+                tracing::info!(tree = %self.cx.name(), leaf = self.path(), "the leaf fails: {why}");
+                Ok(Status::Failure)
+            }
         }
     }
 }

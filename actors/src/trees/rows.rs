@@ -5,7 +5,7 @@ use crate::platform;
 use actix::Recipient;
 use blastema_contract::detector::ReadRecord;
 use blastema_core::{Instant, ObjectName};
-use blastema_trees::{CalledLeaf, Status, Tree};
+use blastema_trees::{CalledLeaf, NodeView, Status, Tree};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
@@ -83,7 +83,7 @@ impl TreeTable {
 
     /// All nodes that are not idle, in the order of their files.
     pub(crate) fn nodes(&self) -> Vec<TreeNodeRow> {
-        self.lock().iter().flat_map(|(name, view)| view.rows(name)).collect()
+        self.lock().values().flat_map(|view| view.rows()).collect()
     }
 
     /// The last changes of all trees.
@@ -94,27 +94,32 @@ impl TreeTable {
 }
 
 /// One incarnation of a tree, as other threads see it.
+#[derive(Default)]
 pub(super) struct TreeView {
-    labels: Vec<(String, String, u32)>,
     called: CalledLeaf,
     state: Mutex<TreeViewState>,
 }
 
+#[derive(Default)]
 struct TreeViewState {
-    answers: Vec<Status>,
+    nodes: Vec<TreeNodeRow>,
     ticks: u64,
     changes: VecDeque<TreeChangeRow>,
 }
 
 impl TreeView {
-    pub(super) fn of(tree: &Tree) -> Self {
-        let label = |node: blastema_trees::NodeView<'_>| {
-            (node.path.to_owned(), node.type_name.to_owned(), node.depth)
+    pub(super) fn of(tree: &Tree, name: &ObjectName) -> Self {
+        let row = |node: NodeView<'_>| TreeNodeRow {
+            tree: name.clone(),
+            path: node.path.to_owned(),
+            type_name: node.type_name.to_owned(),
+            depth: node.depth,
+            answer: node.answer,
+            called: false,
         };
-        let labels: Vec<_> = tree.nodes().map(label).collect();
-        let answers = vec![Status::Idle; labels.len()];
-        let state = TreeViewState { answers, ticks: 0, changes: VecDeque::new() };
-        TreeView { labels, called: tree.called(), state: Mutex::new(state) }
+        let nodes = tree.nodes().map(row).collect();
+        let state = TreeViewState { nodes, ..TreeViewState::default() };
+        TreeView { called: tree.called(), state: Mutex::new(state) }
     }
 
     fn lock(&self) -> MutexGuard<'_, TreeViewState> {
@@ -129,7 +134,7 @@ impl TreeView {
             return;
         }
         for change in tree.changes() {
-            state.answers[change.node.index()] = change.to;
+            state.nodes[change.node.index()].answer = change.to;
         }
         let changes = tree.changes_as_text().trim_end().replace('\n', ", ");
         let tick = state.ticks;
@@ -142,24 +147,16 @@ impl TreeView {
     }
 
     /// The path of the leaf that is called now, or that has not returned.
-    pub(super) fn called(&self) -> Option<&str> {
-        self.called.node().map(|node| self.labels[node.index()].0.as_str())
+    pub(super) fn called(&self) -> Option<String> {
+        Some(self.lock().nodes[self.called.node()?.index()].path.clone())
     }
 
-    fn rows(&self, tree: &ObjectName) -> Vec<TreeNodeRow> {
-        let (answers, called) = (self.lock().answers.clone(), self.called.node());
-        let called = called.map(|node| node.index());
-        let rows = self.labels.iter().zip(answers).enumerate();
-        let shown = rows.filter(|(at, (_, answer))| *answer != Status::Idle || called == Some(*at));
-        shown
-            .map(|(at, ((path, type_name, depth), answer))| TreeNodeRow {
-                tree: tree.clone(),
-                path: path.clone(),
-                type_name: type_name.clone(),
-                depth: *depth,
-                answer,
-                called: called == Some(at),
-            })
-            .collect()
+    fn rows(&self) -> Vec<TreeNodeRow> {
+        let mut nodes = self.lock().nodes.clone();
+        if let Some(called) = self.called.node() {
+            nodes[called.index()].called = true;
+        }
+        nodes.retain(|node| node.called || node.answer != Status::Idle);
+        nodes
     }
 }
