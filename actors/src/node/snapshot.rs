@@ -120,7 +120,7 @@ impl NodeSnapshot {
         let document = {
             let mut document = document;
             let change = |row: &TreeChangeRow| tree_change(row, self.seen_at);
-            document["trees"] = rows_of(&self.trees, tree_node).into();
+            document["trees"] = json!(self.trees);
             document["tree_changes"] = rows_of(&self.tree_changes, change).into();
             document
         };
@@ -224,18 +224,6 @@ fn topic(row: &TopicRow) -> Value {
         "rate_hz": row.rate_hz,
         "bytes": row.bytes,
         "similar": row.similar,
-    })
-}
-
-#[cfg(feature = "trees")]
-fn tree_node(row: &TreeNodeRow) -> Value {
-    json!({
-        "tree": row.tree.as_str(),
-        "path": row.path,
-        "type": row.type_name,
-        "depth": row.depth,
-        "answer": row.answer.name(),
-        "called": row.called,
     })
 }
 

@@ -18,7 +18,7 @@ use blastema_trees::{LeafRun, Status, TickProblem, TreeErrors, TreeNodeId};
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::poll_fn;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
@@ -37,23 +37,6 @@ const REST_WITHIN: Duration = Duration::from_secs(1);
 const REST_LOOK: Duration = Duration::from_millis(10);
 /// Between two looks at the record of faults, for a tree that has a condition over it.
 const RECORD_LOOK: Duration = Duration::from_millis(100);
-
-/// Why a tree's file cannot be used.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum TreeFileError {
-    /// The file cannot be read. The path is the one that the program gives.
-    #[error("{}: {error}", file.display())]
-    Unreadable {
-        /// The file.
-        file: PathBuf,
-        /// The reason.
-        error: io::Error,
-    },
-    /// The file has mistakes: all of them, with their places.
-    #[error(transparent)]
-    Wrong(#[from] TreeErrors),
-}
 
 /// A behaviour tree as a component: a child of a supervisor, with a life cycle, faults and a plan.
 ///
@@ -137,19 +120,21 @@ impl BehaviorTree {
     /// same folder. All are read now, and not again.
     ///
     /// # Errors
-    /// The file cannot be read, or has mistakes.
+    /// The file cannot be read, or, as [`io::ErrorKind::InvalidData`], it has mistakes: all of them,
+    /// with their places.
     pub fn of_file(
         name: &str,
         leaves: &TreeLeaves,
         file: impl AsRef<Path>,
-    ) -> Result<ChildSpec<BehaviorTree>, TreeFileError> {
-        let file = file.as_ref();
+    ) -> io::Result<ChildSpec<BehaviorTree>> {
+        let (file, label) = (file.as_ref(), file.as_ref().display().to_string());
         let text = fs::read_to_string(file)
-            .map_err(|error| TreeFileError::Unreadable { file: file.to_owned(), error })?;
+            .map_err(|error| io::Error::new(error.kind(), format!("{label}: {error}")))?;
         let folder = file.parent().unwrap_or(Path::new(""));
         let include =
             |path: &str| fs::read_to_string(folder.join(path)).map_err(|error| error.to_string());
-        Ok(BehaviorTree::of(name, leaves, (file.display().to_string(), text), include)?)
+        let made = BehaviorTree::of(name, leaves, (label, text), include);
+        made.map_err(|errors| io::Error::new(io::ErrorKind::InvalidData, errors))
     }
 
     fn of(
@@ -309,7 +294,9 @@ impl BehaviorTree {
         let leaves = shared.tree.borrow().nodes().count();
         for _ in 0..=leaves {
             let now = BehaviorTree::now();
-            let why = match panics::caught(|| shared.tree.borrow_mut().halt(now)) {
+            let halted = panics::caught(|| shared.tree.borrow_mut().halt(now));
+            self.take_changes(0, cx);
+            let why = match halted {
                 Ok(Ok(())) => break,
                 Ok(Err(error)) => error.to_string(),
                 Err(why) => {
@@ -320,7 +307,6 @@ impl BehaviorTree {
             };
             cx.declare_fault(FaultKind::CheckFailed, format!("leaf {why}, when it was halted"));
         }
-        self.take_changes(0, cx);
         self.drop_halted(cx);
         shared.release();
     }

@@ -79,8 +79,7 @@ pub(super) fn register(factory: &mut Factory) {
         let now = TreeHost::of(cx)?.environment.registry.state(&component)?;
         let wanted = STATES.into_iter().find(|known| known.to_string() == state);
         let wanted = wanted.ok_or_else(|| {
-            let known = STATES.map(|known| known.to_string()).join(", ");
-            format!("`{state}` is no state of a component: write one of {known}")
+            format!("`{state}` is no state of a component: write initialized, active or error")
         })?;
         Ok(Status::from(now == Some(wanted)))
     });

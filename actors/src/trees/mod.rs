@@ -20,7 +20,7 @@ mod rows;
 mod shared;
 mod task;
 
-pub use actor::{BehaviorTree, TreeFileError};
+pub use actor::BehaviorTree;
 pub use blastema_trees::{
     Halt, Leaf, LeafContext, LeafError, LeafResult, Port, PortType, PortValue, Status, TreeErrors,
     Value,

@@ -6,6 +6,7 @@ use actix::Recipient;
 use blastema_contract::detector::ReadRecord;
 use blastema_core::{Instant, ObjectName};
 use blastema_trees::{CalledLeaf, NodeView, Status, Tree};
+use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
@@ -13,7 +14,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 const CHANGES: usize = 16;
 
 /// A node of a running tree that is not idle.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[non_exhaustive]
 pub struct TreeNodeRow {
     /// The tree's component.
@@ -24,8 +25,8 @@ pub struct TreeNodeRow {
     pub type_name: String,
     /// The number of nodes above it.
     pub depth: u32,
-    /// Its last answer.
-    pub answer: Status,
+    /// Its last answer, such as `RUNNING`.
+    pub answer: &'static str,
     /// It is a leaf that is being called at this moment.
     pub called: bool,
 }
@@ -114,7 +115,7 @@ impl TreeView {
             path: node.path.to_owned(),
             type_name: node.type_name.to_owned(),
             depth: node.depth,
-            answer: node.answer,
+            answer: node.answer.name(),
             called: false,
         };
         let nodes = tree.nodes().map(row).collect();
@@ -134,7 +135,7 @@ impl TreeView {
             return;
         }
         for change in tree.changes() {
-            state.nodes[change.node.index()].answer = change.to;
+            state.nodes[change.node.index()].answer = change.to.name();
         }
         let changes = tree.changes_as_text().trim_end().replace('\n', ", ");
         let tick = state.ticks;
@@ -156,7 +157,7 @@ impl TreeView {
         if let Some(called) = self.called.node() {
             nodes[called.index()].called = true;
         }
-        nodes.retain(|node| node.called || node.answer != Status::Idle);
+        nodes.retain(|node| node.called || node.answer != Status::Idle.name());
         nodes
     }
 }

@@ -215,7 +215,7 @@ const TABLES: [(&str, &str, &[Column]); 17] = [
         &[
             ("tree", "tree"),
             ("node", "path"),
-            ("type", "type"),
+            ("type", "type_name"),
             ("depth", "depth"),
             ("answer", "answer"),
             ("called now", "called"),
@@ -405,7 +405,7 @@ mod tests {
             }],
             "roster": [{ "robot": "ranger", "serial": 7, "nodes": 3 }],
             "trees": [{
-                "tree": "mission", "path": "left/reach", "type": "Reach", "depth": 2,
+                "tree": "mission", "path": "left/reach", "type_name": "Reach", "depth": 2,
                 "answer": "RUNNING", "called": true,
             }],
             "tree_changes": [{
