@@ -96,7 +96,7 @@ struct TreeSource {
 }
 
 /// A fault of a leaf, or of another node, and what becomes of it.
-struct Found {
+struct LeafTrouble {
     node: TreeNodeId,
     why: String,
     then: LeafFault,
@@ -182,7 +182,7 @@ impl BehaviorTree {
             let is_current = self.shared.tree.borrow_mut().leaf_context(run).is_some();
             if ticks && is_current {
                 let then = self.rules_of(run.node).after(panicked);
-                ticks = self.handle(Found { node: run.node, why, then }, cx)?;
+                ticks = self.handle(LeafTrouble { node: run.node, why, then }, cx)?;
             }
         }
         for _ in 0..PASSES {
@@ -202,7 +202,7 @@ impl BehaviorTree {
     }
 
     /// Ticks the tree once. Returns what was found wrong.
-    fn tick(&mut self, cx: &Context<Self>) -> Option<Found> {
+    fn tick(&mut self, cx: &Context<Self>) -> Option<LeafTrouble> {
         let shared = &self.shared;
         let ticked =
             panics::caught(|| shared.tree.borrow_mut().tick_while_yielding(BehaviorTree::now()));
@@ -222,11 +222,11 @@ impl BehaviorTree {
                 None => panic!("the tree {} {why}", cx.name()),
             },
         };
-        Some(Found { node, why, then })
+        Some(LeafTrouble { node, why, then })
     }
 
     /// The first leaf that has exceeded its time limit.
-    fn overdue(&self) -> Option<Found> {
+    fn overdue(&self) -> Option<LeafTrouble> {
         let (tree, now) = (self.shared.tree.borrow(), BehaviorTree::now());
         let late = |&(run, since): &(LeafRun, Duration)| {
             now.saturating_sub(self.last_sign(run, since)) >= self.rules_of(run.node).within
@@ -234,7 +234,7 @@ impl BehaviorTree {
         let (run, _) = tree.running().find(late)?;
         let rules = self.rules_of(run.node);
         let why = format!("it has not answered for {:?}", rules.within);
-        Some(Found { node: run.node, why, then: rules.on_error })
+        Some(LeafTrouble { node: run.node, why, then: rules.on_error })
     }
 
     fn last_sign(&self, run: LeafRun, since: Duration) -> Duration {
@@ -248,8 +248,8 @@ impl BehaviorTree {
     }
 
     /// Reports a fault and does what its rule says. Whether the tree is to be ticked again at once.
-    fn handle(&mut self, found: Found, cx: &mut Context<Self>) -> Result<bool, Failure> {
-        let Found { node, why, then } = found;
+    fn handle(&mut self, found: LeafTrouble, cx: &mut Context<Self>) -> Result<bool, Failure> {
+        let LeafTrouble { node, why, then } = found;
         let path = self.shared.tree.borrow().path(node).to_owned();
         let detail = format!("leaf {path}: {why}");
         tracing::warn!(tree = %cx.name(), "{detail}");

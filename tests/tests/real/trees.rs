@@ -2,9 +2,10 @@
 
 use blastema::prelude::*;
 use blastema::trees::{BehaviorTree, Status, TreeLeaves};
-use std::sync::Arc;
+use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::SeqCst;
+use std::sync::mpsc::channel;
 use std::time::Duration;
 
 /// For everything that takes time on a busy computer.
@@ -13,13 +14,12 @@ const PATIENCE: Duration = Duration::from_secs(60);
 #[test]
 fn a_leaf_that_does_not_return_is_named_by_its_path_and_its_tree_begins_again() {
     let _turn = blastema_doubles::turn();
-    let (first, ends) = (AtomicBool::new(true), Arc::new(AtomicBool::new(false)));
-    let end = ends.clone();
+    let (first, (release, held)) = (AtomicBool::new(true), channel::<()>());
+    let held = Mutex::new(held);
     let leaves = TreeLeaves::new().action("Grip", [], move |_| {
         if first.swap(false, SeqCst) {
-            while !end.load(SeqCst) {
-                std::thread::yield_now();
-            }
+            // Until the test lets it go.
+            let _ = held.lock().unwrap().recv();
         }
         Ok(Status::Success)
     });
@@ -50,7 +50,7 @@ fn a_leaf_that_does_not_return_is_named_by_its_path_and_its_tree_begins_again() 
             }
         };
         tokio::time::timeout(PATIENCE, goes_on).await.expect("the tree goes on");
-        ends.store(true, SeqCst);
+        drop(release);
         node.shutdown().await;
     });
 }

@@ -138,7 +138,8 @@ async fn a_reactive_tree_returns_when_the_operator_is_lost_and_goes_on_when_he_i
     rover.actor::<BehaviorTree>("tree").unwrap().deactivate();
     rover.settle().await;
     assert_eq!(log.take(), ["teleoperation ends"], "a tree that leaves work halts all");
-    assert!(rover.snapshot().await.trees.is_empty());
+    let rows = rover.snapshot().await.trees;
+    assert!(rows.iter().all(|row| row.answer != "RUNNING"), "{rows:?}");
 }
 
 #[blastema_testkit::test]
@@ -288,7 +289,7 @@ async fn the_errors_of_leaves_at_once_follow_their_rules_in_the_same_turn() {
     node.advance(100 * MS).await;
     assert_eq!(log.take(), ["wrong"; 3]);
     let fault = node.await_fault(FaultKind::CheckFailed, "tree").await;
-    assert_eq!(fault.detail, "leaf Wrong::2: the leaf has an error: out of range");
+    assert!(fault.detail.starts_with("leaf Panics::3: panicked at "), "{}", fault.detail);
     let last = changes(&node).await.pop().unwrap();
     let expected =
         "Panics::3: IDLE -> FAILURE, Sleep::4: IDLE -> RUNNING, Fallback::1: IDLE -> RUNNING";
@@ -420,7 +421,7 @@ async fn leaves_steer_a_life_cycle_and_look_at_components_and_faults() {
     let node = TestNode::start(builder.child(tree(&leaves, text))).await;
     let runs = async |path: &str| {
         let rows = node.snapshot().await.trees;
-        rows.iter().any(|row| row.path == path && row.answer == Status::Running)
+        rows.iter().any(|row| row.path == path && row.answer == "RUNNING")
     };
     node.advance(SECOND).await;
     assert_eq!(node.row("arm").await.state, Some(Lifecycle::Active));

@@ -88,6 +88,10 @@ const CIRCLES: &[(&str, &str)] = &[
         "actors/src/component",
         "`Component` names its `Context`, which names the cell, which names envelopes",
     ),
+    (
+        "actors/src/trees",
+        "a leaf's task names the context of its tree's component, which names the leaves",
+    ),
     ("core/src/service", "the next edition of services replaces it"),
 ];
 
