@@ -68,6 +68,7 @@
 //! | set a component up | [`Parameters`](derive@Parameters), [`NodeBuilder::parameters_from`] |
 //! | command actuators | [`ActuatorSpec`], [`Commander`] |
 //! | know whether it is still connected | [`Node::condition`], [`Connected`], [`Condition`], [`Heartbeat`] |
+//! | choose what to do by a tree | `trees::BehaviorTree`, [manual](manual::trees) |
 //! | find the holder of a name | [`Node::claim`], [`ChildSpec::claim`], [`Claim`], [`NameWatch`] |
 //! | run microcontrollers as components | [`DeviceSpec`], [manual](manual::devices) |
 //! | outlive a node | [`ServiceSpec`], [`Stateful`], [`ServiceRef`] |
@@ -87,6 +88,7 @@
 //! | `zenoh` | networks over Zenoh, and `ZenohBridge`, which publishes topics as plain keys; compiles for minutes, and is no default |
 //! | `unix` | [`NodeBuilder::inspection_socket`] too, at which `blastema monitor` looks |
 //! | `device` | [small devices](manual::devices), and `serial`; with `ip` also those on UDP |
+//! | `trees` | [behaviour trees](manual::trees) as components |
 //! | `journal` | `journal` and `NodeBuilder::journal`, by SQLite: needs a C compiler |
 //!
 //! The default is all media but Zenoh. A robot of one process needs none of it: with
@@ -133,6 +135,8 @@ mod variable;
 pub mod journal;
 pub mod manual;
 pub mod plain;
+#[cfg(feature = "trees")]
+pub mod trees;
 
 /// For programs that make or show keys, as `blastema keys` does.
 #[cfg(feature = "network")]

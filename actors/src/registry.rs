@@ -17,6 +17,8 @@ use crate::messaging::death_watch::{Deaths, Down, DownReason, Watchable, Watcher
 use crate::messaging::injection::Injection;
 use crate::messaging::sender::Sender;
 use access::AccessControl;
+#[cfg(feature = "trees")]
+use blastema_core::Lifecycle;
 #[cfg(feature = "network")]
 use blastema_core::net::NodeId;
 use blastema_core::sorted::SortedMap;
@@ -409,13 +411,28 @@ impl Registry {
 
     /// Puts a fault into the object of this name.
     pub(crate) fn inject(&self, name: &str, injection: Injection) -> Result<(), DeliveryError> {
+        self.watchable(name)?.inject(injection);
+        Ok(())
+    }
+
+    /// The state of the object of this name; none if it is no component.
+    #[cfg(feature = "trees")]
+    pub(crate) fn state(&self, name: &str) -> Result<Option<Lifecycle>, DeliveryError> {
+        Ok(self.watchable(name)?.state())
+    }
+
+    /// Orders the component of this name to work, or to leave work.
+    #[cfg(feature = "trees")]
+    pub(crate) fn activate(&self, name: &str, active: bool) -> Result<(), DeliveryError> {
+        self.watchable(name)?.activate(active);
+        Ok(())
+    }
+
+    fn watchable(&self, name: &str) -> Result<Arc<dyn Watchable>, DeliveryError> {
         let inner = self.lock();
         let object = ObjectName::new(name).ok();
         let entry = object.and_then(|object| inner.objects.get(&object));
-        let watchable = entry.ok_or_else(|| inner.misspelt(name))?.watchable.clone();
-        drop(inner);
-        watchable.inject(injection);
-        Ok(())
+        Ok(entry.ok_or_else(|| inner.misspelt(name))?.watchable.clone())
     }
 
     /// Tells `watcher` whenever an incarnation of this object ends, and at once if it does not

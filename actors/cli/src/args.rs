@@ -91,13 +91,16 @@ pub(crate) enum Subcommand {
     /// Show the state of a running node
     ///
     /// Its objects with what the monitor thinks of each, the threads that components live on,
-    /// links, sessions with other nodes, global names, services and who serves them, actuators and
+    /// links, sessions with other nodes, behaviour trees, global names, services and who serves them, actuators and
     /// who commands them, and faults, as they are now. A node is shown if its program opens an
     /// inspection socket, by `NodeBuilder::inspection_socket`, to the user who runs it and no
     /// other. A value that is not known is a dash; a table that is left out is empty, and one whose
     /// part of the node has not answered says so. Nothing can be changed from here.
     #[command(after_help = MONITOR_HELP)]
     Monitor(MonitorOptions),
+    /// Print what editors of behaviour trees need
+    #[command(subcommand)]
+    Tree(TreeJob),
     /// Show faults, also those of nodes that have ended
     #[command(subcommand)]
     Fault(FaultJob),
@@ -162,6 +165,15 @@ pub(crate) struct MonitorOptions {
     /// Wait this long for each node to answer, 10ms to 1h, such as 500ms, 10s or 1m
     #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = parse_within)]
     pub(crate) within: Duration,
+}
+
+/// What can be done with behaviour trees.
+#[derive(Clone, Copy, Debug, PartialEq, clap::Subcommand)]
+pub(crate) enum TreeJob {
+    /// Print the TreeNodesModel of the leaves that come with every tree, which Groot2 loads
+    ///
+    /// A program prints the model with its own leaves by `TreeLeaves::model`.
+    Model,
 }
 
 /// What can be done with faults.

@@ -1,9 +1,10 @@
 //! The command-line program of the Blastema middleware.
 //!
 //! `blastema monitor` shows the state of a running node, `blastema fault list` its faults, also
-//! those of earlier runs, `blastema keys` makes the keys of a robot's nodes, and `blastema node`
-//! gives them orders. `blastema check`, `graph` and `run` start the program of a robot file, and
-//! `blastema new` writes a robot. Exit status: 0 it was done, 1 only a part of it, 2 it could not
+//! those of earlier runs. `blastema tree model` prints what editors of behaviour trees load,
+//! `blastema keys` makes the keys of a robot's nodes, and `blastema node` gives them orders.
+//! `blastema check`, `graph` and `run` start the program of a robot file, and `blastema new` writes a
+//! robot. Exit status: 0 it was done, 1 only a part of it, 2 it could not
 //! be done.
 
 mod args;
@@ -13,7 +14,7 @@ mod monitor;
 mod operator;
 mod robot;
 
-use args::{Arguments, FaultJob, Subcommand};
+use args::{Arguments, FaultJob, Subcommand, TreeJob};
 use clap::Parser;
 use std::io::Write;
 use std::process::ExitCode;
@@ -30,6 +31,13 @@ fn main() -> ExitCode {
         }
         Subcommand::Fault(FaultJob::List(options)) => {
             fault::run(&options).map(|()| true).map_err(|error| error.to_string())
+        }
+        Subcommand::Tree(TreeJob::Model) => {
+            let model = blastema::trees::TreeLeaves::new().model();
+            let printed = std::io::stdout().write_all(model.as_bytes());
+            printed
+                .map(|()| true)
+                .map_err(|error| format!("the model could not be printed: {error}"))
         }
         Subcommand::Keys(job) => keys::run(&job),
         Subcommand::Node(job) => operator::run(&job),

@@ -16,6 +16,7 @@
 //! | [parameters] | settings with defaults, units and ranges: from a file, and set while a component runs |
 //! | [commanding] | actuators that become safe by themselves when their commander is gone |
 //! | [conditions] | whether an operator, a node or a topic is still connected, and what the robot does alone |
+//! | [trees] | behaviour trees: files, leaves, and what becomes of a leaf that fails |
 //! | [devices] | microcontrollers as components: firmware, lines, faults, what a restart restores |
 //! | [services] | services that a standby on another node takes over |
 //! | [supervision] | which components are restarted together, how often, and the safe state |
@@ -63,6 +64,9 @@ pub mod commanding {}
 
 #[doc = include_str!("conditions.md")]
 pub mod conditions {}
+
+#[doc = include_str!("trees.md")]
+pub mod trees {}
 
 #[doc = include_str!("devices.md")]
 pub mod devices {}

@@ -191,6 +191,13 @@ pub(crate) trait Watchable: Send + Sync {
     fn component_type(&self) -> Option<&'static str> {
         None
     }
+    /// Its state, where it is a component.
+    #[cfg(feature = "trees")]
+    fn state(&self) -> Option<Lifecycle> {
+        None
+    }
+    /// Orders it to work, or to leave work, where it is a component.
+    fn activate(&self, _: bool) {}
     /// Puts a fault into it, where it is a component.
     fn inject(&self, _: Injection) {}
     /// Listens to this topic too, as by the subscription of this number that it declares.

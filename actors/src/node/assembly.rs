@@ -44,6 +44,8 @@ use crate::platform::systemd::Systemd;
 #[cfg(feature = "network")]
 use crate::service::Roster;
 use crate::topic::Topics;
+#[cfg(feature = "trees")]
+use crate::trees::TreeTable;
 use crate::variable::VariableStore;
 use crate::variable::ports::KEPT_VARIABLES;
 use actix::prelude::*;
@@ -140,6 +142,8 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     assembly.carry_services(builder.networks.services)?;
     assembly.keep_leases();
     assembly.keep_conditions();
+    #[cfg(feature = "trees")]
+    assembly.environment.trees().set_record(assembly.parts.chain.record.clone());
     assembly.keep_policies(builder.policies)?;
     #[cfg(feature = "unix")]
     let inspection = assembly.make_inspection(builder.shown_at).await;
@@ -500,6 +504,8 @@ pub(crate) fn with_features(
         .with(VariableStore::default())
         .with(Configured::default())
         .with(Conditions::default());
+    #[cfg(feature = "trees")]
+    let extensions = extensions.with(TreeTable::default());
     #[cfg(feature = "network")]
     let extensions = {
         let directory = DirectoryTable::default();

@@ -12,6 +12,8 @@ use crate::liveness::threads::{ThreadRow, ThreadState};
 use crate::messaging::dead_letters::DeadLetterSnapshot;
 use crate::platform;
 use crate::topic::TopicRow;
+#[cfg(feature = "trees")]
+use crate::trees::{TreeChangeRow, TreeNodeRow};
 use blastema_core::delivery::dead_letters::DeadLetterCount;
 use blastema_core::detection::{FaultEntry, FaultRecord, MonitorRow, ObjectKind};
 use blastema_core::lease::LeaseStatus;
@@ -49,6 +51,12 @@ pub struct NodeSnapshot {
     pub actuators: Vec<ActuatorRow>,
     /// The topics that objects of the node have named.
     pub topics: Vec<TopicRow>,
+    /// The nodes of behaviour trees that are not idle.
+    #[cfg(feature = "trees")]
+    pub trees: Vec<TreeNodeRow>,
+    /// The last ticks of behaviour trees in which nodes have changed.
+    #[cfg(feature = "trees")]
+    pub tree_changes: Vec<TreeChangeRow>,
     /// What was not delivered.
     pub dead_letters: DeadLetterSnapshot,
     /// The record of faults.
@@ -73,6 +81,10 @@ impl NodeSnapshot {
             network,
             actuators: node.actuators(),
             topics: node.topics(),
+            #[cfg(feature = "trees")]
+            trees: node.0.environment.trees().nodes(),
+            #[cfg(feature = "trees")]
+            tree_changes: node.0.environment.trees().changes(),
             dead_letters: node.dead_letters().snapshot(),
             faults,
             seen_at: platform::now(),
@@ -104,6 +116,14 @@ impl NodeSnapshot {
             "faults": faults.map(|record| rows_of(&record.entries, entry)),
             "faults_dropped": faults.map(|record| record.dropped),
         });
+        #[cfg(feature = "trees")]
+        let document = {
+            let mut document = document;
+            let change = |row: &TreeChangeRow| tree_change(row, self.seen_at);
+            document["trees"] = json!(self.trees);
+            document["tree_changes"] = rows_of(&self.tree_changes, change).into();
+            document
+        };
         #[cfg(feature = "network")]
         let document = self.network.shown_in(document);
         document.to_string()
@@ -207,6 +227,16 @@ fn topic(row: &TopicRow) -> Value {
     })
 }
 
+#[cfg(feature = "trees")]
+fn tree_change(row: &TreeChangeRow, now: Instant) -> Value {
+    json!({
+        "tree": row.tree.as_str(),
+        "tick": row.tick,
+        "age_ms": millis(now - row.at),
+        "changes": row.changes,
+    })
+}
+
 fn dead_letter(row: &DeadLetterCount) -> Value {
     json!({
         "node": row.node.as_ref().map(NodeName::as_str),
@@ -286,6 +316,10 @@ mod tests {
                 },
                 actuators: Vec::new(),
                 topics: Vec::new(),
+                #[cfg(feature = "trees")]
+                trees: Vec::new(),
+                #[cfg(feature = "trees")]
+                tree_changes: Vec::new(),
                 dead_letters: DeadLetterSnapshot::default(),
                 faults: in_time(future::pending()).await,
             };

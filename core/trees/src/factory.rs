@@ -1,6 +1,7 @@
 //! The types of leaves that an application has.
 
 use crate::model::{BUILTINS, LeafKind, Port, PortDirection, is_port, key_of, may_be_name};
+use crate::status::Status;
 use crate::tree::{Leaf, LeafContext, LeafModel, LeafResult, MakeLeaf};
 use crate::value::Value;
 use std::collections::BTreeMap;
@@ -8,7 +9,7 @@ use std::fmt::Write as _;
 use std::sync::Arc;
 
 /// Knows the leaves of an application, and loads trees; `BehaviorTreeFactory` of BehaviorTree.CPP.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Factory {
     pub(crate) leaves: BTreeMap<String, Arc<LeafModel>>,
     pub(crate) enums: BTreeMap<String, i64>,
@@ -47,6 +48,22 @@ impl Factory {
         function: impl Fn(&mut LeafContext<'_>) -> LeafResult + Send + Sync + 'static,
     ) {
         self.register(name, LeafKind::SyncAction, ports.into(), functions(function));
+    }
+
+    /// Registers an action that its driver carries out: RUNNING from its start until the driver
+    /// [completes](crate::Tree::complete) it, or it is halted.
+    ///
+    /// # Panics
+    ///
+    /// As [`Factory::condition`].
+    pub fn driven(&mut self, name: &str, ports: impl Into<Vec<Port>>) {
+        let make = functions(|_| Ok(Status::Running));
+        self.register(name, LeafKind::Action, ports.into(), make);
+    }
+
+    /// The names of the leaves.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.leaves.keys().map(String::as_str)
     }
 
     /// Registers a leaf that keeps something; `make` makes one for each place in a tree.

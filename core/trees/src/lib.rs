@@ -66,7 +66,7 @@ pub use model::{LeafKind, Port};
 pub use script::ScriptError;
 pub use status::Status;
 pub use tree::{
-    Halt, Leaf, LeafContext, LeafError, LeafResult, LeafRun, NodeView, PortError, StatusChange,
-    TickError, TickProblem, Tree, TreeNodeId,
+    CalledLeaf, Halt, Leaf, LeafContext, LeafError, LeafResult, LeafRun, NodeView, PortError,
+    StatusChange, TickError, TickProblem, Tree, TreeNodeId,
 };
 pub use value::{PortType, PortValue, Value};

@@ -55,6 +55,11 @@ impl Port {
         Port::new(name, PortDirection::InOut, T::TYPE)
     }
 
+    /// The name.
+    pub const fn name(&self) -> &'static str {
+        self.name
+    }
+
     /// The port's default, as a tree would write it: `3.0` or `{key}`.
     pub const fn or(mut self, default: &'static str) -> Port {
         self.default = Some(default);

@@ -247,6 +247,19 @@ impl PortValue for String {
     }
 }
 
+/// A value of any type.
+impl PortValue for Value {
+    const TYPE: PortType = PortType::ANY;
+
+    fn from_value(value: &Value) -> Option<Value> {
+        Some(value.clone())
+    }
+
+    fn into_value(self) -> Value {
+        self
+    }
+}
+
 impl PortValue for Status {
     const TYPE: PortType = PortType::of::<Status>("BT::NodeStatus");
 

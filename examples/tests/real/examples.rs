@@ -360,3 +360,13 @@ fn paper_robot_reacts_to_errors_as_the_listing_of_its_source_does() {
     let golden = fs::read_to_string(golden).expect("it is there");
     assert_eq!(output("paper_robot"), golden);
 }
+
+#[test]
+fn rover_returns_stands_and_drives_as_its_radio_and_its_operator_come_and_go() {
+    let _turn = blastema_doubles::turn();
+    let table: Vec<String> = output("rover").lines().skip(1).map(str::to_owned).collect();
+    let does: Vec<&str> = table.iter().map(|row| row.rsplit('|').next().unwrap().trim()).collect();
+    let (drives, returns) = ("drives as the operator says", "returns by itself");
+    let stands = "stands: the radio is too slow";
+    assert_eq!(does, [returns, drives, returns, drives, returns, drives, stands, drives]);
+}

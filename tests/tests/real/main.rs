@@ -27,3 +27,4 @@ mod sealed;
 mod settings;
 mod slow_machine;
 mod slow_path;
+mod trees;

@@ -11,3 +11,4 @@ mod recovery;
 mod robots;
 mod scenarios;
 mod seals;
+mod trees;

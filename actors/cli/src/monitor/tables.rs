@@ -8,7 +8,7 @@ use std::fmt::Write;
 pub(crate) type Column = (&'static str, &'static str);
 
 /// The tables in their order: the title, the key in the snapshot, the columns.
-const TABLES: [(&str, &str, &[Column]); 15] = [
+const TABLES: [(&str, &str, &[Column]); 17] = [
     (
         "objects",
         "table",
@@ -210,6 +210,23 @@ const TABLES: [(&str, &str, &[Column]); 15] = [
         ],
     ),
     (
+        "trees",
+        "trees",
+        &[
+            ("tree", "tree"),
+            ("node", "path"),
+            ("type", "type_name"),
+            ("depth", "depth"),
+            ("answer", "answer"),
+            ("called now", "called"),
+        ],
+    ),
+    (
+        "changes of trees",
+        "tree_changes",
+        &[("tree", "tree"), ("tick", "tick"), ("before", "age_ms"), ("changes", "changes")],
+    ),
+    (
         "dead letters",
         "dead_letters",
         &[
@@ -387,6 +404,14 @@ mod tests {
                 "alternate_network": null, "alternate_link": null, "cost": 20, "mtu_bytes": 1200, "relays": 1,
             }],
             "roster": [{ "robot": "ranger", "serial": 7, "nodes": 3 }],
+            "trees": [{
+                "tree": "mission", "path": "left/reach", "type_name": "Reach", "depth": 2,
+                "answer": "RUNNING", "called": true,
+            }],
+            "tree_changes": [{
+                "tree": "mission", "tick": 7, "age_ms": 40.0,
+                "changes": "left/reach: IDLE -> RUNNING",
+            }],
             "dead_letters": [
                 { "node": "arm", "object": "grip", "contract": "close", "reason": "no way", "count": 2 },
             ],
@@ -423,6 +448,14 @@ global names
  name  node     object  epoch  known for
  map   module1  slam        7    0.25 ms
  base  -        b          12     61.0 s
+
+trees
+ tree     node        type   depth  answer   called now
+ mission  left/reach  Reach      2  RUNNING  yes
+
+changes of trees
+ tree     tick  before  changes
+ mission     7   40 ms  left/reach: IDLE -> RUNNING
 
 dead letters
  node  object  contract  reason  times

@@ -6,3 +6,4 @@ mod keys;
 mod monitor;
 mod operator;
 mod robot;
+mod tree;

@@ -1,10 +1,13 @@
 //! The leaves of the application, and what the driver decides about them from outside.
 
+use super::called::CalledLeaf;
 use super::execute::NodeAnswer;
 use super::leaf::{Halt, Leaf, LeafContext, LeafRun, LeafState};
 use super::{TickProblem, Tree, TreeNodeId};
 use crate::model::{Kind, LeafKind};
 use crate::status::Status;
+use std::any::Any;
+use std::sync::Arc;
 use std::time::Duration;
 
 impl Tree {
@@ -56,9 +59,9 @@ impl Tree {
         let state = self.leaf_mut(id);
         let mut body = state.body.take().unwrap_or_else(|| (state.model.make)());
         let run = LeafRun { node: id, start: state.starts };
-        self.calling = Some(id);
+        self.calling.set(Some(id));
         let result = call(&mut *body, &mut LeafContext { tree: self, run });
-        self.calling = None;
+        self.calling.set(None);
         self.leaf_mut(id).body = Some(body);
         result
     }
@@ -110,7 +113,17 @@ impl Tree {
     /// Its value is gone and is made again for its next start. The driver can go on, and the leaf
     /// fails in the next tick if it was RUNNING, or it [halts](Tree::halt) the tree.
     pub fn panicked(&self) -> Option<TreeNodeId> {
-        self.calling
+        self.calling.node()
+    }
+
+    /// The leaf that is being called, for a thread that watches the one that ticks.
+    pub fn called(&self) -> CalledLeaf {
+        self.calling.clone()
+    }
+
+    /// Lends the leaves what they use beside their ports: [`LeafContext::lent`].
+    pub fn lend<T: Any + Send + Sync>(&mut self, services: Arc<T>) {
+        self.lent = Some(services);
     }
 
     /// Answers for a leaf that runs: the next tick sees it. For one that is coming to rest after a
@@ -130,6 +143,13 @@ impl Tree {
         (state.answer, state.deferred) = (answer, answer.is_none());
         self.wake_at(self.now);
         true
+    }
+
+    /// Lets a leaf fail when it is ticked next, instead of calling it: after an error or a panic of
+    /// it. False if the node is no leaf of the application.
+    pub fn fail_next(&mut self, node: TreeNodeId) -> bool {
+        let is_leaf = matches!(self.node(node).kind, Kind::Leaf(_));
+        is_leaf && self.answer(LeafRun { node, start: 0 }, Some(Status::Failure))
     }
 
     /// Halts a leaf that takes too long, and lets it fail. False if the run is over.

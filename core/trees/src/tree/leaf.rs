@@ -5,6 +5,7 @@ use crate::blackboard::KeyId;
 use crate::model::{LeafKind, Port};
 use crate::status::Status;
 use crate::value::{PortValue, Value};
+use std::any::Any;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -198,6 +199,11 @@ impl LeafContext<'_> {
     /// This start of the leaf, by which the driver completes it later.
     pub fn run(&self) -> LeafRun {
         self.run
+    }
+
+    /// What the driver [lends](Tree::lend) to the leaves, if it is of this type.
+    pub fn lent<T: Any>(&self) -> Option<&T> {
+        self.tree.lent.as_deref()?.downcast_ref()
     }
 
     /// Asks for a tick at this time, if the leaf is still RUNNING then.

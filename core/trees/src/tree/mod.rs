@@ -5,6 +5,7 @@
 //! `decorator.rs` and `builtin_leaf.rs`.
 
 mod builtin_leaf;
+mod called;
 mod control;
 mod decorator;
 mod driver;
@@ -12,6 +13,7 @@ mod error;
 mod execute;
 mod leaf;
 
+pub use called::CalledLeaf;
 pub use error::{LeafError, PortError, TickError, TickProblem};
 pub(crate) use leaf::{BoundPort, LeafModel, LeafState, MakeLeaf, PortBinding};
 pub use leaf::{Halt, Leaf, LeafContext, LeafResult, LeafRun};
@@ -21,13 +23,22 @@ use crate::model::Kind;
 use crate::script::Script;
 use crate::status::Status;
 use crate::value::{PortType, PortValue, Value};
+use std::any::Any;
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt::Write as _;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// The number of a node in its tree, in the order of the file, from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TreeNodeId(pub(crate) u32);
+
+impl TreeNodeId {
+    /// The number.
+    pub const fn index(self) -> usize {
+        self.0 as usize
+    }
+}
 
 /// A tree that runs. It does nothing by itself: its driver ticks it.
 ///
@@ -59,7 +70,9 @@ pub struct Tree {
     /// The leaves that have been halted and have not come to rest.
     halting: Vec<LeafRun>,
     /// The leaf that is being called; still set after a panic.
-    calling: Option<TreeNodeId>,
+    calling: CalledLeaf,
+    /// What the driver lends to the leaves.
+    lent: Option<Arc<dyn Any + Send + Sync>>,
     changes: Vec<StatusChange>,
     changes_lost: u32,
 }
@@ -183,7 +196,8 @@ impl Tree {
     fn begin(&mut self, now: Duration) {
         // A clock that is set back would stretch every delay.
         self.now = self.now.max(now);
-        (self.calling, self.wake, self.changes_lost) = (None, None, 0);
+        self.calling.set(None);
+        (self.wake, self.changes_lost) = (None, 0);
         self.changes.clear();
         self.poll_halting();
     }

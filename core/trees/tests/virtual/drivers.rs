@@ -2,8 +2,9 @@
 
 use crate::scripted::{Bench, factory, file};
 use blastema_trees::{
-    Factory, Halt, Leaf, LeafContext, LeafResult, Port, Status, TickProblem, Tree,
+    CalledLeaf, Factory, Halt, Leaf, LeafContext, LeafResult, Port, Status, TickProblem, Tree,
 };
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 const SECOND: Duration = Duration::from_secs(1);
@@ -316,4 +317,37 @@ fn a_tree_without_nodes_is_skipped_and_trees_go_from_thread_to_thread() {
     }
 
     assert_eq!(goes(Tree::default()).tick(SECOND).unwrap(), Status::Skipped);
+}
+
+#[test]
+fn a_leaf_that_failed_to_start_is_failed_by_its_driver_and_the_tree_goes_on() {
+    let mut bench =
+        Bench::new("Y=S B=X Z=S", "<Fallback><Sequence><Y/><B/></Sequence><Z/></Fallback>");
+    let error = bench.tree.tick(bench.now).unwrap_err();
+    bench.calls();
+
+    assert!(bench.tree.fail_next(error.node));
+    assert!(!bench.tree.fail_next(bench.tree.find("Fallback::1").unwrap()), "it is no leaf");
+
+    assert_eq!((bench.tick(), bench.calls()), ('S', "Z:start:S".into()));
+}
+
+#[test]
+fn a_leaf_uses_what_its_driver_lends_and_is_known_while_it_is_called() {
+    let mut factory = Factory::new();
+    factory.driven("Wait", []);
+    factory.condition("IsLent", [], |cx| {
+        let called = cx.lent::<Mutex<CalledLeaf>>().expect("the driver lends it").lock().unwrap();
+        assert_eq!(called.node().map(|node| node == cx.run().node), Some(true));
+        Ok(Status::Success)
+    });
+    let mut tree =
+        factory.load("test.xml", &file("<Sequence><IsLent/><Wait/></Sequence>")).unwrap();
+    let called = tree.called();
+    tree.lend(Arc::new(Mutex::new(called.clone())));
+
+    assert_eq!(tree.tick(SECOND).unwrap(), Status::Running);
+
+    assert_eq!(called.node(), None);
+    assert_eq!(factory.names().collect::<Vec<_>>(), ["IsLent", "Wait"]);
 }

@@ -23,6 +23,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("port", TO_ACTUATOR),
     ("directory", TO_NET),
     ("condition", TO_CONDITION),
+    ("trees", TO_TREES),
     ("service", TO_DIRECTORY),
     ("bridge", TO_NET),
     ("device", TO_NET_AND_VALUES),
@@ -58,6 +59,8 @@ const TO_CONDITION: &[&str] = &[
     "actuator",
     "directory",
 ];
+const TO_TREES: &[&str] =
+    &["platform", "registry", "component", "host", "topic", "variable", "actuator", "condition"];
 const TO_DIRECTORY: &[&str] = &[
     "platform",
     "runtime",
@@ -84,6 +87,10 @@ const CIRCLES: &[(&str, &str)] = &[
     (
         "actors/src/component",
         "`Component` names its `Context`, which names the cell, which names envelopes",
+    ),
+    (
+        "actors/src/trees",
+        "a leaf's task names the context of its tree's component, which names the leaves",
     ),
     ("core/src/service", "the next edition of services replaces it"),
 ];

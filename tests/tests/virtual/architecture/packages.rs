@@ -40,6 +40,7 @@ const PLACES: [Place; 18] = [
             "blastema-macros",
             "blastema-contract",
             "blastema-transports",
+            "blastema-trees",
         ],
         below_in_tests: &["blastema-doubles"],
     },

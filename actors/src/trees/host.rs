@@ -1,0 +1,71 @@
+//! What the conditions of a tree look at beside their ports.
+
+use crate::component::environment::ComponentEnvironment;
+use crate::condition::{Condition, Connected};
+use crate::platform;
+use blastema_core::FaultLocation;
+use blastema_core::detection::FaultRecord;
+use blastema_trees::{LeafContext, LeafError};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// What a node lends to the conditions of a tree.
+pub(super) struct TreeHost {
+    pub(super) environment: Arc<ComponentEnvironment>,
+    /// By their names; those that are new are still to be watched.
+    conditions: Mutex<BTreeMap<String, Condition>>,
+    fresh: Mutex<Vec<Condition>>,
+    faults: Mutex<FaultRecord>,
+}
+
+impl TreeHost {
+    pub(super) fn new(environment: Arc<ComponentEnvironment>) -> Self {
+        let (conditions, fresh, faults) = Default::default();
+        TreeHost { environment, conditions, fresh, faults }
+    }
+
+    /// The host of a leaf's tree.
+    pub(super) fn of<'a>(cx: &'a LeafContext<'_>) -> Result<&'a TreeHost, LeafError> {
+        cx.lent().ok_or_else(|| "this leaf needs a node: run the tree as a component".into())
+    }
+
+    /// The condition of this name, which is declared when it is asked for first.
+    pub(super) fn condition(
+        &self,
+        name: String,
+        needs: impl FnOnce() -> Connected,
+    ) -> Result<Condition, LeafError> {
+        let mut known = self.conditions.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(condition) = known.get(&name) {
+            return Ok(condition.clone());
+        }
+        let condition = self.environment.conditions().declare(&name, &needs(), platform::now())?;
+        known.insert(name, condition.clone());
+        self.fresh.lock().unwrap_or_else(PoisonError::into_inner).push(condition.clone());
+        Ok(condition)
+    }
+
+    /// The conditions that were declared since this was called before.
+    pub(super) fn take_fresh(&self) -> Vec<Condition> {
+        std::mem::take(&mut self.fresh.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Takes the record of faults. Says whether it has changed.
+    pub(super) fn take_faults(&self, record: FaultRecord) -> bool {
+        let mut known = self.faults.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = std::mem::replace(&mut *known, record);
+        before != *known
+    }
+
+    /// Whether a fault of this code stands, in this object if one is named.
+    pub(super) fn has_fault(&self, code: &str, object: Option<&str>) -> bool {
+        let is_there = |location: &FaultLocation| match (object, location) {
+            (None, _) => true,
+            (Some(object), FaultLocation::Object(at)) => at.object.as_str() == object,
+            (Some(object), other) => other.to_string() == object,
+        };
+        let faults = self.faults.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut standing = faults.entries.iter().filter(|entry| entry.stands());
+        standing.any(|entry| entry.fault.kind.code() == code && is_there(&entry.fault.location))
+    }
+}

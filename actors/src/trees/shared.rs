@@ -1,0 +1,142 @@
+//! What a tree's component shares with the futures of its leaves.
+
+use super::actor::BehaviorTree;
+use super::task::LeafFuture;
+use crate::component::incarnation::{IncarnationState, TimerMode};
+use crate::platform::panics;
+use blastema_core::{Contract, DeliveryError};
+use blastema_trees::{LeafRun, Status, Tree};
+use std::any::{Any, TypeId};
+use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
+use std::rc::Rc;
+use std::task::{Context, Poll, Waker};
+use std::time::Duration;
+
+/// A leaf whose future runs.
+pub(super) struct RunningTask {
+    pub(super) run: LeafRun,
+    /// The last sign of life.
+    pub(super) sign: Rc<Cell<Duration>>,
+    pub(super) future: LeafFuture,
+}
+
+/// The end of a leaf that is no answer.
+pub(super) struct TaskFault {
+    pub(super) run: LeafRun,
+    pub(super) why: String,
+    pub(super) panicked: bool,
+}
+
+/// What a tree's component shares with the futures of its leaves. A future is dropped outside of
+/// any borrow, since it may use this when it is dropped.
+#[derive(Default)]
+pub(super) struct TreeShared {
+    pub(super) tree: RefCell<Tree>,
+    pub(super) tasks: RefCell<Vec<RunningTask>>,
+    pub(super) faults: RefCell<Vec<TaskFault>>,
+    /// By the actuator and the type of its commands. What the tree has claimed is released when it
+    /// is halted.
+    commanders: RefCell<BTreeMap<(String, TypeId), Box<dyn Any>>>,
+    waker: RefCell<Option<Waker>>,
+    turn_asked: Cell<bool>,
+}
+
+impl TreeShared {
+    /// Polls the futures. The component has its turn once one has ended.
+    pub(super) fn poll(
+        &self,
+        state: &IncarnationState<BehaviorTree>,
+        cx: &mut Context<'_>,
+    ) -> Poll<()> {
+        self.waker.replace(Some(cx.waker().clone()));
+        let mut going = Vec::new();
+        for mut task in self.tasks.take() {
+            match panics::caught(|| task.future.as_mut().poll(cx)) {
+                Ok(Poll::Pending) => going.push(task),
+                Ok(Poll::Ready(result)) => {
+                    self.end(task, result.map_err(|why| (why.to_string(), false)), state)
+                }
+                Err(why) => self.end(task, Err((why, true)), state),
+            }
+        }
+        // Nothing starts a leaf while futures are polled.
+        self.tasks.replace(going);
+        Poll::Pending
+    }
+
+    fn end(
+        &self,
+        task: RunningTask,
+        result: Result<Status, (String, bool)>,
+        state: &IncarnationState<BehaviorTree>,
+    ) {
+        let run = task.run;
+        let dropped = panics::caught(|| drop(task)).map_err(|why| (why, true));
+        let answered = match dropped.and(result) {
+            Ok(status) if status.is_completed() => {
+                self.tree.borrow_mut().complete(run, status);
+                Ok(())
+            }
+            Ok(status) => {
+                Err((format!("it ended with {status}: return SUCCESS or FAILURE"), false))
+            }
+            Err(fault) => Err(fault),
+        };
+        if let Err((why, panicked)) = answered {
+            self.faults.borrow_mut().push(TaskFault { run, why, panicked });
+        }
+        self.ask_turn(state);
+    }
+
+    /// Has the component tick the tree as soon as it has its turn.
+    pub(super) fn ask_turn(&self, state: &IncarnationState<BehaviorTree>) {
+        if !self.turn_asked.replace(true) {
+            let turn = |tree: &mut BehaviorTree, cx: &mut _| tree.handle_wake(cx);
+            state.set_timer(TimerMode::Once(Duration::ZERO), Box::new(turn));
+        }
+    }
+
+    /// The component has its turn.
+    pub(super) fn begin_turn(&self) {
+        self.turn_asked.set(false);
+    }
+
+    /// Starts a future.
+    pub(super) fn start(&self, task: RunningTask) {
+        self.tasks.borrow_mut().push(task);
+        if let Some(waker) = self.waker.take() {
+            waker.wake();
+        }
+    }
+
+    /// Drops the futures of leaves that were halted or failed, and returns what panicked.
+    pub(super) fn drop_halted(&self) -> Option<String> {
+        let (mut tree, tasks) = (self.tree.borrow_mut(), self.tasks.take());
+        let goes_on = |task: &RunningTask| tree.leaf_context(task.run).is_some();
+        let (going, halted): (Vec<_>, Vec<_>) = tasks.into_iter().partition(goes_on);
+        self.tasks.replace(going);
+        drop(tree);
+        panics::caught(|| drop(halted)).err()
+    }
+
+    /// The commander of an actuator, which lasts until the tree is halted.
+    pub(super) fn commander<M: Contract>(
+        &self,
+        actuator: &str,
+        make: impl FnOnce() -> Result<crate::Commander<M>, DeliveryError>,
+    ) -> Result<crate::Commander<M>, DeliveryError> {
+        let key = (actuator.to_owned(), TypeId::of::<M>());
+        if let Some(known) = self.commanders.borrow().get(&key).and_then(|any| any.downcast_ref()) {
+            return Ok(crate::Commander::clone(known));
+        }
+        let commander = make()?;
+        self.commanders.borrow_mut().insert(key, Box::new(commander.clone()));
+        Ok(commander)
+    }
+
+    /// Gives all leases back.
+    pub(super) fn release(&self) {
+        drop(self.commanders.take());
+    }
+}
