@@ -14,7 +14,6 @@ pub(crate) mod remote_watch;
 pub(crate) mod service_fn;
 
 use crate::messaging::death_watch::{Deaths, Down, DownReason, Watchable, Watcher};
-use crate::messaging::injection::Injection;
 use crate::messaging::sender::Sender;
 use access::AccessControl;
 #[cfg(feature = "network")]
@@ -407,15 +406,12 @@ impl Registry {
         inner.objects.get(object).and_then(|entry| entry.watchable.component_type())
     }
 
-    /// Puts a fault into the object of this name.
-    pub(crate) fn inject(&self, name: &str, injection: Injection) -> Result<(), DeliveryError> {
+    /// The object of this name.
+    pub(crate) fn watchable(&self, name: &str) -> Result<Arc<dyn Watchable>, DeliveryError> {
         let inner = self.lock();
         let object = ObjectName::new(name).ok();
         let entry = object.and_then(|object| inner.objects.get(&object));
-        let watchable = entry.ok_or_else(|| inner.misspelt(name))?.watchable.clone();
-        drop(inner);
-        watchable.inject(injection);
-        Ok(())
+        Ok(entry.ok_or_else(|| inner.misspelt(name))?.watchable.clone())
     }
 
     /// Tells `watcher` whenever an incarnation of this object ends, and at once if it does not

@@ -251,6 +251,16 @@ impl<C: Component> Watchable for ComponentCell<C> {
         Some(std::any::type_name::<C>())
     }
 
+    fn life_cycle(&self) -> Option<(Incarnation, Lifecycle)> {
+        Some((self.record.incarnation(), self.record.state()))
+    }
+
+    fn activate(&self, active: bool) {
+        if let Some(control) = self.control() {
+            control.send(HostCommand::Activate(active));
+        }
+    }
+
     fn inject(&self, injection: Injection) {
         self.record.cold().injected.put_in(injection);
         if injection == Injection::Panic

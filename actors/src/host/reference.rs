@@ -2,8 +2,8 @@
 
 use crate::component::cell::ComponentCell;
 use crate::component::context::Context;
-use crate::component::control::HostCommand;
 use crate::component::{Component, Handle};
+use crate::messaging::death_watch::Watchable;
 use crate::messaging::error::{RequestError, SendError};
 use crate::messaging::retry;
 use crate::messaging::sender::{Sender, deliver};
@@ -100,19 +100,13 @@ impl<C: Component> ActorRef<C> {
     /// Asks the component to leave work in order; messages wait until it returns. Without effect
     /// unless it is active.
     pub fn deactivate(&self) {
-        self.order(HostCommand::Activate(false));
+        Watchable::activate(&*self.0, false);
     }
 
     /// Asks the component to return to work. Without effect unless it is initialised and not
     /// active.
     pub fn activate(&self) {
-        self.order(HostCommand::Activate(true));
-    }
-
-    fn order(&self, command: HostCommand) {
-        if let Some(control) = self.0.control() {
-            control.send(command);
-        }
+        Watchable::activate(&*self.0, true);
     }
 
     /// The component's name.

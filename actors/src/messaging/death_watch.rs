@@ -191,6 +191,12 @@ pub(crate) trait Watchable: Send + Sync {
     fn component_type(&self) -> Option<&'static str> {
         None
     }
+    /// Its incarnation and state, where it is a component.
+    fn life_cycle(&self) -> Option<(Incarnation, Lifecycle)> {
+        None
+    }
+    /// Asks it to return to work, or to leave it; without effect where its state does not allow it.
+    fn activate(&self, _active: bool) {}
     /// Puts a fault into it, where it is a component.
     fn inject(&self, _: Injection) {}
     /// Listens to this topic too, as by the subscription of this number that it declares.
