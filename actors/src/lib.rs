@@ -248,8 +248,8 @@ pub use node::{
     MemoryMedium, Network, NetworkRow, NetworkSnapshot, NotReady, RouteRow,
 };
 pub use node::{
-    FaultEvents, Node, NodeBuilder, NodeSnapshot, NodeState, RestartError, RestartedChild,
-    StartError, SupervisorSpec,
+    ComponentOrder, FaultEvents, Node, NodeBuilder, NodeSnapshot, NodeState, OrderReply, OrderRow,
+    OrderVerb, RestartError, RestartedChild, StartError, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.

@@ -14,11 +14,8 @@ pub(crate) mod remote_watch;
 pub(crate) mod service_fn;
 
 use crate::messaging::death_watch::{Deaths, Down, DownReason, Watchable, Watcher};
-use crate::messaging::injection::Injection;
 use crate::messaging::sender::Sender;
 use access::AccessControl;
-#[cfg(feature = "trees")]
-use blastema_core::Lifecycle;
 #[cfg(feature = "network")]
 use blastema_core::net::NodeId;
 use blastema_core::sorted::SortedMap;
@@ -409,26 +406,8 @@ impl Registry {
         inner.objects.get(object).and_then(|entry| entry.watchable.component_type())
     }
 
-    /// Puts a fault into the object of this name.
-    pub(crate) fn inject(&self, name: &str, injection: Injection) -> Result<(), DeliveryError> {
-        self.watchable(name)?.inject(injection);
-        Ok(())
-    }
-
-    /// The state of the object of this name; none if it is no component.
-    #[cfg(feature = "trees")]
-    pub(crate) fn state(&self, name: &str) -> Result<Option<Lifecycle>, DeliveryError> {
-        Ok(self.watchable(name)?.state())
-    }
-
-    /// Orders the component of this name to work, or to leave work.
-    #[cfg(feature = "trees")]
-    pub(crate) fn activate(&self, name: &str, active: bool) -> Result<(), DeliveryError> {
-        self.watchable(name)?.activate(active);
-        Ok(())
-    }
-
-    fn watchable(&self, name: &str) -> Result<Arc<dyn Watchable>, DeliveryError> {
+    /// The object of this name.
+    pub(crate) fn watchable(&self, name: &str) -> Result<Arc<dyn Watchable>, DeliveryError> {
         let inner = self.lock();
         let object = ObjectName::new(name).ok();
         let entry = object.and_then(|object| inner.objects.get(&object));

@@ -59,6 +59,22 @@ Exit status:
      refused; of `check`: a node is off, has an older roster or another key, or is not sealed
   2  the command line or a file was wrong, or the robot could not be reached";
 
+const ORDER_HELP: &str = "\
+Examples:
+  blastema component list --socket /run/robot/arm.sock
+  blastema component deactivate gripper --socket /run/robot/arm.sock
+  blastema component restart gripper --via base@10.0.0.1:7400 --node arm --keys laptop.key
+  blastema acknowledge --socket /run/robot/base.sock
+
+A device is a component: its proxy passes the order on. --socket names the inspection socket of a node
+of this computer, at which the user who runs the node, and root, may order. --via connects to a node by
+the network with the key of a node with `role operator`, who is named in the node's log.
+
+Exit status:
+  0  it was done
+  2  it was not done: the order was refused, which says why; the command line was wrong, or the node
+     could not be reached";
+
 const ROBOT_HELP: &str = "\
 Examples:
   blastema check ranger.robot.xml
@@ -117,6 +133,20 @@ pub(crate) enum Subcommand {
     /// Order the nodes of a robot what to do with one of them
     #[command(subcommand)]
     Node(NodeJob),
+    /// Order components, devices among them: leave work, return to it, reset, restart
+    #[command(subcommand)]
+    Component(ComponentJob),
+    /// Let others command again after communication was lost, once it is back
+    ///
+    /// A policy for lost communication that waits for a person goes on with its last step until then:
+    /// look at the robot first.
+    #[command(after_help = ORDER_HELP)]
+    Acknowledge {
+        /// The policy; by default each that waits
+        policy: Option<String>,
+        #[command(flatten)]
+        to: OrderOptions,
+    },
     /// Find all mistakes in a robot file, by the robot's program
     #[command(after_help = ROBOT_HELP)]
     Check(RobotOptions),
@@ -302,6 +332,60 @@ pub(crate) enum NodeJob {
     /// Admit an isolated node again
     #[command(after_help = OPERATOR_HELP)]
     Admit(NodeOrderOptions),
+}
+
+/// What can be ordered of components.
+#[derive(Clone, Debug, PartialEq, clap::Subcommand)]
+pub(crate) enum ComponentJob {
+    /// Show components with their states, and the policies for lost communication
+    #[command(after_help = ORDER_HELP)]
+    List {
+        /// Only this component or policy
+        name: Option<String>,
+        #[command(flatten)]
+        to: OrderOptions,
+        /// Print one JSON document instead of a table
+        #[arg(long)]
+        json: bool,
+    },
+    /// Have an initialized component return to work
+    #[command(after_help = ORDER_HELP)]
+    Activate(ComponentOptions),
+    /// Have an active component leave work in order: messages wait until it returns
+    #[command(after_help = ORDER_HELP)]
+    Deactivate(ComponentOptions),
+    /// Have a component in error recover by itself
+    #[command(after_help = ORDER_HELP)]
+    Reset(ComponentOptions),
+    /// Start the next incarnation of a component, or of a supervisor with all below it
+    #[command(after_help = ORDER_HELP)]
+    Restart(ComponentOptions),
+}
+
+/// Which component is meant.
+#[derive(Args, Clone, Debug, PartialEq)]
+pub(crate) struct ComponentOptions {
+    /// The component
+    pub(crate) name: String,
+    #[command(flatten)]
+    pub(crate) to: OrderOptions,
+}
+
+/// Which node is given an order, and how.
+#[derive(Args, Clone, Debug, PartialEq)]
+#[command(group(ArgGroup::new("to").required(true).args(["socket", "via"])))]
+pub(crate) struct OrderOptions {
+    /// The path of the node's inspection socket
+    #[arg(long, value_name = "PATH")]
+    pub(crate) socket: Option<PathBuf>,
+    /// A node to connect to by the network, such as base@10.0.0.1:7400
+    #[arg(long, value_name = "NODE@ADDRESS", value_parser = parse_node_address)]
+    pub(crate) via: Option<NodeAddress>,
+    /// The node that is meant, where it is another one than that of --via
+    #[arg(long, value_name = "NODE", requires = "via")]
+    pub(crate) node: Option<String>,
+    #[command(flatten)]
+    pub(crate) operator: OperatorOptions,
 }
 
 /// Which node is meant, and by way of which one the others are reached.

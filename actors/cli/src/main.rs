@@ -2,10 +2,10 @@
 //!
 //! `blastema monitor` shows the state of a running node, `blastema fault list` its faults, also
 //! those of earlier runs. `blastema tree model` prints what editors of behaviour trees load,
-//! `blastema keys` makes the keys of a robot's nodes, and `blastema node` gives them orders.
-//! `blastema check`, `graph` and `run` start the program of a robot file, and `blastema new` writes a
-//! robot. Exit status: 0 it was done, 1 only a part of it, 2 it could not
-//! be done.
+//! `blastema keys` makes the keys of a robot's nodes, `blastema node` gives them orders, and
+//! `blastema component` their components. `blastema check`, `graph` and `run` start the program of a
+//! robot file, and `blastema new` writes a robot. Exit status: 0 it was done, 1 only a part of it, 2
+//! it could not be done.
 
 mod args;
 mod fault;
@@ -41,6 +41,10 @@ fn main() -> ExitCode {
         }
         Subcommand::Keys(job) => keys::run(&job),
         Subcommand::Node(job) => operator::run(&job),
+        Subcommand::Component(job) => operator::component::run(&job).map(|()| true),
+        Subcommand::Acknowledge { policy, to } => {
+            operator::component::acknowledge(policy.as_deref(), &to).map(|()| true)
+        }
         Subcommand::Check(options) => robot::run("check", &options),
         Subcommand::Graph(options) => robot::run("graph", &options),
         Subcommand::Run(options) => robot::run("run", &options),

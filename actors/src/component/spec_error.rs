@@ -90,6 +90,15 @@ pub enum SpecError {
         /// Where, and the panic's text.
         panicked: String,
     },
+    /// A device cannot be as it is declared.
+    #[cfg(feature = "device")]
+    #[error("the device {name} cannot be: {why}")]
+    Device {
+        /// The device.
+        name: ObjectName,
+        /// What is wrong, and what to write.
+        why: String,
+    },
     /// A bridge to Zenoh cannot be as it is described.
     #[cfg(feature = "zenoh")]
     #[error("the bridge {name} cannot be: {why}")]

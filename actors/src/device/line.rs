@@ -20,19 +20,25 @@ use blastema_lite::{
 use std::collections::BTreeMap;
 use std::future::pending;
 use std::io;
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 use tokio::sync::{Notify, oneshot};
-use tokio::time::{sleep_until, timeout};
+use tokio::time::sleep_until;
 use tracing::{debug, warn};
 
 /// A port is tried again after this, and after twice as long each time up to [`REOPEN_MAX`].
 const REOPEN_FIRST: Duration = Duration::from_millis(10);
 /// A device that was plugged in again is found within this.
 const REOPEN_MAX: Duration = Duration::from_secs(1);
-/// A port that takes no byte for so long is closed: what the system holds of a line at 9,600 baud
-/// is sent in four seconds.
-const WRITE_MAX: Duration = Duration::from_secs(5);
+/// Devices are absent when the port takes no byte for so long beyond the time of a frame: no more
+/// than a few frames are unsent, of which the system holds four kilobytes.
+const WRITE_MAX: Duration = Duration::from_millis(100);
+/// A port that takes no byte for so long is closed, and opened again.
+const WRITE_END: Duration = Duration::from_secs(5);
+/// Why the devices of such a line are absent.
+const PORT_FULL: &str = "the port takes no bytes: look whether its handshake lines hold it back";
 /// The line looks after its proxies at least so often.
 const LOOK: Duration = Duration::from_millis(100);
 
@@ -48,6 +54,14 @@ pub(super) struct DeviceLine {
     medium: DeviceMedium,
     pub(super) changed: Arc<Notify>,
     attached: Arc<Mutex<Attached>>,
+    claims: Mutex<Vec<Weak<LineClaim>>>,
+}
+
+/// A device's right to its address on a line.
+pub(super) struct LineClaim {
+    address: Option<u8>,
+    /// Its component has ended: another device may have the address.
+    pub(super) has_ended: AtomicBool,
 }
 
 #[derive(Default)]
@@ -82,9 +96,38 @@ impl DeviceLine {
             }
         }
         let (medium, changed, attached) = (medium.clone(), Arc::default(), Arc::default());
-        let line = Arc::new(DeviceLine { medium, changed, attached });
+        let line = Arc::new(DeviceLine { medium, changed, attached, claims: Mutex::default() });
         lines.push(Arc::downgrade(&line));
         Ok(line)
+    }
+
+    /// Claims an address for a device.
+    ///
+    /// # Errors
+    /// Another device has it.
+    pub(super) fn claim(&self, address: Option<u8>) -> Result<Arc<LineClaim>, String> {
+        let mut claims = lock(&self.claims);
+        claims.retain(|claim| claim.strong_count() > 0);
+        for other in claims.iter().filter_map(Weak::upgrade) {
+            match (address, other.address) {
+                _ if other.has_ended.load(Relaxed) => {}
+                (Some(own), Some(other)) if own == other => {
+                    return Err(format!(
+                        "another device of its line has the address {own}: give each its own, in \
+                         its firmware and by `address`"
+                    ));
+                }
+                (Some(_), Some(_)) => {}
+                _ => {
+                    return Err("another device is declared for its line: several devices of a \
+                                line have an address each, in their firmware and by `address`"
+                        .to_owned());
+                }
+            }
+        }
+        let claim = Arc::new(LineClaim { address, has_ended: AtomicBool::new(false) });
+        claims.push(Arc::downgrade(&claim));
+        Ok(claim)
     }
 
     /// Serves a proxy from now on. An earlier one of the same device is served no more.
@@ -153,6 +196,8 @@ struct LineService {
     hosts: Vec<Host<Vec<Port>>>,
     line: HostLine,
     port: Option<OpenLine>,
+    /// The rest of a frame, and since when the port takes none of it.
+    unsent: (Vec<u8>, Instant),
     reopen: (Instant, Duration),
 }
 
@@ -177,7 +222,8 @@ impl LineService {
     ) -> LineService {
         let (clients, hosts, line) = Default::default();
         let (port, reopen) = (None, (Instant::ORIGIN, REOPEN_FIRST));
-        LineService { medium, changed, attached, clients, hosts, line, port, reopen }
+        let unsent = (Vec::new(), Instant::ORIGIN);
+        LineService { medium, changed, attached, clients, hosts, line, port, unsent, reopen }
     }
 
     async fn run(mut self) {
@@ -187,25 +233,26 @@ impl LineService {
             if self.port.is_none() && now >= self.reopen.0 {
                 self.open(now).await;
             }
-            if let Err(error) = self.serve().await {
+            if let Err(error) = self.serve() {
                 self.close(&error);
             }
             let due = match &self.port {
                 None => self.reopen.0,
+                Some(_) if !self.unsent.0.is_empty() => now + WRITE_MAX,
                 Some(_) => self
                     .line
                     .poll_timeout(&self.hosts)
                     .map_or(now + LOOK, |due| Instant::ORIGIN + due),
             };
             let due = platform::timer_at(due.min(platform::now() + LOOK));
-            let read = async {
+            let exchanged = async {
                 match &mut self.port {
-                    Some(port) => port.read(&mut buffer).await,
+                    Some(port) => port.exchange(&mut self.unsent.0, &mut buffer).await,
                     None => pending().await,
                 }
             };
             let received = tokio::select! {
-                received = read => received,
+                received = exchanged => received,
                 () = self.changed.notified() => Ok(0),
                 () = sleep_until(due) => Ok(0),
             };
@@ -250,6 +297,7 @@ impl LineService {
         match self.medium.open().await {
             Ok(port) => {
                 self.port = Some(port);
+                self.unsent.0.clear();
                 self.line = HostLine::default();
                 self.each_absent("it does not answer");
             }
@@ -273,9 +321,13 @@ impl LineService {
         debug!("the line of devices is closed: {error}");
         self.port = None;
         self.reopen_later(platform::now());
+        self.lose_all(&error.to_string());
+    }
+
+    fn lose_all(&mut self, why: &str) {
         self.hosts.iter_mut().for_each(Host::handle_line_closed);
         self.take_events();
-        self.each_absent(&error.to_string());
+        self.each_absent(why);
     }
 
     fn take(&mut self, mut bytes: &[u8]) {
@@ -288,32 +340,40 @@ impl LineService {
         }
     }
 
-    /// Sends everything that is to be sent now.
-    async fn serve(&mut self) -> io::Result<()> {
-        let Some(mut port) = self.port.take() else {
+    /// Does what is due, and puts the next frame there if the one before is sent.
+    fn serve(&mut self) -> io::Result<()> {
+        if self.port.is_none() {
             self.refuse_orders();
             return Ok(());
-        };
-        self.line.handle_timeout(&mut self.hosts, since(platform::now()));
-        self.take_events();
-        self.refuse_orders();
-        loop {
-            self.give_orders();
-            let (mut frame, clients) = ([0; FRAME_MAX], &self.clients);
-            let value = |client: usize, port: usize, value: &mut [u8]| {
-                // A value is announced after it was put there, and stays.
-                if let Some(newest) = clients[client].values.get(&port) {
-                    value.copy_from_slice(newest);
-                }
-            };
-            let now = since(platform::now());
-            let Some(frame) = self.line.poll_frame(&mut self.hosts, now, value, &mut frame) else {
-                break;
-            };
-            let full = io::Error::new(io::ErrorKind::TimedOut, "the port takes no bytes");
-            timeout(WRITE_MAX, port.write(frame)).await.unwrap_or(Err(full))?;
         }
-        self.port = Some(port);
+        let now = platform::now();
+        self.line.handle_timeout(&mut self.hosts, since(now));
+        self.take_events();
+        if !self.unsent.0.is_empty() {
+            let frame = self.medium.byte_time() * FRAME_MAX as u32;
+            match now - self.unsent.1 {
+                stuck if stuck > WRITE_END => {
+                    return Err(io::Error::new(io::ErrorKind::TimedOut, PORT_FULL));
+                }
+                stuck if stuck > frame + WRITE_MAX => self.lose_all(PORT_FULL),
+                _ => {}
+            }
+        }
+        self.refuse_orders();
+        self.give_orders();
+        let (mut frame, clients) = ([0; FRAME_MAX], &self.clients);
+        let value = |client: usize, port: usize, value: &mut [u8]| {
+            // A value is announced after it was put there, and stays.
+            if let Some(newest) = clients[client].values.get(&port) {
+                value.copy_from_slice(newest);
+            }
+        };
+        if self.unsent.0.is_empty()
+            && let Some(frame) =
+                self.line.poll_frame(&mut self.hosts, since(now), value, &mut frame)
+        {
+            self.unsent = (frame.to_vec(), now);
+        }
         Ok(())
     }
 

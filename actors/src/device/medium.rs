@@ -8,11 +8,14 @@ use blastema_lite::{
 };
 use blastema_transports::Endpoint;
 use blastema_transports::serial::{SerialConfig, open_bytes};
+use std::future::poll_fn;
 use std::io;
 #[cfg(feature = "ip")]
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::pin::Pin;
+use std::task::{Context, Poll, ready};
 use std::time::Duration;
-use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 #[cfg(feature = "ip")]
 use tokio::net::UdpSocket;
 
@@ -101,13 +104,28 @@ pub(super) enum OpenLine {
 }
 
 impl OpenLine {
-    /// Waits for bytes. Nothing is lost when the future is dropped.
-    pub(super) async fn read(&mut self, buffer: &mut [u8; FRAME_MAX]) -> io::Result<usize> {
+    /// Sends the frame that is unsent, and waits for bytes; 0 when all is sent. Nothing is lost when
+    /// the future is dropped.
+    pub(super) async fn exchange(
+        &mut self,
+        unsent: &mut Vec<u8>,
+        buffer: &mut [u8; FRAME_MAX],
+    ) -> io::Result<usize> {
         match self {
-            OpenLine::Bytes(port) => match port.read(buffer).await? {
-                0 => Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the port has ended")),
-                count => Ok(count),
-            },
+            OpenLine::Bytes(port) => {
+                poll_fn(|cx| poll_bytes(&mut **port, unsent, buffer, cx)).await
+            }
+            #[cfg(feature = "ip")]
+            OpenLine::Datagrams(socket) if !unsent.is_empty() => {
+                let mut decoder = CobsDecoder::default();
+                for byte in unsent.iter() {
+                    if let Some(packet) = decoder.push(*byte) {
+                        socket.send(packet).await?;
+                    }
+                }
+                unsent.clear();
+                Ok(0)
+            }
             #[cfg(feature = "ip")]
             OpenLine::Datagrams(socket) => {
                 // One byte more than a packet has, so that a longer one is known for what it is.
@@ -118,20 +136,26 @@ impl OpenLine {
             }
         }
     }
+}
 
-    pub(super) async fn write(&mut self, frame: &[u8]) -> io::Result<()> {
-        match self {
-            OpenLine::Bytes(port) => port.write_all(frame).await,
-            #[cfg(feature = "ip")]
-            OpenLine::Datagrams(socket) => {
-                let mut decoder = CobsDecoder::default();
-                for byte in frame {
-                    if let Some(packet) = decoder.push(*byte) {
-                        socket.send(packet).await?;
-                    }
-                }
-                Ok(())
-            }
-        }
+fn poll_bytes(
+    port: &mut dyn DeviceStream,
+    unsent: &mut Vec<u8>,
+    buffer: &mut [u8],
+    cx: &mut Context<'_>,
+) -> Poll<io::Result<usize>> {
+    let had = !unsent.is_empty();
+    while !unsent.is_empty()
+        && let Poll::Ready(written) = Pin::new(&mut *port).poll_write(cx, unsent)
+    {
+        unsent.drain(..written?);
     }
+    if had && unsent.is_empty() {
+        return Poll::Ready(Ok(0));
+    }
+    let mut received = ReadBuf::new(buffer);
+    ready!(Pin::new(port).poll_read(cx, &mut received))?;
+    let ended = || io::Error::new(io::ErrorKind::UnexpectedEof, "the port has ended");
+    let count = received.filled().len();
+    Poll::Ready((count > 0).then_some(count).ok_or_else(ended))
 }

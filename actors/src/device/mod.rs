@@ -18,10 +18,14 @@ pub use proxy::DeviceProxy;
 
 use crate::actuator::ActuatorSpec;
 use crate::component::Handle;
+use crate::component::cell::ComponentCell;
+use crate::component::declaration::Declarations;
 use crate::component::ports::Ports;
+use crate::component::spec_error::SpecError;
 use crate::host::spec::ChildSpec;
 use crate::variable::VariableSpec;
-use blastema_core::{Contract, Event, Request, Variable};
+use blastema_core::sorted::SortedSet;
+use blastema_core::{Contract, Event, ObjectName, Request, Variable};
 use blastema_lite::{HostConfig, PORTS_MAX, PortKind, Tries, message};
 use line::DeviceLine;
 use medium::DeviceMedium;
@@ -85,6 +89,23 @@ pub struct DeviceSpec {
 impl fmt::Debug for DeviceSpec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("DeviceSpec").field("name", &self.name).finish_non_exhaustive()
+    }
+}
+
+/// What is wrong with a device; the node refuses to start.
+#[derive(Default)]
+struct DeviceProblem(Option<String>);
+
+impl Declarations<DeviceProxy> for DeviceProblem {
+    fn check(&self, name: &ObjectName, _: &SortedSet<&'static str>) -> Result<(), SpecError> {
+        match &self.0 {
+            Some(why) => Err(SpecError::Device { name: name.clone(), why: why.clone() }),
+            None => Ok(()),
+        }
+    }
+
+    fn bind(self: Box<Self>, _: &Arc<ComponentCell<DeviceProxy>>) -> Result<(), SpecError> {
+        Ok(())
     }
 }
 
@@ -231,7 +252,11 @@ impl DeviceSpec {
             host.deadman, host.interval
         );
         let problem = problem.or((host.deadman < host.interval * 2).then_some(short));
-        let line = medium.and_then(|medium| DeviceLine::of(&medium));
+        let line = medium.and_then(|medium| {
+            let line = DeviceLine::of(&medium)?;
+            let claim = line.claim(host.address)?;
+            Ok((line, claim))
+        });
         let (line, problem) = match line {
             Ok(line) => (Some(line), problem),
             Err(error) => (None, problem.or(Some(error))),
@@ -249,15 +274,14 @@ impl DeviceSpec {
             turnaround: host.turnaround,
         };
         let period_ms = period.map(|period| period.as_millis() as u16);
-        let settings = line.map(|line| Arc::new(ProxySettings { line, host, ports, period_ms }));
+        let settings = line
+            .map(|(line, claim)| Arc::new(ProxySettings { line, claim, host, ports, period_ms }));
         let factory = move || {
             let settings = settings.clone().expect("a node starts no device with a problem");
             DeviceProxy::new(settings)
         };
         ChildSpec::new(&name, factory).with_ports(move |ports| {
-            if let Some(problem) = problem {
-                panic!("{problem}");
-            }
+            ports.feature::<DeviceProblem>().0 = problem;
             declare.into_iter().for_each(|declare| declare(ports));
         })
     }

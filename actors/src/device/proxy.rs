@@ -7,7 +7,7 @@
 //! on_reset        RESET                    absent            unavailable, tried again
 //! ```
 
-use super::line::DeviceLine;
+use super::line::{DeviceLine, LineClaim};
 use super::link::{DeviceLink, DeviceOrder, DevicePhase};
 use super::port::{DevicePort, PortUse};
 use crate::component::context::Context;
@@ -20,6 +20,7 @@ use blastema_core::{Contract, DeliveryError, FaultKind};
 use blastema_lite::{CommandOutcome, DeviceState, HostConfig, LifecycleChange, Port, Status};
 use std::any::TypeId;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 /// How long `on_initialize` waits for the device before it says that it is not there.
@@ -28,6 +29,7 @@ const ANSWER: Duration = Duration::from_secs(1);
 /// What all incarnations of a proxy share.
 pub(super) struct ProxySettings {
     pub(super) line: Arc<DeviceLine>,
+    pub(super) claim: Arc<LineClaim>,
     pub(super) host: HostConfig<Vec<Port>>,
     pub(super) ports: Vec<DevicePort<DeviceProxy>>,
     /// The period of the device's context in milliseconds, unless its own.
@@ -45,6 +47,7 @@ impl Drop for DeviceProxy {
     fn drop(&mut self) {
         if let Some(link) = &self.link {
             link.release();
+            self.settings.claim.has_ended.store(true, Relaxed);
         }
     }
 }
@@ -76,6 +79,7 @@ impl DeviceProxy {
         let changed = settings.line.changed.clone();
         let link = Arc::new(DeviceLink::new(config, contracts, receivers, changed));
         settings.line.attach(link.clone())?;
+        settings.claim.has_ended.store(false, Relaxed);
         self.link = Some(link.clone());
         Ok(link)
     }

@@ -251,9 +251,8 @@ impl<C: Component> Watchable for ComponentCell<C> {
         Some(std::any::type_name::<C>())
     }
 
-    #[cfg(feature = "trees")]
-    fn state(&self) -> Option<Lifecycle> {
-        Some(self.record.state())
+    fn life_cycle(&self) -> Option<(Incarnation, Lifecycle)> {
+        Some((self.record.incarnation(), self.record.state()))
     }
 
     fn activate(&self, active: bool) {

@@ -191,13 +191,12 @@ pub(crate) trait Watchable: Send + Sync {
     fn component_type(&self) -> Option<&'static str> {
         None
     }
-    /// Its state, where it is a component.
-    #[cfg(feature = "trees")]
-    fn state(&self) -> Option<Lifecycle> {
+    /// Its incarnation and state, where it is a component.
+    fn life_cycle(&self) -> Option<(Incarnation, Lifecycle)> {
         None
     }
-    /// Orders it to work, or to leave work, where it is a component.
-    fn activate(&self, _: bool) {}
+    /// Asks it to return to work, or to leave it; without effect where its state does not allow it.
+    fn activate(&self, _active: bool) {}
     /// Puts a fault into it, where it is a component.
     fn inject(&self, _: Injection) {}
     /// Listens to this topic too, as by the subscription of this number that it declares.

@@ -3,6 +3,7 @@
 //! ```text
 //!  operator ── ReadKeyStatus ────► net/keys of a node      its roster, its key, its networks
 //!           ── OrderIsolation ───► net/orders              that node's vote on a third one
+//!           ── ComponentOrder ───► net/components          its life cycles (node/order.rs)
 //! ```
 //!
 //! The peer protocol checks the right when the contract is bound. A node without keys serves none
@@ -155,7 +156,8 @@ pub(super) fn serve(
     registry.register_hidden(object(ORDERS), ContractPort::of_service_fn(order));
 }
 
-fn operator(access: &AccessControl, from: MessageOrigin) -> Option<NodeName> {
+/// The node that has sent it.
+pub(crate) fn operator(access: &AccessControl, from: MessageOrigin) -> Option<NodeName> {
     access.policy()?.name_of(from.peer?).cloned()
 }
 

@@ -459,6 +459,8 @@ impl NodeAssembly {
         };
         let node = Node(Arc::new(shared));
         node.0.policies.iter().for_each(|policy| policy.attach(&node));
+        #[cfg(feature = "network")]
+        node.serve_operators();
         StartingNode { node, controller }
     }
 }

@@ -1,8 +1,9 @@
 //! The inspection socket: a Unix socket at which other processes of the machine see the node.
 //!
 //! A client that connects gets one [`NodeSnapshot`](super::NodeSnapshot) as JSON, and the end of
-//! the stream. Nothing is read, so that a client cannot change anything. The socket stays open in
-//! the safe state, and closes with the node.
+//! the stream. One that sends a line at once, a [`ComponentOrder`](super::ComponentOrder) as JSON,
+//! gets the [`OrderReply`](super::OrderReply) instead. The socket stays open in the safe state, and
+//! closes with the node.
 
 pub(crate) mod server;
 

@@ -30,6 +30,7 @@ mod medium_row;
 mod network;
 #[cfg(feature = "network")]
 mod network_row;
+mod order;
 mod ports;
 mod restart;
 #[cfg(feature = "network")]
@@ -58,6 +59,7 @@ pub use network::{
 };
 #[cfg(feature = "network")]
 pub use network_row::NetworkRow;
+pub use order::{ComponentOrder, OrderReply, OrderRow, OrderVerb};
 pub use restart::{RestartError, RestartedChild};
 #[cfg(feature = "network")]
 pub use route_row::{LinkName, RouteRow};
@@ -347,7 +349,8 @@ impl Node {
     /// [`DeliveryError::Unknown`] or [`DeliveryError::Misspelt`] where no component here has the
     /// name.
     pub fn inject(&self, component: &str, injection: Injection) -> Result<(), DeliveryError> {
-        self.0.environment.registry.inject(component, injection)
+        self.0.environment.registry.watchable(component)?.inject(injection);
+        Ok(())
     }
 
     /// Tells from outside, without keeping the node, which component is on a thread.

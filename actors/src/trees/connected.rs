@@ -76,7 +76,8 @@ pub(super) fn register(factory: &mut Factory) {
     let state = Port::input::<String>("state").or("active").about("such as active or error");
     factory.condition("IsComponentInState", [component, state], |cx| {
         let (component, state) = (cx.input::<String>("component")?, cx.input::<String>("state")?);
-        let now = TreeHost::of(cx)?.environment.registry.state(&component)?;
+        let component = TreeHost::of(cx)?.environment.registry.watchable(&component)?;
+        let now = component.life_cycle().map(|(_, state)| state);
         let wanted = STATES.into_iter().find(|known| known.to_string() == state);
         let wanted = wanted.ok_or_else(|| {
             format!("`{state}` is no state of a component: write initialized, active or error")

@@ -290,8 +290,9 @@ impl LeafTask {
 async fn steer(leaf: LeafTask, wanted: Lifecycle) -> LeafResult {
     let component: String = leaf.input("component")?;
     let registry = leaf.cx.cell.record.environment.registry.clone();
-    while registry.state(&component)? != Some(wanted) {
-        registry.activate(&component, wanted == Lifecycle::Active)?;
+    let component = registry.watchable(&component)?;
+    while component.life_cycle().map(|(_, state)| state) != Some(wanted) {
+        component.activate(wanted == Lifecycle::Active);
         platform::sleep(LOOK).await;
     }
     Ok(Status::Success)

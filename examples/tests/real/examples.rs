@@ -237,6 +237,20 @@ fn serial_and_udp_carry_out_every_order_once_whichever_cable_is_pulled() {
 }
 
 #[test]
+fn small_devices_are_recovered_with_no_line_for_that_on_their_chips() {
+    let _turn = blastema_doubles::turn();
+    check(
+        "small_devices",
+        &[
+            "the gripper holds at 30 mm",
+            "gripper: the device is lost: it does not answer: it is hung, switched off or unplugged",
+            "the gripper holds at 30 mm",
+            "the gripper works again; its chip knows nothing of it",
+        ],
+    );
+}
+
+#[test]
 fn own_medium_carries_requests_over_two_fifos() {
     let _turn = blastema_doubles::turn();
     check("own_medium", &["3 squared is 9", "12 squared is 144"]);

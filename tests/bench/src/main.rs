@@ -1,10 +1,12 @@
 //! Benchmarks of the middleware beside what it is built on, as ratios within one run.
 //!
 //! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [throughput]
-//! [memory] [monitored] [failover] [takeover] [overloaded]`; without arguments, all of them.
+//! [memory] [monitored] [failover] [takeover] [overloaded]
+//! [devices]`; without arguments, all of them.
 //! `ROUNDS=n` sets how often the rows of a table are run in turn.
 #![allow(clippy::print_stdout, reason = "tables are what this program is for")]
 
+mod devices;
 mod failover;
 mod fanout;
 mod keys;
@@ -21,7 +23,7 @@ mod throughput;
 
 use std::process::ExitCode;
 
-const PARTS: [&str; 10] = [
+const PARTS: [&str; 11] = [
     "messages",
     "restart",
     "fanout",
@@ -32,6 +34,7 @@ const PARTS: [&str; 10] = [
     "failover",
     "takeover",
     "overloaded",
+    "devices",
 ];
 
 fn main() -> ExitCode {
@@ -76,6 +79,9 @@ fn main() -> ExitCode {
     }
     if wanted("overloaded") {
         blastema::run(overloaded::run(rounds.min(3)));
+    }
+    if wanted("devices") {
+        blastema::run(devices::run(rounds));
     }
     ExitCode::SUCCESS
 }

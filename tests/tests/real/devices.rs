@@ -1,10 +1,16 @@
 //! Microcontrollers as components: real firmware in C, as processes on ptys and on UDP.
+//!
+//! With `BLASTEMA_CHIP=cortex-m3` the firmware on ptys runs on that chip, in QEMU; `tests/devices/run`
+//! does that. With `atmega328p` it runs in simavr, which answers too late for these tests on a busy
+//! computer.
 
 use blastema::prelude::*;
 use blastema::{
-    ActorRef, DeliveryError, DeviceProxy, DeviceSpec, Lifecycle, Network, VariableSpec,
+    ActorRef, ComponentOrder, DeliveryError, DeviceProxy, DeviceSpec, Lifecycle, Network,
+    OrderVerb, VariableSpec,
 };
 use blastema_ptys::Cable;
+use blastema_tests::Process;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
@@ -74,18 +80,38 @@ fn spec<Sum: Request>(
     device_type: u32,
     topics: [&str; 2],
 ) -> DeviceSpec {
+    // An emulated chip has a processor to itself only now and then.
+    let interval = if chip().is_some() { 100 } else { 20 };
     DeviceSpec::new(name, endpoint, device_type)
-        .interval(Duration::from_millis(20))
+        .interval(Duration::from_millis(interval))
         .listens::<Value>(0, topics[0])
         .publishes::<Value>(0, topics[1])
         .serves::<Sum>(0)
         .variable(0, VariableSpec::new(Limit { max: 5 }))
 }
 
+/// The emulated chip that the firmware runs on, if any.
+fn chip() -> Option<String> {
+    std::env::var("BLASTEMA_CHIP").ok()
+}
+
+fn compile(program: &str, arguments: &[&str], include: [&Path; 3], sources: &[PathBuf], to: &Path) {
+    let mut command = Command::new(program);
+    command.args(["-Os", "-Wall", "-Wextra", "-Werror"]).args(arguments);
+    command.args(include.iter().flat_map(|folder| [Path::new("-I"), folder]));
+    // Libraries come after what needs them.
+    let libraries = arguments.contains(&"-DSIMAVR").then_some(["-lsimavr", "-lelf"]);
+    command.args(sources).arg("-o").arg(to).args(libraries.iter().flatten());
+    let output = command.output().unwrap_or_else(|error| panic!("{program} is needed: {error}"));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
 /// A device and its line.
 struct Chip {
     folder: TempDir,
     program: PathBuf,
+    /// What runs the program, if it is not this computer.
+    emulator: Option<PathBuf>,
     /// The end of its line, or its UDP port.
     port: PathBuf,
     process: Option<Child>,
@@ -99,28 +125,48 @@ impl Chip {
         let header = header.expect("the spec is right");
         std::fs::write(folder.path().join("chip.h"), header).expect("a header");
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-        let library = root.join("../core/lite/c");
-        let program = folder.path().join("firmware");
-        let output = Command::new("cc")
-            .args(["-std=c99", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Werror"])
-            .args(["-DBL_CONFIG=\"chip.h\"", "-I"])
-            .arg(folder.path())
-            .args(flags)
-            .arg("-I")
-            .args([&library, Path::new("-o"), &program, &library.join("blastema_lite.c")])
-            .arg(root.join("devices/firmware.c"))
-            .output()
-            .expect("the tests need a C compiler, `cc`");
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        let mut chip = Chip { folder, program, port: port.to_owned(), process: None };
+        let (library, here) = (root.join("../core/lite/c"), root.join("devices"));
+        let boards = library.join("boards");
+        let [program, emulator] = ["firmware", "emulator"].map(|name| folder.path().join(name));
+        let is_serial = !flags.contains(&"-DBL_DATAGRAM");
+        let kind = chip().filter(|_| is_serial);
+        let script = format!("-Wl,-T,{}", boards.join("mps2_an385.ld").display());
+        let (compiler, board, of_chip, of_emulator) = match kind.as_deref() {
+            None => ("cc", "linux.c", vec!["-std=c99"], None),
+            Some("cortex-m3") => {
+                let chip = vec!["-mcpu=cortex-m3", "-mthumb", "-nostartfiles", &script];
+                let chip = [chip, vec!["-Wl,--gc-sections", "-ffunction-sections"]].concat();
+                ("arm-none-eabi-gcc", "mps2_an385.c", chip, Some("-DQEMU"))
+            }
+            Some("atmega328p") => {
+                let chip = vec!["-mmcu=atmega328p", "-DF_CPU=16000000UL", "-mcall-prologues"];
+                ("avr-gcc", "atmega328p.c", chip, Some("-DSIMAVR"))
+            }
+            Some(other) => panic!("BLASTEMA_CHIP={other}: it is cortex-m3 or atmega328p"),
+        };
+        let sources =
+            [boards.join(board), here.join("firmware.c"), library.join("blastema_lite.c")];
+        let own = ["-Wconversion", "-DBL_CONFIG=\"chip.h\""];
+        let include = [folder.path(), &boards, &library];
+        compile(compiler, &[&of_chip[..], &own, flags].concat(), include, &sources, &program);
+        if let (Some(kind), Ok(folder)) = (&kind, std::env::var("BLASTEMA_FIRMWARE")) {
+            std::fs::copy(&program, Path::new(&folder).join(kind)).expect("a folder");
+        }
+        let emulator = of_emulator.map(|which| {
+            compile("cc", &[which], include, &[here.join("emulator.c")], &emulator);
+            emulator
+        });
+        let mut chip = Chip { folder, program, emulator, port: port.to_owned(), process: None };
         chip.switch_on();
         chip
     }
 
     fn switch_on(&mut self) {
         let boots = self.folder.path().join("boots");
-        let child = Command::new(&self.program).arg(&self.port).arg(boots).spawn();
-        self.process = Some(child.expect("the firmware starts"));
+        let mut command = Command::new(self.emulator.as_ref().unwrap_or(&self.program));
+        command.arg(&self.port).arg(boots);
+        command.args(self.emulator.is_some().then_some(&self.program));
+        self.process = Some(command.spawn().expect("the firmware starts"));
     }
 
     fn cut_power(&mut self) {
@@ -259,9 +305,14 @@ fn values_go_from_a_console_through_two_devices_and_back_and_each_is_recovered_b
         assert_eq!(add(&node, "a", 3).await.map(|it| (it.total, it.boots)), Ok((6, 2)));
 
         // The cable, and the port with it.
+        let name = || std::fs::read_link(cables[0].left()).expect("a link to the port");
+        let before_it = name();
         cables[0].unplug();
         until("the end of the port is found", async || !is_active(&node, "a").await).await;
+        // Another adapter has the name that was free: this one comes back under the next.
+        let _other = Cable::new();
         cables[0].plug();
+        assert_ne!(name(), before_it);
         until("a is back", async || is_active(&node, "a").await).await;
         assert_eq!(add(&node, "a", 3).await.map(|it| (it.total, it.boots)), Ok((9, 2)));
         assert_eq!(proxy(&node, "b").incarnation(), before[1]);
@@ -282,10 +333,10 @@ fn values_go_from_a_console_through_two_devices_and_back_and_each_is_recovered_b
 }
 
 #[test]
-fn each_of_two_thousand_commands_is_carried_out_once_also_with_garbage_on_the_line() {
+fn each_of_two_thousand_commands_is_carried_out_once_also_with_bit_errors_and_garbage() {
     let _turn = blastema_doubles::turn();
     blastema::run(async {
-        let cable = Cable::new();
+        let cable = Cable::noisy(10_000);
         let _chip = Chip::new::<Add>(A, &cable.right(), &[]);
         let network = |own: &str, peer: &str, name: &str| {
             let id = std::process::id();
@@ -358,6 +409,131 @@ fn a_command_across_a_reset_has_an_unknown_outcome_and_an_error_of_the_device_is
         until("it works again", async || is_active(&node, "a").await).await;
         assert_eq!(proxy(&node, "a").incarnation(), second, "a reset is enough");
         assert_eq!(add(&node, "a", 1).await.map(|it| it.boots), Ok(2));
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_person_orders_a_device_through_its_proxy_as_any_component() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let cable = Cable::new();
+        let _chip = Chip::new::<Add>(A, &cable.right(), &[]);
+        let waits =
+            Plan::default().on(FaultKind::ErrorState, Ladder::first(RecoveryAction::Observe));
+        let received = Arc::new(Mutex::new(Vec::new()));
+        let got = received.clone();
+        let node = robot()
+            .plan(waits)
+            .child(spec::<Add>(&at(&cable.left()), "a", A, ["in", "back"]).child())
+            .child(ChildSpec::new("console", move || Console(got.clone())))
+            .start()
+            .await
+            .expect("the node starts");
+        until("it works", async || is_active(&node, "a").await).await;
+        let order = async |verb| {
+            let reply = node.order(&ComponentOrder { verb, name: Some("a".to_owned()) }).await;
+            let row = reply.rows.first().expect("it is there");
+            (reply.refused, row.state.clone(), row.incarnation)
+        };
+        let first = proxy(&node, "a").incarnation().0;
+        let values = node.publisher::<Value>("in").expect("the topic");
+        let last = || received.lock().expect("no one panics with it").last().map(|it| it.number);
+
+        let done = order(OrderVerb::Deactivate).await;
+        assert_eq!(done, (None, "initialized".to_owned(), first));
+        values.publish(value(1)).expect("it is published");
+        assert_eq!(last(), None);
+        assert_eq!(order(OrderVerb::Activate).await, (None, "active".to_owned(), first));
+        until("what has waited comes back", async || last() == Some(1)).await;
+
+        values.publish(value(666)).expect("it is published");
+        until("its own error is told", async || proxy(&node, "a").state() == Lifecycle::Error)
+            .await;
+        let (refused, ..) = order(OrderVerb::Activate).await;
+        assert_eq!(refused.as_deref(), Some("it is in error: reset it"));
+        assert_eq!(order(OrderVerb::Reset).await, (None, "active".to_owned(), first));
+        assert_eq!(order(OrderVerb::Restart).await, (None, "active".to_owned(), first + 1));
+        assert_eq!(add(&node, "a", 1).await.map(|it| it.boots), Ok(1), "the chip was not reset");
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_process_plays_its_role() {
+    let Some(role) = blastema_tests::role() else { return };
+    assert_eq!(role, "counting node");
+    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
+    let [port, counted] = ["PORT", "COUNTED"].map(|key| std::env::var(key).expect("it is given"));
+    blastema::run(async {
+        let device = spec::<Add>(&at(Path::new(&port)), "a", A, ["in", "out"]);
+        let node = robot().child(device.child()).start().await.expect("the node starts");
+        let mut calls = 0;
+        loop {
+            if add(&node, "a", 1).await.is_ok() {
+                calls += 1;
+                std::fs::write(&counted, calls.to_string()).expect("a file");
+            }
+        }
+    });
+}
+
+#[test]
+fn a_node_that_is_killed_finds_its_device_as_it_is_and_no_command_is_carried_out_twice() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let cable = Cable::new();
+        let chip = Chip::new::<Add>(A, &cable.right(), &[]);
+        let counted = chip.folder.path().join("counted");
+        let port = cable.left().display().to_string();
+        let more = [("PORT", &port), ("COUNTED", &counted.display().to_string())];
+        let (mut replied, kills) = (0, 3);
+        for _ in 0..kills {
+            let mut process = Process::start_with(module_path!(), "counting node", &[], &more);
+            let count = || -> u32 {
+                let text = std::fs::read_to_string(&counted).unwrap_or_default();
+                text.parse().unwrap_or(0)
+            };
+            until("it has asked the device", async || count() >= 20).await;
+            process.kill();
+            replied += count();
+            std::fs::remove_file(&counted).expect("it was counted");
+        }
+
+        let node = robot().child(spec::<Add>(&at(Path::new(&port)), "a", A, ["in", "out"]).child());
+        let node = node.start().await.expect("the node starts");
+        until("it works", async || is_active(&node, "a").await).await;
+        let total = add(&node, "a", 1).await.expect("the device works");
+
+        assert_eq!((total.total, total.boots), (total.calls, 1), "no reset");
+        // A reply, or the note of it, may be lost with each process.
+        let others = total.calls - 1;
+        assert!((replied..=replied + kills).contains(&others), "{replied} replies, {others} calls");
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_port_that_takes_no_bytes_is_told_and_is_used_again_when_it_does() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let cable = Cable::new();
+        let _chip = Chip::new::<Add>(A, &cable.right(), &[]);
+        let node = robot()
+            .child(spec::<Add>(&at(&cable.left()), "a", A, ["in", "out"]).child())
+            .start()
+            .await
+            .expect("the node starts");
+        until("it works", async || is_active(&node, "a").await).await;
+
+        cable.hold_left(true);
+        let text = "the port takes no bytes";
+        until(text, async || faults(&node).await.contains(text)).await;
+        assert!(!is_active(&node, "a").await);
+        cable.hold_left(false);
+
+        until("it works again", async || is_active(&node, "a").await).await;
+        assert_eq!(add(&node, "a", 1).await.map(|it| (it.calls, it.boots)), Ok((1, 1)));
         node.shutdown().await;
     });
 }
@@ -483,4 +659,18 @@ fn a_device_that_is_declared_wrongly_keeps_the_node_from_starting() {
         "is declared twice",
     );
     refused(device("serial:///dev/x").address(248), "1 to 247");
+    let pair = |own: [Option<u8>; 2], text: &str| {
+        blastema::run(async {
+            let [a, b] = own.map(|address| {
+                let name = format!("d{}", address.unwrap_or(0));
+                let device = DeviceSpec::new(&name, "serial:///dev/x", A);
+                address.into_iter().fold(device, DeviceSpec::address).child()
+            });
+            let error = Node::builder("robot").child(a).child(b).start().await;
+            let error = error.expect_err("it is wrong").to_string();
+            assert!(error.contains(text), "{error}");
+        });
+    };
+    pair([Some(7), Some(7)], "another device of its line has the address 7");
+    pair([None, Some(7)], "several devices of a line have an address each");
 }

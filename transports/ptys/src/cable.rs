@@ -5,7 +5,7 @@ use rustix::fd::OwnedFd;
 use rustix::fs::{Mode, OFlags};
 use rustix::pipe::{PipeFlags, pipe_with};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+use rustix::termios::{Action, OptionalActions, tcflow, tcgetattr, tcsetattr};
 use std::cell::RefCell;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
@@ -28,6 +28,8 @@ pub struct Cable {
     folder: TempDir,
     /// So many bytes are moved each way in a tick; all that there are where it is not given.
     tick: Option<usize>,
+    /// One of so many bits is turned on the way.
+    noise: Option<u64>,
     plugged: RefCell<Option<Plugged>>,
 }
 
@@ -48,7 +50,7 @@ struct Pty {
 impl Default for Cable {
     fn default() -> Self {
         let folder = TempDir::new().expect("a folder for the ends");
-        let cable = Cable { folder, tick: None, plugged: RefCell::default() };
+        let cable = Cable { folder, tick: None, noise: None, plugged: RefCell::default() };
         cable.plug();
         cable
     }
@@ -74,6 +76,23 @@ impl Cable {
         cable
     }
 
+    /// A cable on which one of so many bits is turned, the same ones in each run.
+    pub fn noisy(bits: u64) -> Self {
+        let mut cable = Cable::default();
+        cable.unplug();
+        cable.noise = Some(bits);
+        cable.plug();
+        cable
+    }
+
+    /// Holds back what is written at the left end, or lets it pass, as handshake lines do.
+    pub fn hold_left(&self, held: bool) {
+        let plugged = self.plugged.borrow();
+        let Plugged { ends, .. } = plugged.as_ref().expect("it is plugged in");
+        let action = if held { Action::OOff } else { Action::OOn };
+        tcflow(&ends[0].slave, action).expect("a terminal");
+    }
+
     /// The path of one end.
     pub fn left(&self) -> PathBuf {
         self.folder.path().join("left")
@@ -88,8 +107,8 @@ impl Cable {
     pub fn plug(&self) {
         let ends = Arc::new([Pty::open(&self.left()), Pty::open(&self.right())]);
         let (stopped, stop) = pipe_with(PipeFlags::CLOEXEC).expect("a pipe");
-        let (between, tick) = (ends.clone(), self.tick);
-        let relay = std::thread::spawn(move || relay(&between, &stopped, tick));
+        let (between, tick, noise) = (ends.clone(), self.tick, self.noise);
+        let relay = std::thread::spawn(move || relay(&between, &stopped, tick, noise));
         *self.plugged.borrow_mut() = Some(Plugged { ends, stop, relay });
     }
 
@@ -143,7 +162,8 @@ impl Pty {
 }
 
 /// Moves bytes both ways until it is stopped; what one end does not take waits.
-fn relay(ends: &[Pty; 2], stopped: &OwnedFd, tick: Option<usize>) {
+fn relay(ends: &[Pty; 2], stopped: &OwnedFd, tick: Option<usize>, noise: Option<u64>) {
+    let mut random: u64 = 0x9e37_79b9;
     let mut waiting: [Vec<u8>; 2] = Default::default();
     loop {
         if tick.is_some() {
@@ -178,6 +198,17 @@ fn relay(ends: &[Pty; 2], stopped: &OwnedFd, tick: Option<usize>) {
                     bytes.iter_mut().enumerate().for_each(|(n, byte)| {
                         *byte = byte.rotate_left(n as u32 % 7 + 1) ^ 0x55;
                     });
+                }
+                if let Some(bits) = noise {
+                    for bit in 0..8 * bytes.len() {
+                        // Xorshift: Marsaglia, Journal of Statistical Software 8 (2003).
+                        random ^= random << 13;
+                        random ^= random >> 7;
+                        random ^= random << 17;
+                        if random % bits == 0 {
+                            bytes[bit / 8] ^= 1 << (bit % 8);
+                        }
+                    }
                 }
                 waiting[to].extend_from_slice(bytes);
             }

@@ -6,7 +6,7 @@ use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use std::{fs, io};
-use tokio::io::AsyncReadExt;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::UnixStream;
 use tokio::time::{sleep, timeout};
 
@@ -76,19 +76,33 @@ enum Peer {
 /// # Errors
 /// The cause, and what to do.
 pub(crate) async fn look(path: &Path, within: Duration) -> Result<ReceivedSnapshot, InspectError> {
+    let bytes = ask(path, "", within).await?;
+    read(bytes).map_err(|reason| InspectError::NoNode { path: path.to_owned(), reason })
+}
+
+/// Sends a line, or nothing, and returns what the node sends.
+///
+/// # Errors
+/// The cause, and what to do.
+pub(crate) async fn ask(
+    path: &Path,
+    line: &str,
+    within: Duration,
+) -> Result<Vec<u8>, InspectError> {
     let mut peer = Peer::Unreached;
-    let looked = timeout(within, async {
-        let socket = connect(path).await?;
+    let asked = timeout(within, async {
+        let mut socket = connect(path).await?;
         let number = socket.peer_cred().ok().and_then(|peer| peer.pid());
         peer = Peer::There { process: number.filter(|number| *number > 0) };
+        // A process that shows something else may have closed the connection already.
+        let _ = socket.write_all(line.as_bytes()).await;
+        let _ = socket.shutdown().await;
         let mut bytes = Vec::new();
         socket.take(LONGEST).read_to_end(&mut bytes).await?;
         Ok::<_, io::Error>(bytes)
     });
-    match looked.await {
-        Ok(Ok(bytes)) => {
-            read(bytes).map_err(|reason| InspectError::NoNode { path: path.to_owned(), reason })
-        }
+    match asked.await {
+        Ok(Ok(bytes)) => Ok(bytes),
         Ok(Err(error)) => {
             Err(InspectError::NoAnswer { path: path.to_owned(), reason: explain(path, &error) })
         }

@@ -1,6 +1,7 @@
 //! The operator's own session with a robot: a node of the roster that connects to one of the
 //! others, and ends when its command has.
 
+pub(crate) mod component;
 mod isolation;
 
 pub(crate) use self::isolation::run;

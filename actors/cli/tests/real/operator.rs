@@ -1,8 +1,8 @@
 //! The program as operator of a robot that runs: it checks keys, hands a changed roster over, and
 //! isolates a node.
 
-use blastema::Network;
 use blastema::prelude::*;
+use blastema::{ComponentOrder, DeliveryError, Lifecycle, Network, OrderVerb};
 use serde_json::Value;
 use std::fs;
 use std::net::{SocketAddr, UdpSocket};
@@ -39,11 +39,15 @@ impl Robot {
     }
 
     async fn start(&self, own: usize) -> Node {
+        self.node(own).start().await.expect("it starts")
+    }
+
+    fn node(&self, own: usize) -> blastema::NodeBuilder {
         let keys = self.folders[own].path().join(format!("{}.key", NODES[own]));
         let network = Network::new("lan", &format!("udp://{}", self.at[own]));
         let network = network.peer(NODES[1 - own], &self.at[1 - own].to_string());
         let node = Node::builder(NODES[own]).keys(keys).network(network);
-        node.journal(self.journal(own)).start().await.expect("it starts")
+        node.journal(self.journal(own))
     }
 
     fn journal(&self, own: usize) -> PathBuf {
@@ -150,6 +154,92 @@ fn a_node_is_isolated_and_admitted_by_the_operator_of_the_command_line() {
     });
 }
 
+#[derive(Clone, Debug, Event)]
+struct Jam;
+
+/// In error after each jam, until a person resets it.
+struct Gripper;
+
+impl Component for Gripper {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Jam>();
+    }
+}
+
+impl Handle<Jam> for Gripper {
+    async fn handle(&mut self, _: Jam, cx: &mut Context<Self>) {
+        cx.fail("it is jammed");
+    }
+}
+
+#[test]
+fn a_component_is_ordered_at_the_inspection_socket_and_with_an_operators_key() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let robot = Robot::new();
+        let waits =
+            Plan::default().on(FaultKind::ErrorState, Ladder::first(RecoveryAction::Observe));
+        let gripper = ChildSpec::new("gripper", || Gripper);
+        let arm = robot
+            .node(1)
+            .plan(waits)
+            .child(gripper)
+            .inspection_socket(robot.builder.path().join("arm.sock"));
+        let (base, arm) = (robot.start(0).await, arm.start().await.expect("it starts"));
+        assert!(base.connected("arm", PATIENCE).await);
+        let state = || arm.actor::<Gripper>("gripper").expect("it is there").state();
+        let jam = async || {
+            arm.sender::<Jam>("gripper").expect("it is there").tell(Jam).expect("it is taken");
+            while state() != Lifecycle::Error {
+                blastema::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        let by_network = "--via {base} --node arm --keys laptop.key --within 60s";
+        for (to, count) in [("--socket arm.sock", 1), (by_network, 2)] {
+            let check = async |order: &str, expected: i32, words: &[&str]| {
+                let (status, text) = robot.run(&order.replace("{to}", to)).await;
+                assert_eq!(status, Some(expected), "{order}: {text}");
+                assert!(words.iter().all(|word| text.contains(word)), "{order}: {text}");
+            };
+            check("component list {to}", 0, &["gripper", "Gripper", "active"]).await;
+            check("component list {to} --json", 0, &["\"name\":\"gripper\"", "\"active\""]).await;
+            check("component activate gripper {to}", 2, &["gripper: it is active already"]).await;
+            check("component deactivate gripper {to}", 0, &["gripper: initialized in"]).await;
+            assert_eq!(state(), Lifecycle::Initialized);
+            check("component reset gripper {to}", 2, &["only a component in error"]).await;
+            check("component activate gripper {to}", 0, &["gripper: active in"]).await;
+            assert_eq!(state(), Lifecycle::Active);
+
+            jam().await;
+            check("component list gripper {to}", 0, &["error", "it is jammed"]).await;
+            check("component activate gripper {to}", 2, &["it is in error: reset it"]).await;
+            check("component reset gripper {to}", 0, &["gripper: active in"]).await;
+            let restarted = format!("gripper: active in incarnation {}", count + 1);
+            check("component restart gripper {to}", 0, &[&restarted]).await;
+
+            check("component restart griper {to}", 2, &["griper", "did you mean `gripper`?"]).await;
+            check("component activate griper {to}", 2, &["did you mean `gripper`?"]).await;
+            check("acknowledge {to}", 2, &["no policy for lost communication holds"]).await;
+            check("acknowledge home {to}", 2, &["it has none"]).await;
+        }
+        let refused = async |order: &str, words: &[&str]| {
+            let (status, text) = robot.run(order).await;
+            assert_eq!(status, Some(2), "{order}: {text}");
+            assert!(words.iter().all(|word| text.contains(word)), "{order}: {text}");
+        };
+        refused("component list", &["--socket <PATH>", "--via <NODE@ADDRESS>"]).await;
+        refused("component list --via {base}", &["name it by --keys FILE"]).await;
+        refused("component list --socket ar.sock", &["nothing is there: start the node"]).await;
+        // A node of the robot that is no operator.
+        let base_order = ComponentOrder { verb: OrderVerb::Restart, name: Some("gripper".into()) };
+        let forbidden = base.order_at("arm", base_order, PATIENCE).await;
+        assert!(matches!(forbidden, Err(DeliveryError::Forbidden { .. })), "{forbidden:?}");
+        for node in [base, arm] {
+            node.shutdown().await;
+        }
+    });
+}
+
 #[test]
 fn what_cannot_be_done_says_what_to_do() {
     let _turn = blastema_doubles::turn();
@@ -189,7 +279,9 @@ fn what_cannot_be_done_says_what_to_do() {
 fn the_help_says_what_an_operator_needs() {
     let _turn = blastema_doubles::turn();
     let folder = tempfile::tempdir().expect("a folder");
-    for command in [&["keys", "check"][..], &["node", "isolate"], &["node", "admit"]] {
+    for command in
+        [&["keys", "check"][..], &["node", "isolate"], &["node", "admit"], &["component", "reset"]]
+    {
         let (status, help) = run_in(folder.path(), &[command, &["--help"]].concat());
         assert_eq!(status, Some(0));
         for part in ["role operator", "--own-endpoint", "Exit status", "--keys <FILE>"] {

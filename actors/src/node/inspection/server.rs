@@ -2,7 +2,7 @@
 //! again.
 
 use super::open;
-use crate::node::{Node, Shared};
+use crate::node::{ComponentOrder, Node, OrderReply, OrderVerb, Shared};
 use crate::platform;
 use crate::platform::file_lock::HeldHere;
 use crate::runtime::reports::FaultReports;
@@ -18,14 +18,19 @@ use std::path::Path;
 use std::pin::Pin;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
-use tokio::io::AsyncWriteExt;
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::UnixStream;
-use tokio::time::{MissedTickBehavior, interval, sleep, sleep_until};
+use tokio::time::{MissedTickBehavior, interval, sleep, sleep_until, timeout};
 use tracing::{info, warn};
 
 /// How often it is looked whether the socket is still there. A look at the folder takes
 /// microseconds.
 const SOCKET_CHECK_INTERVAL: Duration = Duration::from_millis(500);
+/// A client that orders sends its line at once; one that ends its side without a line is shown the
+/// node at once, and any other after this.
+const ORDER_TIMEOUT: Duration = Duration::from_millis(50);
+/// The longest line of an order: names have at most 255 bytes.
+const ORDER_BYTES: u64 = 1024;
 /// After so long a machine that had no descriptor left may have one again.
 const ACCEPT_RETRY_DELAY: Duration = Duration::from_millis(10);
 
@@ -145,9 +150,14 @@ impl InspectionServer {
 
     fn give(&mut self, client: ClientId, text: Arc<str>) {
         let Some(mut stream) = self.waiting.remove(&client) else { return };
+        let node = self.node.clone();
         let (seen, looking) = abortable(async move {
+            let reply = match read_order(&mut stream).await {
+                Some(order) => Some(carry_out(node, &order).await),
+                None => None,
+            };
             // A client may disconnect before it has read all.
-            let _ = stream.write_all(text.as_bytes()).await;
+            let _ = stream.write_all(reply.as_deref().unwrap_or(&text).as_bytes()).await;
             Done::Seen(client)
         });
         self.looking.insert(client, looking);
@@ -176,6 +186,30 @@ impl InspectionServer {
             Err(_) => {}
         }
     }
+}
+
+/// The line that a client has sent, unless it only looks.
+async fn read_order(stream: &mut UnixStream) -> Option<Vec<u8>> {
+    let mut line = Vec::new();
+    let mut reader = BufReader::new(stream.take(ORDER_BYTES));
+    timeout(ORDER_TIMEOUT, reader.read_until(b'\n', &mut line)).await.ok()?.ok()?;
+    line.ends_with(b"\n").then_some(line)
+}
+
+/// Carries out an order, and returns the line of the reply.
+async fn carry_out(node: Weak<Shared>, order: &[u8]) -> String {
+    let order: Result<ComponentOrder, _> = serde_json::from_slice(order);
+    let reply = match (order, node.upgrade().map(Node)) {
+        (Ok(order), Some(node)) => {
+            if order.verb != OrderVerb::List {
+                info!(target: "blastema::audit", name = ?order.name, "a local user orders: {:?}", order.verb);
+            }
+            node.order(&order).await
+        }
+        (Ok(_), None) => OrderReply::refused("the node was shut down"),
+        (Err(error), _) => OrderReply::refused(&format!("this is no order: {error}")),
+    };
+    serde_json::to_string(&reply).unwrap_or_default() + "\n"
 }
 
 async fn accept(listener: Option<&PathListener>) -> UnixStream {

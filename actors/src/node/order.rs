@@ -1,0 +1,275 @@
+//! What a person orders of a node's components from outside of its program.
+//!
+//! ```text
+//!  blastema component … ─ inspection socket ─────┐
+//!  blastema acknowledge ─ the right `operate` ───┴─► Node::order ─► host, supervisor, policy
+//! ```
+
+use super::Node;
+#[cfg(feature = "network")]
+use crate::net::operator::operator;
+use crate::platform;
+#[cfg(feature = "network")]
+use crate::registry::{ContractPort, service_fn::ServiceFn};
+use blastema_contract::supervisor::ResetChild;
+#[cfg(feature = "network")]
+use blastema_core::DeliveryError;
+use blastema_core::{FaultLocation, Lifecycle, ObjectName};
+use blastema_macros::{Request, Structure};
+#[cfg(feature = "network")]
+use std::sync::Arc;
+use std::time::Duration;
+#[cfg(feature = "network")]
+use tracing::info;
+
+/// An answer comes by then, also where the component takes longer: a client of the inspection
+/// socket has five seconds.
+const ANSWER_WITHIN: Duration = Duration::from_secs(4);
+/// Under which name operators order.
+#[cfg(feature = "network")]
+const COMPONENTS: &str = "net/components";
+/// How often it is looked whether a component is in its new state.
+const POLL_INTERVAL: Duration = Duration::from_millis(2);
+
+/// What a person orders.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Structure)]
+#[contract(crate = "crate")]
+#[non_exhaustive]
+pub enum OrderVerb {
+    /// Nothing: the rows are wanted.
+    List,
+    /// An initialized component is to return to work.
+    Activate,
+    /// An active component is to leave work in order.
+    Deactivate,
+    /// A component in error is to recover by itself.
+    Reset,
+    /// A component, or a supervisor with all below it, is to start its next incarnation.
+    Restart,
+    /// A policy for lost communication is to let others command again; without a name, each whose
+    /// communication is back.
+    Acknowledge,
+}
+
+/// An order of a person, for [`Node::order`].
+#[derive(Clone, Debug, PartialEq, Eq, Request)]
+#[contract(crate = "crate", name = "blastema/order-component", version = 1, reply = OrderReply)]
+pub struct ComponentOrder {
+    /// What is ordered.
+    pub verb: OrderVerb,
+    /// Of which component or policy.
+    pub name: Option<String>,
+}
+
+/// The answer to a [`ComponentOrder`].
+#[derive(Clone, Debug, PartialEq, Eq, Structure)]
+#[contract(crate = "crate")]
+#[non_exhaustive]
+pub struct OrderReply {
+    /// Why it is not done, and what to do.
+    pub refused: Option<String>,
+    /// The component or policy that was named, as it is now; all of them if none was named.
+    pub rows: Vec<OrderRow>,
+}
+
+#[cfg(feature = "unix")]
+impl OrderReply {
+    pub(super) fn refused(why: &str) -> Self {
+        OrderReply { refused: Some(why.to_owned()), rows: Vec::new() }
+    }
+}
+
+/// A component, a device or a policy for lost communication, for a person.
+#[derive(Clone, Debug, PartialEq, Eq, Structure)]
+#[contract(crate = "crate")]
+#[non_exhaustive]
+pub struct OrderRow {
+    /// Its name.
+    pub name: String,
+    /// The component's type, or `policy`.
+    pub kind: String,
+    /// The incarnation that began last; 0 for a policy.
+    pub incarnation: u64,
+    /// The state of the life cycle; of a policy, the rung that is carried out.
+    pub state: String,
+    /// What it waits for, or why it is so.
+    pub note: String,
+}
+
+impl Node {
+    /// Carries out the order of a person, and answers within four seconds. What takes longer goes
+    /// on.
+    ///
+    /// ```
+    /// use blastema::prelude::*;
+    /// use blastema::{ComponentOrder, OrderVerb};
+    ///
+    /// struct Lamp;
+    /// impl Component for Lamp {}
+    ///
+    /// blastema::run(async {
+    ///     let node = Node::builder("module1").child(ChildSpec::new("lamp", || Lamp)).start().await?;
+    ///     let order = ComponentOrder { verb: OrderVerb::Deactivate, name: Some("lamp".to_owned()) };
+    ///     let reply = node.order(&order).await;
+    ///     assert_eq!((reply.refused, &*reply.rows[0].state), (None, "initialized"));
+    ///     node.shutdown().await;
+    ///     Ok::<(), StartError>(())
+    /// })?;
+    /// # Ok::<(), StartError>(())
+    /// ```
+    pub async fn order(&self, order: &ComponentOrder) -> OrderReply {
+        let ComponentOrder { verb, name } = order;
+        let name = name.as_deref();
+        let done = async {
+            match (verb, name) {
+                (OrderVerb::List, None) => Ok(()),
+                (OrderVerb::Acknowledge, name) => self.acknowledge_by_order(name).await,
+                (_, None) => Err("name the component: `list` shows all".to_owned()),
+                (OrderVerb::List, Some(name)) => self.state_of(name).map(drop),
+                (OrderVerb::Activate, Some(name)) => self.set_active(name, true).await,
+                (OrderVerb::Deactivate, Some(name)) => self.set_active(name, false).await,
+                (OrderVerb::Reset, Some(name)) => self.reset_by_order(name).await,
+                (OrderVerb::Restart, Some(name)) => {
+                    self.restart_child(name).await.map(drop).map_err(|error| error.to_string())
+                }
+            }
+        };
+        let late = || {
+            let within = ANSWER_WITHIN.as_secs();
+            Err(format!("it is not done within {within} s, and goes on: `list` shows its state"))
+        };
+        let done = tokio::time::timeout(ANSWER_WITHIN, done).await.unwrap_or_else(|_| late());
+        OrderReply { refused: done.err(), rows: self.order_rows(name).await }
+    }
+
+    /// Lets operators give orders, where the node has keys.
+    #[cfg(feature = "network")]
+    pub(super) fn serve_operators(&self) {
+        let registry = &self.0.environment.registry;
+        let (access, own) = (registry.access(), self.0.name.clone());
+        if access.policy().is_none() {
+            return;
+        }
+        let node = Arc::downgrade(&self.0);
+        let serve = ServiceFn::<ComponentOrder>(Arc::new(move |order, from, answer| {
+            let Some(node) = node.upgrade().map(Node) else { return };
+            let by = operator(&access, from).unwrap_or_else(|| own.clone());
+            let ComponentOrder { verb, name } = &order;
+            if *verb != OrderVerb::List {
+                info!(target: "blastema::audit", operator = %by, ?name, "it orders: {verb:?}");
+            }
+            actix_rt::spawn(async move { answer.give(node.order(&order).await) });
+        }));
+        let object = ObjectName::new(COMPONENTS).expect("a name of letters");
+        registry.register_hidden(object, ContractPort::of_service_fn(serve));
+    }
+
+    /// Gives an order to another node, as its operator: by the right `operate`. A node without keys
+    /// serves no operator.
+    ///
+    /// # Errors
+    /// There was no answer in time, or this node may not operate the other one.
+    #[cfg(feature = "network")]
+    pub async fn order_at(
+        &self,
+        node: &str,
+        order: ComponentOrder,
+        within: Duration,
+    ) -> Result<OrderReply, DeliveryError> {
+        let sender = self.sender::<ComponentOrder>(&format!("{node}:{COMPONENTS}"))?;
+        sender.ask_within(order, within).await.map_err(|error| error.kind)
+    }
+
+    /// The state of a component.
+    fn state_of(&self, name: &str) -> Result<Lifecycle, String> {
+        let component = self.0.environment.registry.watchable(name);
+        let state = component.map_err(|error| error.to_string())?.life_cycle();
+        state
+            .map(|(_, state)| state)
+            .ok_or_else(|| format!("{name} is no component: `list` shows those that there are"))
+    }
+
+    async fn set_active(&self, name: &str, active: bool) -> Result<(), String> {
+        let (from, to) = match active {
+            true => (Lifecycle::Initialized, Lifecycle::Active),
+            false => (Lifecycle::Active, Lifecycle::Initialized),
+        };
+        match self.state_of(name)? {
+            state if state == from => {}
+            state if state == to => return Err(format!("it is {state} already")),
+            Lifecycle::Created => {
+                return Err("it is not initialized yet, and becomes active by itself".to_owned());
+            }
+            Lifecycle::Error => return Err("it is in error: reset it".to_owned()),
+            state => return Err(format!("it is {state}: restart it")),
+        }
+        let component = self.0.environment.registry.watchable(name);
+        component.map_err(|error| error.to_string())?.activate(active);
+        loop {
+            match self.state_of(name)? {
+                state if state == to => return Ok(()),
+                state if state == from => platform::sleep(POLL_INTERVAL).await,
+                state => return Err(format!("it is {state} now: `list` shows why")),
+            }
+        }
+    }
+
+    async fn reset_by_order(&self, name: &str) -> Result<(), String> {
+        let state = self.state_of(name)?;
+        if state != Lifecycle::Error {
+            return Err(format!("it is {state}: only a component in error can be reset"));
+        }
+        let object = ObjectName::new(name).map_err(|error| error.to_string())?;
+        let supervisor = self.0.directory.supervisor_of(&object);
+        let supervisor = supervisor.ok_or("no supervisor keeps it any more")?;
+        match supervisor.reset.send(ResetChild { object }).await {
+            Ok(reset) => reset.map(drop).map_err(|gave_up| gave_up.why.to_string()),
+            Err(_) => Err("the node was shut down".to_owned()),
+        }
+    }
+
+    async fn acknowledge_by_order(&self, name: Option<&str>) -> Result<(), String> {
+        let known = self.lost_communication().into_iter();
+        let names: Vec<_> = match name {
+            Some(name) => vec![name.to_owned()],
+            None => known.filter(|row| row.is_back).map(|row| row.name).collect(),
+        };
+        if names.is_empty() {
+            let why = "no policy for lost communication holds a rung that can end: `list` shows \
+                       the policies";
+            return Err(why.to_owned());
+        }
+        for name in names {
+            self.acknowledge(&name).await.map_err(|error| error.to_string())?;
+        }
+        Ok(())
+    }
+
+    async fn order_rows(&self, name: Option<&str>) -> Vec<OrderRow> {
+        let registry = &self.0.environment.registry;
+        let table = self.table().await;
+        let components = table.into_iter().filter_map(|row| {
+            let FaultLocation::Object(address) = &row.location else { return None };
+            let component = registry.watchable(address.object.as_str()).ok()?;
+            let kind = component.component_type()?.split('<').next()?;
+            // The monitor's table follows the component by a message.
+            let (incarnation, state) = component.life_cycle()?;
+            Some(OrderRow {
+                name: address.object.to_string(),
+                kind: kind.rsplit("::").next().unwrap_or(kind).to_owned(),
+                incarnation: incarnation.0,
+                state: state.to_string(),
+                note: row.waiting_for.or(row.note).unwrap_or_default(),
+            })
+        });
+        let policies = self.lost_communication().into_iter().map(|row| OrderRow {
+            name: row.name,
+            kind: "policy".to_owned(),
+            incarnation: 0,
+            state: row.rung.unwrap_or_else(|| "others command".to_owned()),
+            note: if row.is_back { "communication is back: acknowledge" } else { "" }.to_owned(),
+        });
+        let wanted = |row: &OrderRow| name.is_none_or(|name| row.name == name);
+        components.chain(policies).filter(wanted).collect()
+    }
+}

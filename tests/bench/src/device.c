@@ -1,0 +1,31 @@
+/* A device for the benchmarks: it answers eight bytes, and publishes eight a hundred times a second. */
+#include "board.h"
+
+static bench_sample shown;
+
+static uint8_t work(uint8_t why) {
+    (void)why;
+    shown.number++;
+    bl_publish(BENCH_SAMPLE_OUT0);
+    return 0;
+}
+
+const uint32_t bl_device_type BL_ROM = DEVICE_TYPE;
+const bl_object bl_objects[BL_OBJECTS] BL_ROM = {{.hook = {[BL_ON_EXECUTE] = work}}};
+const bl_port bl_ports[BL_PORTS] BL_ROM = {BENCH_ECHO_CALL0(0), BENCH_SAMPLE_OUT0(&shown)};
+
+uint8_t bl_call(uint8_t port, uint8_t *data) { (void)port, (void)data; return 0; }
+uint8_t bl_text(uint8_t object, uint8_t code, uint8_t *text, uint8_t room) {
+    (void)object, (void)code, (void)text, (void)room;
+    return 0;
+}
+
+int main(int count, char **arguments) {
+    uint8_t cause;
+    uint16_t boot = board_begin(count, arguments, &cause);
+    bl_begin(boot, cause);
+    for (;;) {
+        board_receive();
+        bl_poll();
+    }
+}
