@@ -149,11 +149,7 @@ impl<'a> RobotElement<'a> {
 
     /// The children of this name, each of which has another value of the attribute `key`. One that
     /// has the value of another is a mistake, and is not read.
-    pub(crate) fn distinct(
-        &self,
-        name: &'static str,
-        key: &'static str,
-    ) -> Vec<RobotElement<'a>> {
+    pub(crate) fn distinct(&self, name: &'static str, key: &'static str) -> Vec<RobotElement<'a>> {
         let (mut children, mut known) = (self.children(&[name]), BTreeMap::new());
         children.retain(|child| {
             let Some(attribute) = child.node.attribute_node(key) else { return true };
