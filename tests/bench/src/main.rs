@@ -1,7 +1,7 @@
 //! Benchmarks of the middleware beside what it is built on, as ratios within one run.
 //!
 //! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [throughput]
-//! [memory] [monitored] [failover] [takeover] [overloaded]`; without arguments, all of them.
+//! [memory] [monitored] [failover] [takeover] [overloaded] [robot]`; without arguments, all of them.
 //! `ROUNDS=n` sets how often the rows of a table are run in turn.
 #![allow(clippy::print_stdout, reason = "tables are what this program is for")]
 
@@ -16,12 +16,13 @@ mod overloaded;
 mod process;
 mod remote;
 mod restart;
+mod robot;
 mod takeover;
 mod throughput;
 
 use std::process::ExitCode;
 
-const PARTS: [&str; 10] = [
+const PARTS: [&str; 11] = [
     "messages",
     "restart",
     "fanout",
@@ -32,6 +33,7 @@ const PARTS: [&str; 10] = [
     "failover",
     "takeover",
     "overloaded",
+    "robot",
 ];
 
 fn main() -> ExitCode {
@@ -76,6 +78,9 @@ fn main() -> ExitCode {
     }
     if wanted("overloaded") {
         blastema::run(overloaded::run(rounds.min(3)));
+    }
+    if wanted("robot") {
+        blastema::run(robot::run(rounds));
     }
     ExitCode::SUCCESS
 }
