@@ -83,13 +83,13 @@ pub(crate) const CALLBACK_LIMIT: Setting<Duration> = Setting {
 /// Restarts that a supervisor may count: each of them is remembered for one period, and reported to
 /// the fault chain. A storm of more would fill the chain's queues before it is ended.
 pub(crate) const INTENSITY: Setting<u32, ()> =
-    Setting { name: "the intensity", default: (), range: 0..=1000, cure: "write 1000 at most" };
+    Setting { name: "intensity", default: (), range: 0..=1000, cure: "write 1000 at most" };
 
 /// So many restarts in a shorter period are more than the fault chain can record, so that a storm
 /// of them would go on for ever.
 pub(crate) fn intensity_period(times: u32) -> Setting<Duration, ()> {
     Setting {
-        name: "the intensity's period",
+        name: "period",
         default: (),
         range: MS * times..=Duration::MAX,
         cure: "no restarts would ever be too many: write 1 ms at least for each of them",
@@ -99,7 +99,7 @@ pub(crate) fn intensity_period(times: u32) -> Setting<Duration, ()> {
 /// Messages that a queue holds: a second or two of a robot's rates. A million are seconds of the
 /// fastest sender there is; more would be a leak with a name.
 pub(crate) const QUEUE: Setting<usize> = Setting {
-    name: "the queue",
+    name: "queue",
     default: 64,
     range: 1..=1 << 20,
     cure: "a queue holds one message at least, and a million at most",
@@ -190,7 +190,7 @@ pub(crate) const HEARTBEAT_INTERVAL: Setting<Duration, ()> = Setting {
 
 /// Signs of life that come more seldom than once a day are of no use.
 pub(crate) const WATCH_INTERVAL: Setting<Duration, ()> = Setting {
-    name: "the watch's interval",
+    name: "liveness.interval",
     default: (),
     range: MS..=Duration::from_secs(24 * 60 * 60),
     cure: "write 1 ms to 24 h, or Liveness::Guard",
@@ -198,7 +198,7 @@ pub(crate) const WATCH_INTERVAL: Setting<Duration, ()> = Setting {
 
 /// Signs of life that may be missing. A thousand is an hour of one in four seconds.
 pub(crate) const WATCH_TOLERANCE: Setting<u32, ()> = Setting {
-    name: "the watch's tolerance",
+    name: "liveness.tolerance",
     default: (),
     range: 1..=1000,
     cure: "write 1 to 1000 signs of life",
@@ -206,7 +206,7 @@ pub(crate) const WATCH_TOLERANCE: Setting<u32, ()> = Setting {
 
 /// Until the first sign of life.
 pub(crate) const WATCH_START_UP: Setting<Duration, ()> = Setting {
-    name: "the watch's start_up",
+    name: "liveness.start_up",
     default: (),
     range: MS..=Duration::MAX,
     cure: "no life gives a sign at once: 1 ms at least",
@@ -214,7 +214,7 @@ pub(crate) const WATCH_START_UP: Setting<Duration, ()> = Setting {
 
 /// Until an answer.
 pub(crate) const WATCH_WITHIN: Setting<Duration, ()> = Setting {
-    name: "the watch's within",
+    name: "liveness.within",
     default: (),
     range: MS..=Duration::MAX,
     cure: "an answer takes 1 ms at least",
@@ -225,7 +225,7 @@ pub(crate) const WATCH_WITHIN: Setting<Duration, ()> = Setting {
 /// moment; a longer one would let a robot move without a commander for longer than it takes to walk
 /// up to it.
 pub(crate) const LEASE: Setting<Duration> = Setting {
-    name: "a lease",
+    name: "actuator.lease",
     default: Duration::from_millis(200),
     range: Duration::from_millis(20)..=MINUTE,
     cure: "write 20 ms to 60 s",
@@ -234,7 +234,7 @@ pub(crate) const LEASE: Setting<Duration> = Setting {
 /// Three commands of a base that is commanded 30 times a second, or more. A beat is how often the
 /// node looks. What is to go on for longer without a further command is a goal.
 pub(crate) const COMMAND_TIMEOUT: Setting<Duration, ()> = Setting {
-    name: "the command timeout",
+    name: "actuator.command_timeout",
     default: (),
     range: Duration::from_millis(10)..=MINUTE,
     cure: "write 10 ms to 60 s, or Hold for commands that run for long",

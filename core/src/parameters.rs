@@ -195,6 +195,18 @@ pub enum ParameterError {
     },
 }
 
+impl ParameterError {
+    /// The parameter that it is about, as it was written.
+    pub fn key(&self) -> &str {
+        match self {
+            ParameterError::Unknown { key, .. } | ParameterError::Type { key, .. } => key,
+            ParameterError::Unit { key, .. }
+            | ParameterError::Range { key, .. }
+            | ParameterError::Default { key, .. } => key,
+        }
+    }
+}
+
 fn suggestion(nearest: Option<&String>, known: &[&str]) -> String {
     match nearest {
         Some(nearest) => format!("did you mean `{nearest}`?"),

@@ -16,6 +16,7 @@ use crate::{
     ContractIdentity, DeliveryError, Difference, NameError, NodeName, ObjectName, PeerIdentity,
 };
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::fmt;
 use std::str::FromStr;
 
@@ -171,6 +172,16 @@ pub struct PortConnection {
     pub to: PortAddress,
 }
 
+impl PortConnection {
+    /// The port at one end.
+    pub fn end(&self, end: ConnectionEnd) -> &PortAddress {
+        match end {
+            ConnectionEnd::From => &self.from,
+            ConnectionEnd::To => &self.to,
+        }
+    }
+}
+
 impl fmt::Display for PortConnection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} -> {}", self.from, self.to)
@@ -219,6 +230,11 @@ pub struct TypeDescription {
 }
 
 impl TypeDescription {
+    /// The ports where connections begin, or where they end.
+    pub fn ports(&self, is_out: bool) -> &[PortDescription] {
+        if is_out { self.gives.as_deref().unwrap_or_default() } else { &self.takes }
+    }
+
     /// The port at this address, which is of a component of this type: an out port where the
     /// connection begins, another one where it ends.
     ///
@@ -229,22 +245,44 @@ impl TypeDescription {
         address: &PortAddress,
         is_out: bool,
     ) -> Result<&PortDescription, ConnectError> {
-        let ports = if is_out { self.gives.as_deref().unwrap_or_default() } else { &self.takes };
+        let ports = self.ports(is_out);
         let found = ports.iter().find(|port| port.name == address.port.as_str());
         let declared = || ports.iter().map(|port| port.name.clone()).collect();
         found.ok_or_else(|| ConnectError::no_port(address, is_out, declared()))
     }
 }
 
-/// Decides whether a connection from the one port to the other can be.
+/// The two ends of a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ConnectionEnd {
+    /// The out port.
+    From,
+    /// The port where its messages go.
+    To,
+}
+
+/// Decides whether a connection can be, and which end makes it: the one that listens, commands or
+/// asks. `port` finds the out port at an address, or, where that is false, another one; it returns
+/// `None` for what is not known here, such as a port of another node, which is taken to fit.
 ///
 /// # Errors
-/// The roles do not fit, or the contracts differ.
-pub fn check_connection(from: &PortDescription, to: &PortDescription) -> Result<(), ConnectError> {
-    if !from.role.is_out() || to.role != from.role.other_end() {
-        return Err(ConnectError::Roles { from: from.role, to: to.role });
+/// Those of `port`; the roles do not fit, or the contracts differ.
+pub fn resolve<'p>(
+    PortConnection { from, to }: &PortConnection,
+    mut port: impl FnMut(&PortAddress, bool) -> Result<Option<Cow<'p, PortDescription>>, ConnectError>,
+) -> Result<ConnectionEnd, ConnectError> {
+    let (from, to) = (port(from, true)?, port(to, false)?);
+    if let (Some(from), Some(to)) = (&from, &to) {
+        if !from.role.is_out() || to.role != from.role.other_end() {
+            return Err(ConnectError::Roles { from: from.role, to: to.role });
+        }
+        from.contract.check(&to.contract).map_err(ConnectError::Differ)?;
     }
-    from.contract.check(&to.contract).map_err(ConnectError::Differ)
+    let listens = to.map(|to| to.role.connects());
+    match listens.or(from.map(|from| !from.role.connects())) {
+        Some(false) => Ok(ConnectionEnd::From),
+        Some(true) | None => Ok(ConnectionEnd::To),
+    }
 }
 
 /// Why ports cannot be connected, or a port not be used.
@@ -400,6 +438,15 @@ mod tests {
         PortDescription { name: name.into(), role, contract, fields: vec![], reply: vec![] }
     }
 
+    fn connected(
+        from: &PortDescription,
+        to: &PortDescription,
+    ) -> Result<ConnectionEnd, ConnectError> {
+        let address = |text: &str| text.parse().expect("an address");
+        let connection = PortConnection { from: address("a#a"), to: address("b#b") };
+        resolve(&connection, |_, is_out| Ok(Some(Cow::Borrowed(if is_out { from } else { to }))))
+    }
+
     #[test]
     fn an_address_names_a_component_and_its_port() {
         let check = |text: &str, said: &str| match text.parse::<PortAddress>() {
@@ -436,14 +483,16 @@ mod tests {
 
         for from in roles {
             for to in roles {
-                let made = check_connection(&port("a", from, "Scan"), &port("b", to, "Scan"));
+                let made = connected(&port("a", from, "Scan"), &port("b", to, "Scan"));
                 let fits = [(Publishes, Listens), (Commands, Commanded), (Asks, Serves)];
                 assert_eq!(made.is_ok(), fits.contains(&(from, to)), "{from} {to}");
+                let end = if from.connects() { ConnectionEnd::From } else { ConnectionEnd::To };
+                assert!(made.is_err() || made == Ok(end), "{from} {to}");
                 assert!(!from.is_out() || from.connects() != from.other_end().connects());
                 assert_eq!(from.other_end().other_end(), from);
             }
         }
-        let differs = check_connection(&port("a", Asks, "Scan"), &port("b", Serves, "Range"));
+        let differs = connected(&port("a", Asks, "Scan"), &port("b", Serves, "Range"));
         let text = differs.expect_err("two contracts").to_string();
         assert!(text.contains("name `Scan` here, `Range` there"), "{text}");
     }

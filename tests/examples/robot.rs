@@ -39,6 +39,8 @@ struct DisplayParameters {
     dies_at: u32,
     /// A file that it writes when it ends in order.
     ends_in: String,
+    /// It leaves a process behind that holds its output.
+    leaves_process: bool,
 }
 
 /// Prints what it hears.
@@ -54,7 +56,11 @@ impl Component for Display {
     }
 
     async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.dies_at = cx.parameters::<DisplayParameters>()?.dies_at;
+        let parameters = cx.parameters::<DisplayParameters>()?;
+        self.dies_at = parameters.dies_at;
+        if parameters.leaves_process {
+            std::process::Command::new("sh").args(["-c", "sleep 30 &"]).status()?;
+        }
         println!("{} begins", cx.name());
         Ok(())
     }
@@ -85,6 +91,48 @@ impl Handle<Count> for Display {
     }
 }
 
+/// Prints what becomes of it.
+#[derive(Default)]
+struct Part;
+
+/// How a part is configured.
+#[derive(Clone, Debug, Parameters)]
+struct PartParameters {
+    #[parameter(default = 1.0, range = 0.0..=10.0, unit = "kg")]
+    mass: f32,
+}
+
+impl Component for Part {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.parameters::<PartParameters>();
+    }
+
+    async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let PartParameters { mass } = cx.parameters()?;
+        println!("{} is initialized with {mass} kg", cx.name());
+        Ok(())
+    }
+
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        println!("{} is active", cx.name());
+        Ok(())
+    }
+
+    async fn on_deactivated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        println!("{} is inactive", cx.name());
+        Ok(())
+    }
+
+    async fn on_finalize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        println!("{} is finalized", cx.name());
+        Ok(())
+    }
+}
+
+impl Handle<PartParameters> for Part {
+    async fn handle(&mut self, _: PartParameters, _: &mut Context<Self>) {}
+}
+
 /// Cannot begin.
 #[derive(Default)]
 struct Broken;
@@ -99,6 +147,7 @@ fn main() -> ExitCode {
     Types::new()
         .component::<Counter>("Counter")
         .component::<Display>("Display")
+        .component::<Part>("Part")
         .component::<Broken>("Broken")
         .main()
 }

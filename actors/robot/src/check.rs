@@ -5,16 +5,17 @@
 //! that all mistakes are found.
 
 use crate::description::{
-    AnswerDescription, ChildDescription, ComponentDescription, ElementOrigin, EndpointDescription,
-    NodeDescription, RobotDescription,
+    AnswerDescription, ChildDescription, ComponentDescription, ConnectionDescription,
+    ElementOrigin, EndpointDescription, NodeDescription, RobotDescription,
 };
 use crate::finding::{ElementPart, ElementPlaces, FINDINGS_MAX, RobotFinding, RobotSources};
-use crate::types::{Types, network_of};
-use blastema::core::port::{ConnectionRole, PortAddress, PortDescription, check_connection};
-use blastema::core::suggestion::nearest;
+use crate::types::{Types, UnknownPort, network_of};
+use crate::value::{fault_word, hint};
+use blastema::core::port::{ConnectionRole, resolve};
 use blastema::prelude::*;
 use blastema::recovery::PlanError;
 use blastema::{ParameterError, SpecError};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Finds what is wrong with a robot, with the types that a program has registered.
@@ -25,24 +26,21 @@ pub(crate) fn check(
 ) -> Vec<RobotFinding> {
     let places = ElementPlaces::of(sources);
     let mut checker = RobotChecker { robot, types, places, findings: Vec::new() };
-    let start = ("robot", robot.origin);
-    checker.names("node", start, robot.nodes.iter().map(|node| (&*node.name, node.origin)));
-    checker.names(
-        "network",
-        start,
-        robot.networks.iter().map(|known| (&*known.name, known.origin)),
-    );
+    checker.names("node", "robot", robot.nodes.iter().map(|node| (&*node.name, node.origin)));
+    let networks = robot.networks.iter().map(|network| (&*network.name, network.origin));
+    checker.names("network", "robot", networks);
     checker.answers(&robot.plan);
     if robot.nodes.is_empty() {
-        let help = "add `<node name=…>`".to_owned();
-        checker.find("robot::missing", "the robot has no node", robot.origin, help, "here");
+        let at = (robot.origin, "name");
+        checker.find("robot::missing", "the robot has no node", at, "add `<node name=…>`", "here");
     }
     for node in &robot.nodes {
         checker.node(node);
     }
     checker.networks();
-    checker.dependencies();
-    checker.connections();
+    let groups = checker.joined();
+    checker.dependencies(&groups);
+    checker.connections(&groups);
     checker.findings
 }
 
@@ -53,41 +51,32 @@ struct RobotChecker<'a> {
     findings: Vec<RobotFinding>,
 }
 
-/// The nearest word, or all.
-fn hint<'w>(wrong: &str, known: impl IntoIterator<Item = &'w str> + Clone) -> String {
-    match nearest(wrong, known.clone()) {
-        Some(near) => format!("write `{near}`"),
-        None => match known.into_iter().take(10).collect::<Vec<_>>().join(", ") {
-            all if all.is_empty() => "there is none".to_owned(),
-            all => format!("there are {all}"),
-        },
-    }
-}
-
 impl<'a> RobotChecker<'a> {
-    /// Adds a finding about the name of an element.
+    /// Adds a finding about a part of an element.
     fn find(
         &mut self,
         code: &'static str,
         sentence: impl Into<String>,
-        origin: ElementOrigin,
-        help: String,
+        (origin, part): (ElementOrigin, impl Into<ElementPart>),
+        help: impl Into<String>,
         label: &str,
     ) {
-        self.find_at(code, sentence, (origin, ElementPart::Value("name")), help, label);
+        let place = self.places.find(origin, &part.into()).map(|place| (place, label.to_owned()));
+        let (sentence, help) = (sentence.into(), Some(help.into()));
+        self.add(RobotFinding { code, sentence, help, labels: place.into_iter().collect() });
     }
 
-    fn find_at(
-        &mut self,
-        code: &'static str,
-        sentence: impl Into<String>,
-        (origin, part): (ElementOrigin, ElementPart),
-        help: String,
-        label: &str,
-    ) {
-        let place = self.places.find(origin, &part).map(|place| (place, label.to_owned()));
-        let labels = place.into_iter().collect();
-        let finding = RobotFinding { code, sentence: sentence.into(), help: Some(help), labels };
+    /// Adds a finding about one attribute of two elements.
+    fn twice(&mut self, sentence: String, part: &str, at: [ElementOrigin; 2], help: &str) {
+        let labels = at.into_iter().zip(["first", "again"]).filter_map(|(origin, label)| {
+            Some((self.places.find(origin, &part.into())?, label.to_owned()))
+        });
+        let (labels, help) = (labels.collect(), Some(help.to_owned()));
+        self.add(RobotFinding { code: "robot::twice", sentence, help, labels });
+    }
+
+    /// The copies of a component have its mistakes.
+    fn add(&mut self, finding: RobotFinding) {
         if !self.findings.contains(&finding) {
             self.findings.push(finding);
         }
@@ -97,46 +86,36 @@ impl<'a> RobotChecker<'a> {
     fn names<'n>(
         &mut self,
         what: &str,
-        (of, origin): (&str, ElementOrigin),
+        of: &str,
         names: impl Iterator<Item = (&'n str, ElementOrigin)>,
     ) {
         let mut known = BTreeMap::new();
         for (name, again) in names.filter(|(name, _)| !name.is_empty()) {
-            let Some(first) = known.insert(name.to_owned(), again) else { continue };
-            let part = ElementPart::Value("name");
-            let labels = [(first, "first"), (again, "again")]
-                .into_iter()
-                .filter_map(|(at, label)| Some((self.places.find(at, &part)?, label.to_owned())));
-            let labels: Vec<_> = labels.collect();
-            let sentence = format!("`{name}` is the name of two {what}s of {of}");
-            let help = Some("rename one".to_owned());
-            let labels = if labels.is_empty() {
-                self.places.find(origin, &part).map(|at| (at, "here".into())).into_iter().collect()
-            } else {
-                labels
-            };
-            self.findings.push(RobotFinding { code: "robot::twice", sentence, help, labels });
+            if let Some(first) = known.insert(name, again) {
+                let sentence = format!("`{name}` is the name of two {what}s of {of}");
+                self.twice(sentence, "name", [first, again], "rename one");
+            }
         }
     }
 
     fn answers(&mut self, answers: &[AnswerDescription]) {
-        for answer in answers {
+        for (at, answer) in answers.iter().enumerate() {
+            if let Some(first) = answers[..at].iter().find(|known| known.fault == answer.fault) {
+                let sentence = format!("`{}` is answered twice", fault_word(&answer.fault));
+                let help = "delete one, or join their steps";
+                self.twice(sentence, "fault", [first.origin, answer.origin], help);
+            }
             let [_, strategies, _] = self.types.names();
             let plan = Plan::default().on(answer.fault.clone(), answer.ladder.clone());
             let Err(error) = plan.check([], [], strategies.iter().copied()) else { continue };
-            let part = match &error {
-                PlanError::NoSuchStrategy { strategy, .. } => ElementPart::Child {
-                    element: "step",
-                    key: ("strategy", strategy.clone()),
-                    attribute: "strategy",
-                },
-                _ => ElementPart::Value("fault"),
+            let (part, help) = match &error {
+                PlanError::NoSuchStrategy { strategy, .. } => {
+                    let part = ElementPart::below("step", "strategy", strategy, "strategy");
+                    (part, hint(strategy, strategies))
+                }
+                _ => ("fault".into(), "change the step, or the fault".to_owned()),
             };
-            let help = match &error {
-                PlanError::NoSuchStrategy { strategy, .. } => hint(strategy, strategies),
-                _ => "change the step, or the fault".to_owned(),
-            };
-            self.find_at("robot::plan", error.to_string(), (answer.origin, part), help, "here");
+            self.find("robot::plan", error.to_string(), (answer.origin, part), help, "here");
         }
     }
 
@@ -144,23 +123,22 @@ impl<'a> RobotChecker<'a> {
         let [types, _, safe_outputs] = self.types.names();
         let mut objects = Vec::new();
         node.root.visit(&mut |child| objects.push(child.identity()));
-        let of = format!("node {}", node.name);
-        self.names("object", (&of, node.origin), objects.iter().copied());
+        self.names("object", &format!("node {}", node.name), objects.iter().copied());
         self.answers(&node.plan);
         let mut trial = node.clone();
         if let Some(name) = node.safe_outputs.as_deref().filter(|name| !safe_outputs.contains(name))
         {
             let sentence = format!("no safe outputs `{name}` are registered");
-            let at = (node.origin, ElementPart::Value("safe-outputs"));
-            self.find_at("robot::type", sentence, at, hint(name, safe_outputs), "unknown");
+            let help = hint(name, safe_outputs);
+            self.find("robot::type", sentence, (node.origin, "safe-outputs"), help, "unknown");
             trial.safe_outputs = None;
         }
         for component in node.components() {
             let name = component.type_name.as_str();
             if !name.is_empty() && !types.contains(&name) {
                 let sentence = format!("no type `{name}` is registered");
-                let at = (component.origin, ElementPart::Value("type"));
-                self.find_at("robot::type", sentence, at, hint(name, types.clone()), "unknown");
+                let help = hint(name, types.clone());
+                self.find("robot::type", sentence, (component.origin, "type"), help, "unknown");
             }
             self.answers(&component.plan);
         }
@@ -184,17 +162,14 @@ impl<'a> RobotChecker<'a> {
             let builder = match self.types.composed(&robot, &trial) {
                 Ok(builder) => builder,
                 Err(error) => {
-                    return self.find("robot::node", error, node.origin, String::new(), "");
+                    return self.find("robot::node", error, (node.origin, "name"), "", "");
                 }
             };
             let refused = builder.check();
-            if refused.is_empty() {
+            let is_right = refused.is_empty();
+            let removed = refused.into_iter().all(|error| self.refused(node, &mut trial, error));
+            if is_right || !removed {
                 return;
-            }
-            for error in refused {
-                if !self.refused(node, &mut trial, error) {
-                    return;
-                }
             }
         }
     }
@@ -208,51 +183,46 @@ impl<'a> RobotChecker<'a> {
         error: StartError,
     ) -> bool {
         let text = error.to_string();
-        let mut sentence = text.lines().next().unwrap_or_default().to_owned();
-        let (object, part, help) = match error {
+        let sentence = text.lines().next().unwrap_or_default().to_owned();
+        let (object, sentence, part, help) = match error {
             StartError::Spec(SpecError::Setting { name, setting, value, cure }) => {
-                let part = part_of_setting(setting);
-                sentence = format!("`{}` of {name} is {value}", part.attribute());
-                (name, part, cure.to_owned())
+                let part = ElementPart::of_setting(setting);
+                let sentence = format!("`{}` of {name} is {value}", part.attribute);
+                (name, sentence, part, cure.to_owned())
             }
             StartError::Spec(SpecError::Parameters { name, error }) => {
-                let key = ("name", key_of(&error).to_owned());
-                let attribute = match &error {
-                    ParameterError::Unknown { key, .. } => {
-                        sentence = format!("{name} has no parameter `{key}`");
-                        "name"
+                let (key, name) = (error.key().to_owned(), name.to_string());
+                let help = self.parameter_help(node, &name, &error);
+                let (sentence, attribute) = match &error {
+                    ParameterError::Unknown { .. } => {
+                        (format!("{name} has no parameter `{key}`"), "name")
                     }
-                    error => {
-                        sentence = format!("of {name}, {error}");
-                        "value"
-                    }
+                    error => (format!("of {name}, {error}"), "value"),
                 };
-                let part = ElementPart::Child { element: "param", key, attribute };
-                (name.to_string(), part, self.parameter_help(node, name.as_str(), &error))
+                (name, sentence, ElementPart::below("param", "name", &key, attribute), help)
             }
             StartError::Spec(SpecError::ActuatorSettings { name, contract, why }) => {
-                sentence = format!("of {name}, {why}");
-                self.actuator(node, name.as_str(), &contract, &mut sentence)
+                self.actuator(node, name.to_string(), &contract, &why)
             }
             StartError::Spec(SpecError::Ports { name, .. }) => {
-                (name.to_string(), ElementPart::Value("type"), "mend its `ports`".to_owned())
+                (name.to_string(), sentence, "type".into(), "mend its `ports`".to_owned())
             }
             StartError::Setting { setting, value, cure } => {
-                let part = part_of_setting(setting);
-                sentence = format!("`{}` of node {} is {value}", part.attribute(), node.name);
-                self.find_at("robot::setting", sentence, (node.origin, part), cure.into(), "here");
+                let part = ElementPart::of_setting(setting);
+                let sentence = format!("`{}` of node {} is {value}", part.attribute, node.name);
+                self.find("robot::setting", sentence, (node.origin, part), cure, "here");
                 (trial.work_threads, trial.grace) = (None, None);
                 return setting == "work_threads" || setting == "grace";
             }
             _ => {
-                let help = "change the description of the node".to_owned();
-                self.find("robot::node", sentence, node.origin, help, "this node");
+                let help = "change the description of the node";
+                self.find("robot::node", sentence, (node.origin, "name"), help, "this node");
                 return false;
             }
         };
-        let code = match &part {
-            ElementPart::Child { element: "param", .. } => "robot::parameter",
-            ElementPart::Child { element: "actuator" | "field", .. } => "robot::actuator",
+        let code = match part.below.as_ref().map_or("", |(element, _)| element) {
+            "param" => "robot::parameter",
+            "actuator" | "field" => "robot::actuator",
             _ => "robot::setting",
         };
         let mut found = None;
@@ -261,8 +231,9 @@ impl<'a> RobotChecker<'a> {
                 found.get_or_insert(child.identity().1);
             }
         });
-        self.find_at(code, sentence, (found.unwrap_or(node.origin), part.clone()), help, "here");
-        let mut changed = false;
+        self.find(code, sentence, (found.unwrap_or(node.origin), part.clone()), help, "here");
+        // The root has no name of its own.
+        let mut changed = object == "root" && trial.root.without_intensity();
         trial.root.retain(&mut |child| {
             if child.identity().0 != object {
                 return true;
@@ -270,18 +241,9 @@ impl<'a> RobotChecker<'a> {
             changed = true;
             match child {
                 ChildDescription::Component(component) => without(component, &part),
-                ChildDescription::Supervisor(supervisor) => {
-                    (supervisor.intensity, supervisor.period) = (None, None);
-                    true
-                }
+                ChildDescription::Supervisor(supervisor) => supervisor.without_intensity(),
             }
         });
-        if !changed {
-            // The root has no name of its own.
-            changed =
-                object == "root" && trial.root.intensity.is_some() | trial.root.period.is_some();
-            (trial.root.intensity, trial.root.period) = (None, None);
-        }
         changed
     }
 
@@ -292,7 +254,7 @@ impl<'a> RobotChecker<'a> {
         let parameters = of.map(|of| &*of.parameters).unwrap_or_default();
         let key = match error {
             ParameterError::Unknown { nearest: Some(nearest), .. } => nearest,
-            error => key_of(error),
+            error => error.key(),
         };
         match parameters.iter().find(|parameter| parameter.name == key) {
             Some(parameter) => {
@@ -309,14 +271,14 @@ impl<'a> RobotChecker<'a> {
     }
 
     /// What is wrong with the settings of an actuator, which are of this contract: the component,
-    /// the port or the field, and what to write.
+    /// the sentence, the port or the field, and what to write.
     fn actuator(
         &self,
         node: &NodeDescription,
-        name: &str,
+        name: String,
         contract: &str,
-        sentence: &mut String,
-    ) -> (String, ElementPart, String) {
+        why: &str,
+    ) -> (String, String, ElementPart, String) {
         let components = node.components();
         let component = components.iter().find(|component| component.name == name);
         let of = component.and_then(|component| self.types.description(&component.type_name));
@@ -331,26 +293,20 @@ impl<'a> RobotChecker<'a> {
         let port = written.map_or(contract, |(port, _)| port.as_str());
         let known: Vec<&str> = ports.clone().map(|port| port.name.as_str()).collect();
         let mut fields = written.into_iter().flat_map(|(_, settings)| &settings.safe);
-        let field = fields.find(|(field, _)| sentence.contains(&format!("`{field}`")));
-        let (part, help) = match field {
+        let field = fields.find(|(field, _)| why.contains(&format!("`{field}`")));
+        let at_port = ElementPart::below("actuator", "port", port, "port");
+        let sentence = format!("of {name}, {why}");
+        match field {
             _ if !known.contains(&port) => {
-                *sentence = format!("{name} is commanded at no port `{port}`");
-                let key = ("port", port.to_owned());
-                let part = ElementPart::Child { element: "actuator", key, attribute: "port" };
-                (part, hint(port, known))
+                let sentence = format!("{name} is commanded at no port `{port}`");
+                (name, sentence, at_port, hint(port, known))
             }
             Some((field, _)) => {
-                let key = ("name", field.clone());
-                let part = ElementPart::Child { element: "field", key, attribute: "value" };
-                (part, "correct the field".to_owned())
+                let part = ElementPart::below("field", "name", field, "value");
+                (name, sentence, part, "correct the field".to_owned())
             }
-            None => {
-                let key = ("port", port.to_owned());
-                let part = ElementPart::Child { element: "actuator", key, attribute: "port" };
-                (part, "correct the settings".to_owned())
-            }
-        };
-        (name.to_owned(), part, help)
+            None => (name, sentence, at_port, "correct the settings".to_owned()),
+        }
     }
 
     fn networks(&mut self) {
@@ -363,20 +319,20 @@ impl<'a> RobotChecker<'a> {
                     Some(known) => known.push((node, end)),
                     None if end.network.is_empty() => {}
                     None => {
-                        let at = (end.origin, ElementPart::Value("network"));
                         let sentence = format!("there is no network `{}`", end.network);
-                        let help = hint(&end.network, names.clone());
-                        self.find_at("robot::network", sentence, at, help, "unknown");
+                        let (at, help) =
+                            ((end.origin, "network"), hint(&end.network, names.clone()));
+                        self.find("robot::network", sentence, at, help, "unknown");
                     }
                 }
             }
         }
         for (name, ends) in ends {
             if let [(node, end)] = ends[..] {
-                let at = (end.origin, ElementPart::Value("network"));
                 let sentence = format!("only node `{}` has an endpoint of `{name}`", node.name);
-                let help = "add an endpoint to another node, or delete this one".to_owned();
-                self.find_at("robot::network", sentence, at, help, "without a partner");
+                let help = "add an endpoint to another node, or delete this one";
+                let at = (end.origin, "network");
+                self.find("robot::network", sentence, at, help, "without a partner");
             }
             for (at, &(node, end)) in ends.iter().enumerate() {
                 let mut others = ends[..at].iter();
@@ -384,16 +340,14 @@ impl<'a> RobotChecker<'a> {
                     others.find(|(_, other)| other.at == end.at && other.origin.at != end.origin.at)
                 {
                     let sentence = format!("`{}` is the endpoint of `{}` too", end.at, other.name);
-                    let at = (end.origin, ElementPart::Value("at"));
-                    let help = "give each node an address of its own".to_owned();
-                    self.find_at("robot::network", sentence, at, help, "again");
+                    let help = "give each node an address of its own";
+                    self.find("robot::network", sentence, (end.origin, "at"), help, "again");
                 }
                 if at == 2 && end.at.starts_with("serial:") {
                     let sentence =
                         format!("`{name}` has three endpoints, and a serial line joins two");
-                    let at = (end.origin, ElementPart::Value("network"));
-                    let help = "make it a network of its own".to_owned();
-                    self.find_at("robot::network", sentence, at, help, "the third");
+                    let (at, help) = ((end.origin, "network"), "make it a network of its own");
+                    self.find("robot::network", sentence, at, help, "the third");
                 }
                 self.endpoint(node, end);
             }
@@ -401,64 +355,79 @@ impl<'a> RobotChecker<'a> {
     }
 
     fn endpoint(&mut self, node: &NodeDescription, end: &EndpointDescription) {
+        let (code, at) = ("robot::network", (end.origin, "at"));
         let place = end.at.split_once("://").map_or("", |(_, place)| place);
         let unspecified = place.starts_with("0.0.0.0:") || place.starts_with("[::]:");
         if unspecified && end.reached_at.is_none() {
-            let port = place.rsplit([':']).next().unwrap_or_default();
+            let (host, port) = place.rsplit_once(':').unwrap_or((place, ""));
             let port = port.split('?').next().unwrap_or_default();
-            let host = place.rsplit_once(':').map_or(place, |(host, _)| host);
             let sentence = format!("other nodes cannot reach {} at {host}", node.name);
-            let at = (end.origin, ElementPart::Value("at"));
             let help = format!(
                 "add `reached-at=\"192.168.0.1:{port}\"`, with the address of {}",
                 node.name
             );
-            return self.find_at(
-                "robot::network",
-                sentence,
-                at,
-                help,
-                "every address of its computer",
-            );
+            return self.find(code, sentence, at, help, "every address of its computer");
         }
         let network = match network_of(self.robot, node, end) {
             Ok(network) => network,
-            Err(error) => return self.find("robot::network", error, end.origin, String::new(), ""),
+            Err(error) => return self.find(code, error, at, "", ""),
         };
+        let described = self.robot.networks.iter().find(|known| known.name == end.network);
+        let origin = described.map_or(end.origin, |network| network.origin);
         // Keys need not be on the computer that checks.
         let has_keys = self.robot.keys_of(node).is_some();
         let network = if has_keys { network.insecure() } else { network };
         for error in Node::builder(&node.name).network(network).check() {
-            let text = error.to_string();
-            let sentence = text.lines().next().unwrap_or_default().to_owned();
-            match error {
-                StartError::Insecure { network, .. } => {
-                    let described = self.robot.networks.iter().find(|known| known.name == network);
-                    let origin = described.map_or(end.origin, |network| network.origin);
-                    let sentence = format!("`{network}` leaves the computer without keys");
-                    let help = "add `keys=\"…\"` to `robot`, or `insecure=\"true\"` here if every \
-                                station on it may command this robot";
-                    self.find("robot::network", sentence, origin, help.to_owned(), "here");
-                }
-                _ => {
-                    let at = (end.origin, ElementPart::Value("at"));
-                    let help = "see the manual's page on media".to_owned();
-                    self.find_at("robot::network", sentence, at, help, "here");
-                }
+            if let StartError::Insecure { network, .. } = error {
+                let sentence = format!("`{network}` leaves the computer without keys");
+                let help = "add `keys=\"…\"` to `robot`, or `insecure=\"true\"` here if every station \
+                            on it may command this robot";
+                self.find(code, sentence, (origin, "name"), help, "here");
+            } else {
+                let text = error.to_string();
+                let sentence = text.lines().next().unwrap_or_default();
+                self.find(code, sentence, at, "see the manual's page on media", "here");
             }
         }
-        let insecure = self.robot.networks.iter().find(|known| known.name == end.network);
-        if let Some(network) = insecure.filter(|network| network.insecure && has_keys) {
+        if has_keys && described.is_some_and(|network| network.insecure) {
             let sentence =
-                format!("`{}` is insecure, and node `{}` has keys", network.name, node.name);
-            let at = (network.origin, ElementPart::Value("insecure"));
-            let help = "delete `insecure`".to_owned();
-            self.find_at("robot::network", sentence, at, help, "insecure");
+                format!("`{}` is insecure, and node `{}` has keys", end.network, node.name);
+            self.find(code, sentence, (origin, "insecure"), "delete `insecure`", "insecure");
+        }
+    }
+
+    /// Which nodes have a path to each other: those with equal numbers.
+    fn joined(&self) -> BTreeMap<&'a str, usize> {
+        let nodes = self.robot.nodes.iter().enumerate();
+        let mut groups: BTreeMap<&str, usize> = nodes.map(|(at, node)| (&*node.name, at)).collect();
+        let mut ends: BTreeMap<&str, usize> = BTreeMap::new();
+        for node in &self.robot.nodes {
+            for end in &node.endpoints {
+                let own = groups[&*node.name];
+                let other = *ends.entry(&end.network).or_insert(own);
+                let all = groups.values_mut().chain(ends.values_mut());
+                all.filter(|group| **group == other).for_each(|group| *group = own);
+            }
+        }
+        groups
+    }
+
+    /// Finds nodes that are to exchange messages, and cannot.
+    fn reach(
+        &mut self,
+        groups: &BTreeMap<&str, usize>,
+        [one, other]: [&str; 2],
+        at: (ElementOrigin, &str),
+    ) {
+        if groups.get(one) != groups.get(other) {
+            let sentence = format!("nodes `{one}` and `{other}` have no path between them");
+            let help = "give both an endpoint of one network";
+            self.find("robot::reach", sentence, at, help, "cannot be reached");
         }
     }
 
     /// Everything that is needed is there and starts before, and nothing needs itself.
-    fn dependencies(&mut self) {
+    fn dependencies(&mut self, groups: &BTreeMap<&str, usize>) {
         // The place of each object in the order of its node; a supervisor has that of its last
         // child.
         let mut order: BTreeMap<String, (usize, usize)> = BTreeMap::new();
@@ -480,17 +449,19 @@ impl<'a> RobotChecker<'a> {
         let mut circles = BTreeSet::new();
         for (object, needed) in &needs {
             for (other, component) in needed {
-                let at = (component.origin, ElementPart::Value("depends-on"));
+                let at = (component.origin, "depends-on");
                 let (node, own) = other.split_once(':').unwrap_or_default();
                 let Some(place) = order.get(other) else {
                     let same = order.keys().filter_map(|name| name.split_once(':'));
                     let same = same.filter(|(of, _)| *of == node).map(|(_, name)| name);
                     let same: Vec<&str> = same.collect();
                     let sentence = format!("node {node} has no `{own}`");
-                    self.find_at("robot::dependency", sentence, at, hint(own, same), "unknown");
+                    self.find("robot::dependency", sentence, at, hint(own, same), "unknown");
                     continue;
                 };
                 let here = order.get(object).copied().unwrap_or_default();
+                let own_node = self.robot.nodes[here.0].name.as_str();
+                self.reach(groups, [own_node, node], at);
                 if place.0 == here.0 && place.1 < here.1 {
                     continue;
                 }
@@ -499,84 +470,59 @@ impl<'a> RobotChecker<'a> {
                     if circles.insert(members.into_iter().map(str::to_owned).collect::<Vec<_>>()) {
                         let shown = [std::slice::from_ref(object), &path].concat().join(" -> ");
                         let sentence = format!("{shown}: each waits for the next");
-                        let help = "leave out one of these dependencies".to_owned();
-                        self.find_at("robot::cycle", sentence, at, help, "here");
+                        let help = "leave out one of these dependencies";
+                        self.find("robot::cycle", sentence, at, help, "here");
                     }
                 } else if place.0 == here.0 {
                     let sentence =
                         format!("`{}` depends on `{own}`, which starts after it", component.name);
                     let help = format!("move `{own}` before `{}`", component.name);
-                    self.find_at("robot::order", sentence, at, help, "starts later");
+                    self.find("robot::order", sentence, at, help, "starts later");
                 }
             }
         }
     }
 
-    fn connections(&mut self) {
-        let robot = self.robot;
-        for connection in &robot.connections {
-            let ports = &connection.ports;
-            let from = self.port(connection.origin, &ports.from, "from");
-            let to = self.port(connection.origin, &ports.to, "to");
-            let (Some(from), Some(to)) = (from, to) else { continue };
-            if let Err(error) = check_connection(from, to) {
-                let at = (connection.origin, ElementPart::Value("to"));
+    fn connections(&mut self, groups: &BTreeMap<&str, usize>) {
+        let (robot, types, mut known) = (self.robot, self.types, BTreeMap::new());
+        for ConnectionDescription { ports, origin } in &robot.connections {
+            let (origin, mut is_known, mut leads) = (*origin, true, false);
+            let resolved = resolve(ports, |address, is_out| {
+                let found = types.port(robot, address, is_out);
+                let port = found.unwrap_or_else(|UnknownPort { sentence, help, label }| {
+                    let at = (origin, if is_out { "from" } else { "to" });
+                    is_known = false;
+                    self.find("robot::connection", sentence, at, help, label);
+                    None
+                });
+                leads |= port.is_some_and(|port| is_out && port.role.connects());
+                Ok(port.map(Cow::Borrowed))
+            });
+            if let Err(error) = resolved {
                 let text = error.to_string();
                 let (first, rest) = text.split_once('\n').unwrap_or((&text, ""));
                 let sentence =
                     format!("`{}` cannot be connected to `{}`: {first}", ports.from, ports.to);
                 let help = match rest.trim() {
-                    "" => "connect ports of one contract".to_owned(),
-                    rest => rest.to_owned(),
+                    "" => "connect ports of one contract",
+                    rest => rest,
                 };
-                self.find_at("robot::connection", sentence, at, help, "does not fit");
+                self.find("robot::connection", sentence, (origin, "to"), help, "does not fit");
             }
-        }
-        let mut known = BTreeSet::new();
-        for connection in &robot.connections {
-            if !known.insert(&connection.ports) {
-                let at = (connection.origin, ElementPart::Value("to"));
-                let sentence = format!("{} is connected twice", connection.ports);
-                self.find_at("robot::twice", sentence, at, "delete one".into(), "again");
-            }
-        }
-    }
-
-    /// The port at one end of a connection.
-    fn port(
-        &mut self,
-        origin: ElementOrigin,
-        address: &PortAddress,
-        end: &'static str,
-    ) -> Option<&'a PortDescription> {
-        let (robot, types) = (self.robot, self.types);
-        let at = (origin, ElementPart::Value(end));
-        let name = address.node.as_ref().map_or("", |node| node.as_str());
-        let Some(node) = robot.node(name) else {
-            let known: Vec<&str> = robot.nodes.iter().map(|node| node.name.as_str()).collect();
-            let sentence = format!("the robot has no node `{name}`");
-            self.find_at("robot::connection", sentence, at, hint(name, known), "unknown");
-            return None;
-        };
-        let (components, object) = (node.components(), address.object.as_str());
-        let Some(component) = components.iter().find(|known| known.name == object) else {
-            let known: Vec<&str> = components.iter().map(|known| known.name.as_str()).collect();
-            let sentence = format!("node {name} has no component `{object}`");
-            self.find_at("robot::connection", sentence, at, hint(object, known), "unknown");
-            return None;
-        };
-        let of = types.description(&component.type_name)?;
-        match of.port(address, end == "from") {
-            Ok(port) => Some(port),
-            Err(error) => {
-                let known = match end {
-                    "from" => of.gives.as_deref().unwrap_or_default(),
-                    _ => &of.takes,
+            // A port that commands or asks leads to one port.
+            let key = (&ports.from, (!leads).then_some(&ports.to));
+            if let Some(first) = known.insert(key, origin) {
+                let (sentence, part) = match leads {
+                    true => (
+                        format!("`{}`, which leads to one port, is connected twice", ports.from),
+                        "from",
+                    ),
+                    false => (format!("{ports} is connected twice"), "to"),
                 };
-                let known: Vec<&str> = known.iter().map(|port| port.name.as_str()).collect();
-                let help = hint(address.port.as_str(), known);
-                self.find_at("robot::connection", error.to_string(), at, help, "no such port");
-                None
+                self.twice(sentence, part, [first, origin], "delete one");
+            }
+            if let (true, Some(from), Some(to)) = (is_known, &ports.from.node, &ports.to.node) {
+                self.reach(groups, [from.as_str(), to.as_str()], (origin, "to"));
             }
         }
     }
@@ -622,68 +568,29 @@ fn path(
     None
 }
 
-/// The attribute of a setting.
-fn part_of_setting(setting: &str) -> ElementPart {
-    let of = |element, attribute| {
-        let key = if element == "liveness" { "model" } else { "port" };
-        ElementPart::Child { element, key: (key, String::new()), attribute }
-    };
-    match setting {
-        "the queue" => ElementPart::Value("queue"),
-        "rate_hz" => ElementPart::Value("rate"),
-        "max_block" => ElementPart::Value("max-block"),
-        "max_wait" => ElementPart::Value("max-wait"),
-        "max_delay" => ElementPart::Value("max-delay"),
-        "ready_within" => ElementPart::Value("ready-within"),
-        "shutdown_within" => ElementPart::Value("shutdown-within"),
-        "the watch's interval" => of("liveness", "interval"),
-        "the watch's tolerance" => of("liveness", "tolerance"),
-        "the watch's start_up" => of("liveness", "start-up"),
-        "the watch's within" => of("liveness", "within"),
-        "a lease" => of("actuator", "lease"),
-        "the command timeout" => of("actuator", "command-timeout"),
-        "the intensity" => ElementPart::Value("intensity"),
-        "the intensity's period" => ElementPart::Value("period"),
-        "work_threads" => ElementPart::Value("work-threads"),
-        "grace" => ElementPart::Value("grace"),
-        _ => ElementPart::Value("name"),
-    }
-}
-
 /// Takes what is wrong out of a component. False: nothing in it is, so its type is wrong.
 fn without(component: &mut ComponentDescription, part: &ElementPart) -> bool {
     let before = component.clone();
-    match part {
-        ElementPart::Value("queue") => component.queue = None,
-        ElementPart::Value("rate") => component.rate_hz = None,
-        ElementPart::Value("max-block") => component.max_block = None,
-        ElementPart::Value("max-wait") => component.max_wait = None,
-        ElementPart::Value("max-delay") => component.max_delay = None,
-        ElementPart::Value("ready-within") => component.ready_within = None,
-        ElementPart::Value("shutdown-within") => component.shutdown_within = None,
-        ElementPart::Child { element: "liveness", .. } => component.liveness = None,
-        ElementPart::Child { element: "param", key: (_, key), .. } => {
-            component.parameters.retain(|(name, _)| name != key);
+    let (element, key) = match &part.below {
+        Some((element, key)) => (element.as_str(), key.as_ref().map_or("", |(_, value)| value)),
+        None => ("", ""),
+    };
+    match (element, part.attribute.as_str()) {
+        ("", "queue") => component.queue = None,
+        ("", "rate") => component.rate_hz = None,
+        ("", "max-block") => component.max_block = None,
+        ("", "max-wait") => component.max_wait = None,
+        ("", "max-delay") => component.max_delay = None,
+        ("", "ready-within") => component.ready_within = None,
+        ("", "shutdown-within") => component.shutdown_within = None,
+        ("liveness", _) => component.liveness = None,
+        ("param", _) => component.parameters.retain(|(name, _)| name != key),
+        ("field", _) => {
+            let settings = component.actuators.iter_mut();
+            settings.for_each(|(_, of)| of.safe.retain(|(name, _)| name != key));
         }
-        ElementPart::Child { element: "field", key: (_, field), .. } => {
-            for (_, settings) in &mut component.actuators {
-                settings.safe.retain(|(name, _)| name != field);
-            }
-        }
-        ElementPart::Child { element: "actuator", key: (_, port), .. } => {
-            component.actuators.retain(|(name, _)| name != port && !port.is_empty());
-        }
+        ("actuator", _) => component.actuators.retain(|(name, _)| name != key && !key.is_empty()),
         _ => {}
     }
     *component != before
-}
-
-fn key_of(error: &ParameterError) -> &str {
-    match error {
-        ParameterError::Unknown { key, .. } | ParameterError::Type { key, .. } => key,
-        ParameterError::Unit { key, .. }
-        | ParameterError::Range { key, .. }
-        | ParameterError::Default { key, .. } => key,
-        _ => "",
-    }
 }

@@ -4,7 +4,7 @@
 //! ones that there are, so that the reader is the only list of them.
 
 use crate::description::ElementOrigin;
-use crate::finding::{FilePlace, RobotFinding, tag_name};
+use crate::finding::{FilePlace, RobotFinding, tag_name, value_place};
 use crate::value::ParsedValue;
 use blastema::core::suggestion::nearest;
 use roxmltree::Node;
@@ -58,6 +58,8 @@ pub(crate) struct FileReading<'a> {
     pub(crate) arguments: RefCell<ArgumentValues>,
     /// All names that were asked for: of an element, its attributes and its children.
     pub(crate) asked: &'a RefCell<BTreeMap<String, [Vec<&'static str>; 2]>>,
+    /// How many components have been read.
+    pub(crate) components: &'a Cell<usize>,
 }
 
 /// An element that is being read.
@@ -139,12 +141,51 @@ impl<'a> RobotElement<'a> {
         let mut children = self.children(&[name]).into_iter();
         let first = children.next()?;
         for again in children {
-            let at =
-                [(tag_name(first.node), "first".into()), (tag_name(again.node), "again".into())];
             let sentence = format!("`{}` has two elements `{name}`", self.name());
-            self.find("robot::twice", sentence, at, Some("delete one".to_owned()));
+            self.twice(sentence, [tag_name(first.node), tag_name(again.node)]);
         }
         Some(first)
+    }
+
+    /// The children of this name, each of which has another value of the attribute `key`. One that
+    /// has the value of another is a mistake, and is not read.
+    pub(crate) fn distinct(&self, name: &'static str, key: &'static str) -> Vec<RobotElement<'a>> {
+        let (mut children, mut known) = (self.children(&[name]), BTreeMap::new());
+        children.retain(|child| {
+            let Some(attribute) = child.node.attribute_node(key) else { return true };
+            let range = attribute.range_value();
+            let Some(value) = child.substituted(attribute.value(), range.clone()) else {
+                return true;
+            };
+            let of = self.name();
+            let sentence = format!("`{of}` has two elements `{name}` whose `{key}` is `{value}`");
+            let first = known.entry(value).or_insert_with(|| range.clone());
+            let is_first = *first == range;
+            if !is_first {
+                self.twice(sentence, [first.clone(), range]);
+                child.leave();
+            }
+            is_first
+        });
+        children
+    }
+
+    fn twice(&self, sentence: String, [first, again]: [Range<usize>; 2]) {
+        let at = [(first, "first".to_owned()), (again, "again".to_owned())];
+        self.find("robot::twice", sentence, at, Some("delete one".to_owned()));
+    }
+
+    /// Counts components, as many as this element makes. False, and a finding, where the robot has
+    /// more than it may.
+    pub(crate) fn count_components(&self, made: usize, most: usize) -> bool {
+        let before = self.reading.components.replace(self.reading.components.get() + made);
+        if before <= most && before + made > most {
+            let sentence = format!("the robot has more than {most} components");
+            let at = [(self.place("copies"), "one too many".to_owned())];
+            let help = "write fewer, or make one component of many that are alike";
+            self.find("robot::limit", sentence, at, Some(help.to_owned()));
+        }
+        before + made <= most
     }
 
     /// Leaves the rest of the element unread: it cannot be read because of another mistake, or is
@@ -178,8 +219,7 @@ impl<'a> RobotElement<'a> {
 
     /// The place of an attribute's value; the element's name where there is none.
     pub(crate) fn place(&self, attribute: &str) -> Range<usize> {
-        let attribute = self.node.attribute_node(attribute);
-        attribute.map_or_else(|| tag_name(self.node), |attribute| attribute.range_value())
+        value_place(self.node, attribute)
     }
 
     /// The text with the values of arguments in the places of `${name}`.

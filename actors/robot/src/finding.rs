@@ -1,10 +1,11 @@
 //! What is wrong with a robot file: each finding with its places, excerpt, and what to write.
 
 use crate::description::ElementOrigin;
-use miette::{Diagnostic, GraphicalReportHandler, GraphicalTheme, LabeledSpan, NamedSource};
+use miette::{
+    GraphicalReportHandler, GraphicalTheme, LabeledSpan, MietteDiagnostic, NamedSource, Report,
+};
 use roxmltree::{Document, Node, NodeId};
 use std::collections::BTreeMap;
-use std::fmt;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -40,22 +41,36 @@ impl RobotFinding {
     }
 }
 
-/// A part of an element that a finding is about.
+/// A part of an element that a finding is about: an attribute of the element, or of one below it.
 #[derive(Clone, Debug)]
-pub(crate) enum ElementPart {
-    /// The value of this attribute; the element's name where it has none.
-    Value(&'static str),
-    /// An attribute of the child element that has this attribute with this value, or with any where
-    /// that is empty.
-    Child { element: &'static str, key: (&'static str, String), attribute: &'static str },
+pub(crate) struct ElementPart {
+    /// The element below, and the attribute by which it is known among several.
+    pub(crate) below: Option<(String, Option<(&'static str, String)>)>,
+    /// The finding is shown at the name of the element where that has no such attribute.
+    pub(crate) attribute: String,
+}
+
+impl From<&str> for ElementPart {
+    fn from(attribute: &str) -> Self {
+        ElementPart { below: None, attribute: attribute.to_owned() }
+    }
 }
 
 impl ElementPart {
-    /// The attribute that it is about.
-    pub(crate) fn attribute(&self) -> &'static str {
-        match self {
-            ElementPart::Value(attribute) | ElementPart::Child { attribute, .. } => attribute,
-        }
+    /// An attribute of the element below whose attribute `key` is `value`.
+    pub(crate) fn below(element: &str, key: &'static str, value: &str, attribute: &str) -> Self {
+        let below = Some((element.to_owned(), Some((key, value.to_owned()))));
+        ElementPart { below, attribute: attribute.to_owned() }
+    }
+
+    /// The part that gives a setting its value, as in `max_block`, or `liveness.interval`.
+    pub(crate) fn of_setting(setting: &str) -> Self {
+        let (below, name) = match setting.split_once('.') {
+            Some((element, name)) => (Some((element.to_owned(), None)), name),
+            None => (None, setting),
+        };
+        let name = name.strip_suffix("_hz").unwrap_or(name);
+        ElementPart { below, attribute: name.replace('_', "-") }
     }
 }
 
@@ -105,20 +120,22 @@ impl<'s> ElementPlaces<'s> {
     pub(crate) fn find(&self, origin: ElementOrigin, part: &ElementPart) -> Option<FilePlace> {
         let (file, at) = origin.at?;
         let element = self.documents.get(file)?.get_node(*self.elements.get(&(file, at))?)?;
-        let value = |element: Node<'_, '_>, name| Some(element.attribute_node(name)?.range_value());
-        let range = match part {
-            ElementPart::Value(attribute) => value(element, *attribute),
-            ElementPart::Child { element: child, key: (key, name), attribute } => {
-                let is_it = |node: &Node<'_, '_>| {
-                    node.has_tag_name(*child)
-                        && (name.is_empty() || node.attribute(*key) == Some(name))
-                };
-                let found = element.descendants().find(is_it);
-                found.map(|child| value(child, *attribute).unwrap_or(tag_name(child)))
+        let is_it = |node: &Node<'_, '_>| match &part.below {
+            None => true,
+            Some((name, None)) => node.has_tag_name(name.as_str()),
+            Some((name, Some((key, value)))) => {
+                node.has_tag_name(name.as_str()) && node.attribute(*key) == Some(value)
             }
         };
-        Some(FilePlace { file, range: range.unwrap_or_else(|| tag_name(element)) })
+        let element = element.descendants().find(is_it).unwrap_or(element);
+        Some(FilePlace { file, range: value_place(element, &part.attribute) })
     }
+}
+
+/// The bytes of an attribute's value; of the element's name where it has no such attribute.
+pub(crate) fn value_place(element: Node<'_, '_>, attribute: &str) -> Range<usize> {
+    let attribute = element.attribute_node(attribute);
+    attribute.map_or_else(|| tag_name(element), |attribute| attribute.range_value())
 }
 
 /// The bytes of an element's name.
@@ -135,9 +152,8 @@ pub(crate) fn report(findings: &[RobotFinding], sources: &RobotSources) -> Strin
     let handler = GraphicalReportHandler::new_themed(theme).with_width(WIDTH);
     let mut text = String::new();
     for finding in findings.iter().take(FINDINGS_MAX) {
-        let shown = ShownFinding::of(finding, sources);
         // Writing to a text does not fail.
-        let _ = handler.render_report(&mut text, &shown);
+        let _ = handler.render_report(&mut text, &*shown(finding, sources));
         text.push('\n');
     }
     match findings.len().saturating_sub(FINDINGS_MAX) {
@@ -147,57 +163,24 @@ pub(crate) fn report(findings: &[RobotFinding], sources: &RobotSources) -> Strin
     text
 }
 
-/// A finding as miette renders it.
-#[derive(Debug)]
-struct ShownFinding<'a> {
-    finding: &'a RobotFinding,
-    source: Option<NamedSource<Arc<str>>>,
-    labels: Vec<LabeledSpan>,
-    help: Option<String>,
-}
-
-impl<'a> ShownFinding<'a> {
-    fn of(finding: &'a RobotFinding, sources: &RobotSources) -> Self {
-        let shown = finding.labels.first().map(|(place, _)| place.file);
-        let source = shown.map(|file| {
-            let (name, text) = &sources.files[file];
-            NamedSource::new(name, text.clone())
-        });
-        let (here, elsewhere): (Vec<_>, Vec<_>) =
-            finding.labels.iter().partition(|(place, _)| Some(place.file) == shown);
-        let labels = here.into_iter().map(|(place, label)| {
-            LabeledSpan::new_with_span(Some(label.clone()), place.range.clone())
-        });
-        let elsewhere =
-            elsewhere.into_iter().map(|(place, label)| format!("{label}: {}", sources.name(place)));
-        let help: Vec<String> = finding.help.iter().cloned().chain(elsewhere).collect();
-        let help = (!help.is_empty()).then(|| help.join("\n"));
-        ShownFinding { finding, source, labels: labels.collect(), help }
-    }
-}
-
-impl fmt::Display for ShownFinding<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.finding.sentence)
-    }
-}
-
-impl std::error::Error for ShownFinding<'_> {}
-
-impl Diagnostic for ShownFinding<'_> {
-    fn code<'b>(&'b self) -> Option<Box<dyn fmt::Display + 'b>> {
-        Some(Box::new(self.finding.code))
-    }
-
-    fn help<'b>(&'b self) -> Option<Box<dyn fmt::Display + 'b>> {
-        self.help.as_ref().map(|help| Box::new(help) as Box<dyn fmt::Display>)
-    }
-
-    fn source_code(&self) -> Option<&dyn miette::SourceCode> {
-        self.source.as_ref().map(|source| source as &dyn miette::SourceCode)
-    }
-
-    fn labels(&self) -> Option<Box<dyn Iterator<Item = LabeledSpan> + '_>> {
-        Some(Box::new(self.labels.iter().cloned()))
+/// A finding as miette renders it. An excerpt is of one file: the help names places in others.
+fn shown(finding: &RobotFinding, sources: &RobotSources) -> Report {
+    let file = finding.labels.first().map(|(place, _)| place.file);
+    let (here, elsewhere): (Vec<_>, Vec<_>) =
+        finding.labels.iter().partition(|(place, _)| Some(place.file) == file);
+    let labels = here
+        .into_iter()
+        .map(|(place, label)| LabeledSpan::new_with_span(Some(label.clone()), place.range.clone()));
+    let elsewhere =
+        elsewhere.into_iter().map(|(place, label)| format!("{label}: {}", sources.name(place)));
+    let help: Vec<String> = finding.help.iter().cloned().chain(elsewhere).collect();
+    let mut shown =
+        MietteDiagnostic::new(&finding.sentence).with_code(finding.code).with_labels(labels);
+    shown.help = (!help.is_empty()).then(|| help.join("\n"));
+    match file.map(|file| &sources.files[file]) {
+        Some((name, text)) => {
+            Report::new(shown).with_source_code(NamedSource::new(name, text.clone()))
+        }
+        None => Report::new(shown),
     }
 }

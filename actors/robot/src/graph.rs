@@ -1,11 +1,12 @@
 //! The supervision trees and connections of a robot as text, for Graphviz and for Mermaid.
 
 use crate::description::{
-    ChildDescription, ComponentDescription, RobotDescription, SupervisorDescription,
+    ChildDescription, ComponentDescription, ConnectionDescription, RobotDescription,
+    SupervisorDescription,
 };
-use blastema::core::port::PortAddress;
+use crate::reader::STRATEGIES;
+use blastema::core::port::PortConnection;
 use blastema::recovery::Strategy;
-use std::fmt::{self, Write};
 
 /// How a graph is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -20,9 +21,24 @@ pub(crate) enum GraphFormat {
 
 /// Writes the nodes with their trees, and the connections.
 pub(crate) fn graph(robot: &RobotDescription, format: GraphFormat) -> String {
-    let mut graph = GraphText { text: String::new(), format, depth: 0 };
-    // Writing to a text does not fail.
-    let _ = graph.robot(robot);
+    let (mut graph, name) = (GraphText { text: String::new(), format, depth: 0 }, &robot.name);
+    let dot = format!("digraph \"{name}\" {{\n  node [shape=box]; rankdir=LR;");
+    graph.line([format!("robot {name}"), dot, "flowchart LR".to_owned()]);
+    graph.depth += 1;
+    for node in &robot.nodes {
+        let label = format!("node {} ({})", node.name, word(node.root.strategy));
+        graph.group(&node.name, &label, &node.root);
+    }
+    for ConnectionDescription { ports: PortConnection { from, to }, .. } in &robot.connections {
+        let (one, other, port) = (from.component(), to.component(), &from.port);
+        graph.line([
+            format!("{from} -> {to}"),
+            format!("\"{one}\" -> \"{other}\" [label=\"{port}\"];"),
+            format!("{} -- {port} --> {}", mermaid_id(&one), mermaid_id(&other)),
+        ]);
+    }
+    graph.depth -= 1;
+    graph.line(["", "}", ""].map(str::to_owned));
     graph.text
 }
 
@@ -33,109 +49,47 @@ struct GraphText {
 }
 
 fn word(strategy: Strategy) -> &'static str {
-    match strategy {
-        Strategy::OneForOne => "one-for-one",
-        Strategy::OneForAll => "one-for-all",
-        Strategy::RestForOne => "rest-for-one",
-    }
+    STRATEGIES.iter().find(|(_, known)| *known == strategy).map_or("", |(word, _)| word)
 }
 
 impl GraphText {
-    fn line(&mut self, line: fmt::Arguments<'_>) -> fmt::Result {
-        writeln!(self.text, "{:indent$}{line}", "", indent = 2 * self.depth)
-    }
-
-    fn robot(&mut self, robot: &RobotDescription) -> fmt::Result {
-        let name = &robot.name;
-        match self.format {
-            GraphFormat::Text => self.line(format_args!("robot {name}"))?,
-            GraphFormat::Dot => {
-                self.line(format_args!("digraph \"{name}\" {{"))?;
-                self.line(format_args!("  node [shape=box]; rankdir=LR;"))?;
-            }
-            GraphFormat::Mermaid => self.line(format_args!("flowchart LR"))?,
-        }
-        self.depth += 1;
-        for node in &robot.nodes {
-            let label = format!("node {} ({})", node.name, word(node.root.strategy));
-            self.group(&node.name, "", &label, &node.root)?;
-        }
-        for connection in &robot.connections {
-            let (from, to) = (&connection.ports.from, &connection.ports.to);
-            let id = |port: &PortAddress| port.component();
-            match self.format {
-                GraphFormat::Text => self.line(format_args!("{from} -> {to}"))?,
-                GraphFormat::Dot => self.line(format_args!(
-                    "\"{}\" -> \"{}\" [label=\"{}\"];",
-                    id(from),
-                    id(to),
-                    from.port
-                ))?,
-                GraphFormat::Mermaid => self.line(format_args!(
-                    "{} -- {} --> {}",
-                    mermaid_id(&id(from)),
-                    from.port,
-                    mermaid_id(&id(to))
-                ))?,
-            }
-        }
-        self.depth -= 1;
-        match self.format {
-            GraphFormat::Dot => self.line(format_args!("}}")),
-            GraphFormat::Text | GraphFormat::Mermaid => Ok(()),
+    /// Adds a line, which is written once for each format. An empty one is left out.
+    fn line(&mut self, forms: [String; 3]) {
+        let line = &forms[self.format as usize];
+        if !line.is_empty() {
+            self.text += &format!("{:indent$}{line}\n", "", indent = 2 * self.depth);
         }
     }
 
     /// A node or a supervisor with its children.
-    fn group(
-        &mut self,
-        node: &str,
-        name: &str,
-        label: &str,
-        supervisor: &SupervisorDescription,
-    ) -> fmt::Result {
-        let id = format!("{node}:{name}");
-        match self.format {
-            GraphFormat::Text => self.line(format_args!("{label}"))?,
-            GraphFormat::Dot => {
-                self.line(format_args!("subgraph \"cluster_{id}\" {{ label=\"{label}\";"))?;
-            }
-            GraphFormat::Mermaid => {
-                self.line(format_args!("subgraph {}[\"{label}\"]", mermaid_id(&id)))?;
-            }
-        }
+    fn group(&mut self, node: &str, label: &str, supervisor: &SupervisorDescription) {
+        let id = format!("{node}:{}", supervisor.name);
+        self.line([
+            label.to_owned(),
+            format!("subgraph \"cluster_{id}\" {{ label=\"{label}\";"),
+            format!("subgraph {}[\"{label}\"]", mermaid_id(&id)),
+        ]);
         self.depth += 1;
         for child in &supervisor.children {
             match child {
-                ChildDescription::Component(component) => self.component(node, component)?,
+                ChildDescription::Component(component) => {
+                    let ComponentDescription { name, type_name, rate_hz, .. } = &**component;
+                    let rate = rate_hz.map(|rate| format!(", {rate} Hz")).unwrap_or_default();
+                    let (about, id) = (format!("{type_name}{rate}"), format!("{node}:{name}"));
+                    self.line([
+                        format!("{name}: {about}"),
+                        format!("\"{id}\" [label=\"{name}\\n{about}\"];"),
+                        format!("{}[\"{name}<br/>{about}\"]", mermaid_id(&id)),
+                    ]);
+                }
                 ChildDescription::Supervisor(below) => {
                     let label = format!("supervisor {} ({})", below.name, word(below.strategy));
-                    self.group(node, &below.name, &label, below)?;
+                    self.group(node, &label, below);
                 }
             }
         }
         self.depth -= 1;
-        match self.format {
-            GraphFormat::Text => Ok(()),
-            GraphFormat::Dot => self.line(format_args!("}}")),
-            GraphFormat::Mermaid => self.line(format_args!("end")),
-        }
-    }
-
-    fn component(&mut self, node: &str, component: &ComponentDescription) -> fmt::Result {
-        let ComponentDescription { name, type_name, rate_hz, .. } = component;
-        let rate = rate_hz.map(|rate| format!(", {rate} Hz")).unwrap_or_default();
-        let id = format!("{node}:{name}");
-        match self.format {
-            GraphFormat::Text => self.line(format_args!("{name}: {type_name}{rate}")),
-            GraphFormat::Dot => {
-                self.line(format_args!("\"{id}\" [label=\"{name}\\n{type_name}{rate}\"];"))
-            }
-            GraphFormat::Mermaid => {
-                let id = mermaid_id(&id);
-                self.line(format_args!("{id}[\"{name}<br/>{type_name}{rate}\"]"))
-            }
-        }
+        self.line(["", "}", "end"].map(str::to_owned));
     }
 }
 

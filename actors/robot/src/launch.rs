@@ -12,6 +12,11 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::{JoinHandle, spawn_local};
 
+/// The file has a mistake, or the robot did not run to its end.
+pub(crate) const FAILED: u8 = 1;
+/// The first start of a node was undone.
+pub(crate) const NOT_UP: u8 = 3;
+
 /// Tells a node to end in order when its standard input does: then it outlives no launcher.
 pub(crate) const UNTIL_STDIN_ENDS: &str = "--until-stdin-ends";
 
@@ -20,6 +25,9 @@ const RESTARTS: u32 = 3;
 const PERIOD: Duration = Duration::from_secs(10);
 /// Longer than a node takes to stop with the default `shutdown-within` of a few components.
 const STOP_WITHIN: Duration = Duration::from_secs(30);
+/// What a process has written is in the pipe when it ends. A process that it has started may hold
+/// the pipe open for ever.
+const PRINTED_WITHIN: Duration = Duration::from_secs(1);
 /// A longer line is printed in several.
 const LINE_MAX: u64 = 16 * 1024;
 
@@ -28,6 +36,17 @@ pub(crate) struct Launch<'a> {
     pub(crate) nodes: Vec<&'a str>,
     /// Those of this program, to which `--node` is added.
     pub(crate) arguments: Vec<OsString>,
+}
+
+/// Why a robot does not run, and the exit status that says so.
+#[derive(Debug)]
+pub(crate) struct LaunchFailure {
+    pub(crate) status: u8,
+    pub(crate) reason: String,
+}
+
+fn failed(reason: String) -> LaunchFailure {
+    LaunchFailure { status: FAILED, reason }
 }
 
 /// A node that is kept.
@@ -40,27 +59,30 @@ impl Launch<'_> {
     /// Runs all nodes until a signal, or until one of them cannot be kept.
     ///
     /// # Errors
-    /// Which node could not be kept, and why. All others have been stopped.
-    pub(crate) async fn run(self) -> Result<(), String> {
-        let listen = |kind| signal(kind).map_err(|error| format!("signals: {error}"));
+    /// Which node did not come up, could not be kept, or did not stop. All others have been
+    /// stopped.
+    pub(crate) async fn run(self) -> Result<(), LaunchFailure> {
+        let listen = |kind| signal(kind).map_err(|error| failed(format!("signals: {error}")));
         let mut interrupt = listen(SignalKind::interrupt())?;
         let mut terminate = listen(SignalKind::terminate())?;
-        let (failed, mut failures) = mpsc::channel(self.nodes.len().max(1));
+        let (ends, mut failures) = mpsc::channel(self.nodes.len().max(1));
         let mut kept: Vec<KeptNode> = Vec::new();
         for name in &self.nodes {
             let (stop, stopped) = oneshot::channel();
             let (name, arguments) = ((*name).to_owned(), self.arguments.clone());
-            let failed = failed.clone();
+            let ends = ends.clone();
             let ended = spawn_local(async move {
-                let ended = keep(&name, &arguments, stopped).await;
-                if let Err(error) = ended {
-                    // There is room for a failure of each node.
-                    let _ = failed.send(format!("node {name}: {error}; all others stop")).await;
+                if let Err(LaunchFailure { status, reason }) =
+                    keep(&name, &arguments, stopped).await
+                {
+                    let reason = format!("node {name}: {reason}");
+                    // There is capacity for a failure of each node.
+                    let _ = ends.send(LaunchFailure { status, reason }).await;
                 }
             });
             kept.push(KeptNode { stop, ended });
         }
-        drop(failed);
+        drop(ends);
         let failure = tokio::select! {
             _ = interrupt.recv() => None,
             _ = terminate.recv() => None,
@@ -71,7 +93,8 @@ impl Launch<'_> {
             let _ = stop.send(());
             let _ = ended.await;
         }
-        failure.map_or(Ok(()), Err)
+        // One that did not stop is the failure of a robot that had none before.
+        failure.or_else(|| failures.try_recv().ok()).map_or(Ok(()), Err)
     }
 }
 
@@ -80,7 +103,7 @@ async fn keep(
     name: &str,
     arguments: &[OsString],
     mut stopped: oneshot::Receiver<()>,
-) -> Result<(), String> {
+) -> Result<(), LaunchFailure> {
     let (mut deaths, mut attempt) = (RestartWindow::new(RESTARTS, PERIOD), 1);
     loop {
         let mut process = start(name, arguments)?;
@@ -89,35 +112,35 @@ async fn keep(
         let printing =
             [print_lines(name, process.stdout.take()), print_lines(name, process.stderr.take())];
         let status = tokio::select! {
-            status = process.wait() => Some(status.map_err(|error| error.to_string())?),
+            status = process.wait() => Some(status.map_err(|error| failed(error.to_string()))?),
             _ = &mut stopped => None,
         };
         let Some(status) = status else {
             drop(stdin);
-            tokio::select! {
-                _ = process.wait() => {}
+            let stopped = tokio::select! {
+                _ = process.wait() => Ok(()),
                 () = sleep(STOP_WITHIN) => {
-                    print_line(name, "it did not stop in time, and is killed");
                     let _ = process.kill().await;
+                    Err(failed(format!("it did not stop within {STOP_WITHIN:?}, and was killed")))
                 }
-            }
-            for printing in printing.into_iter().flatten() {
-                let _ = printing.await;
-            }
-            return Ok(());
+            };
+            finish(printing).await;
+            return stopped;
         };
-        for printing in printing.into_iter().flatten() {
-            let _ = printing.await;
-        }
+        finish(printing).await;
         if status.success() {
             return Ok(());
         }
+        if attempt == 1 && status.code() == Some(i32::from(NOT_UP)) {
+            let reason = "it did not come up, and the start of the robot is undone".to_owned();
+            return Err(LaunchFailure { status: NOT_UP, reason });
+        }
         let now = platform::now();
         if !deaths.add(now) {
-            return Err(format!(
-                "its process ended {} times in {PERIOD:?}, at last with {status}",
+            return Err(failed(format!(
+                "its process ended {} times in {PERIOD:?}, at last with {status}; all others stop",
                 RESTARTS + 1
-            ));
+            )));
         }
         print_line(name, &format!("its process ended with {status}, and is started again"));
         attempt = if deaths.recent(now) == 1 { 2 } else { attempt + 1 };
@@ -128,14 +151,14 @@ async fn keep(
     }
 }
 
-fn start(name: &str, arguments: &[OsString]) -> Result<Child, String> {
-    let program = std::env::current_exe().map_err(|error| error.to_string())?;
+fn start(name: &str, arguments: &[OsString]) -> Result<Child, LaunchFailure> {
+    let program = std::env::current_exe().map_err(|error| failed(error.to_string()))?;
     let mut command = Command::new(program);
     command.args(arguments).args(["--node", name, UNTIL_STDIN_ENDS]);
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
     // A key that interrupts the launcher interrupts no node: the launcher stops them in order.
     command.process_group(0).kill_on_drop(true);
-    command.spawn().map_err(|error| format!("its process does not start: {error}"))
+    command.spawn().map_err(|error| failed(format!("its process does not start: {error}")))
 }
 
 /// Prints what a process writes, each line behind the name of its node.
@@ -151,6 +174,24 @@ fn print_lines(
             line.clear();
         }
     }))
+}
+
+/// Waits for the output of a process that has ended. What still holds the pipes open writes into
+/// nothing.
+async fn finish(printing: [Option<JoinHandle<()>>; 2]) {
+    let mut printing: Vec<_> = printing.into_iter().flatten().collect();
+    let all = async {
+        for outputs in &mut printing {
+            let _ = outputs.await;
+        }
+    };
+    tokio::select! {
+        () = all => {}
+        () = sleep(PRINTED_WITHIN) => {}
+    }
+    for outputs in printing {
+        outputs.abort();
+    }
 }
 
 fn print_line(name: &str, line: &str) {

@@ -4,7 +4,7 @@ use crate::check::check;
 use crate::description::RobotDescription;
 use crate::finding::{RobotFinding, report};
 use crate::graph::{GraphFormat, graph};
-use crate::launch::Launch;
+use crate::launch::{FAILED, Launch, LaunchFailure, NOT_UP};
 use crate::reader::{self, RobotReading, UnreadableFile};
 use crate::types::Types;
 use clap::{Parser, Subcommand};
@@ -15,8 +15,6 @@ use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// The file has a mistake, or the robot did not run to its end.
-const FAILED: u8 = 1;
 /// The command line is wrong, or the file cannot be read.
 const UNREADABLE: u8 = 2;
 
@@ -168,8 +166,9 @@ impl Types {
     /// | `graph FILE [--format text\|dot\|mermaid]` | prints the trees and the connections |
     /// | `describe` | prints the types as JSON |
     ///
-    /// It returns 0, 1 where the file has a mistake or the robot did not run to its end, and 2
-    /// where the command line is wrong or the file cannot be read.
+    /// It returns 0, 1 where the file has a mistake or the robot did not run to its end, 2 where
+    /// the command line is wrong or the file cannot be read, and 3 where a node did not come up, so
+    /// that the start of the robot was undone.
     pub fn main(self) -> ExitCode {
         match RobotArguments::parse().command {
             RobotCommand::Run { file, node, until_stdin_ends } => {
@@ -232,17 +231,18 @@ impl Types {
             }
             match blastema::run(Launch { nodes: names, arguments }.run()) {
                 Ok(()) => ExitCode::SUCCESS,
-                Err(error) => {
-                    complain(&error);
-                    ExitCode::from(FAILED)
+                Err(LaunchFailure { status, reason }) => {
+                    complain(&reason);
+                    ExitCode::from(status)
                 }
             }
         })
     }
 
     fn run_node(&self, robot: &RobotDescription, name: &str, until_stdin_ends: bool) -> ExitCode {
-        let ran: Result<(), String> = blastema::run(async {
-            let node = self.node(robot, name)?.start().await.map_err(|error| error.to_string())?;
+        let ran: Result<(), (u8, String)> = blastema::run(async {
+            let builder = self.node(robot, name).map_err(|error| (FAILED, error))?;
+            let node = builder.start().await.map_err(|error| (NOT_UP, error.to_string()))?;
             if until_stdin_ends {
                 let (ended, stdin_ended) = tokio::sync::oneshot::channel();
                 std::thread::spawn(move || {
@@ -256,13 +256,13 @@ impl Types {
                     node.shutdown().await;
                 });
             }
-            node.run_until_signal().await.map_err(|error| error.to_string())
+            node.run_until_signal().await.map_err(|error| (FAILED, error.to_string()))
         });
         match ran {
             Ok(()) => ExitCode::SUCCESS,
-            Err(error) => {
+            Err((status, error)) => {
                 complain(&format!("node {name}: {error}"));
-                ExitCode::from(FAILED)
+                ExitCode::from(status)
             }
         }
     }

@@ -12,7 +12,7 @@ use blastema::detection::{Liveness, Pull, Push};
 use blastema::recovery::{Backoff, Ladder, RecoveryAction, Restart, Strategy, WhenExceeded};
 use blastema::{ActuatorSettings, ClaimPolicy, NodeName, WhenFull};
 use roxmltree::{Document, Error, ParsingOptions};
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -25,6 +25,10 @@ const DEPTH_MAX: usize = 8;
 /// Ten thousand components with all their attributes.
 const NODES_MAX: u32 = 200_000;
 const ARGUMENTS_MAX: usize = 64;
+/// Of the whole robot: as many as one computer starts in seconds.
+const COMPONENTS_MAX: usize = 10_000;
+/// Elements within each other: more than a tree of components that a person can follow.
+const NESTED_MAX: usize = 64;
 /// The version of the format.
 const SCHEMA: u32 = 1;
 
@@ -53,12 +57,13 @@ pub(crate) fn read(path: &Path, set: &[(String, String)]) -> Result<RobotReading
     let text = read_text(&absolute)
         .map_err(|error| UnreadableFile(format!("{}: {error}", path.display())))?;
     let folder = absolute.parent().unwrap_or(Path::new("/")).to_owned();
-    let (findings, asked) = (RefCell::default(), RefCell::default());
+    let (findings, asked, components) = Default::default();
     let mut reader = RobotReader {
         robot: RobotDescription::default(),
         sources: RobotSources::default(),
         findings: &findings,
         asked: &asked,
+        components: &components,
         root: folder,
         open: Vec::new(),
     };
@@ -97,6 +102,7 @@ struct RobotReader<'a> {
     sources: RobotSources,
     findings: &'a RefCell<Vec<RobotFinding>>,
     asked: &'a RefCell<AskedNames>,
+    components: &'a Cell<usize>,
     /// The folder of the outermost file.
     root: PathBuf,
     /// The files that include each other, the outermost first.
@@ -120,6 +126,7 @@ impl RobotReader<'_> {
             findings: self.findings,
             arguments: RefCell::default(),
             asked: self.asked,
+            components: self.components,
         };
         let root = RobotElement::new(document.root_element(), &reading, None);
         if root.name() != "robot" {
@@ -173,7 +180,7 @@ impl RobotReader<'_> {
     }
 
     fn include(&mut self, element: &RobotElement<'_>) {
-        let set = element.children(&["set"]).into_iter().filter_map(|set| {
+        let set = element.distinct("set", "argument").into_iter().filter_map(|set| {
             Some((set.need("argument", value::text)?, set.need("value", value::text)?))
         });
         let set: Vec<_> = set.collect();
@@ -242,7 +249,7 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
     let given = match set {
         ArgumentSource::Outer(given) | ArgumentSource::Include(given) => *given,
     };
-    for element in root.children(&["argument"]) {
+    for element in root.distinct("argument", "name") {
         let Some(name) = element.need("name", value::node_name) else { continue };
         let kinds: [(&str, CheckValue); 5] = [
             ("text", |_| Ok(())),
@@ -259,13 +266,10 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
         let environment =
             || env::var(&variable).ok().filter(|_| matches!(set, ArgumentSource::Outer(_)));
         let value = told.or_else(environment).or(default);
-        if arguments.values.len() >= ARGUMENTS_MAX || arguments.values.contains_key(&name) {
-            let at = [(element.place("name"), "again".to_owned())];
-            let sentence = match arguments.values.contains_key(&name) {
-                true => format!("argument `{name}` is declared twice"),
-                false => format!("the file declares more than {ARGUMENTS_MAX} arguments"),
-            };
-            element.find("robot::twice", sentence, at, Some("rename one, or delete it".into()));
+        if arguments.values.len() >= ARGUMENTS_MAX {
+            let at = [(element.place("name"), "one too many".to_owned())];
+            let sentence = format!("the file declares more than {ARGUMENTS_MAX} arguments");
+            element.find("robot::limit", sentence, at, Some("delete it".into()));
         }
         match value.map(|value| (kind.map_or(Ok(()), |check| check(&value)), value)) {
             Some((Ok(()), value)) => drop(arguments.values.insert(name, value)),
@@ -349,17 +353,29 @@ fn connection(element: &RobotElement<'_>, node: Option<&str>) -> Option<Connecti
     Some(ConnectionDescription { ports, origin: element.origin() })
 }
 
-const STRATEGIES: [(&str, Strategy); 3] = [
+pub(crate) const STRATEGIES: [(&str, Strategy); 3] = [
     ("one-for-one", Strategy::OneForOne),
     ("one-for-all", Strategy::OneForAll),
     ("rest-for-one", Strategy::RestForOne),
 ];
+pub(crate) const EXCEEDED: [(&str, WhenExceeded); 2] =
+    [("stop-child", WhenExceeded::StopChild), ("escalate", WhenExceeded::Escalate)];
+pub(crate) const RESTARTS: [(&str, Restart); 3] = [
+    ("permanent", Restart::Permanent),
+    ("transient", Restart::Transient),
+    ("temporary", Restart::Temporary),
+];
+pub(crate) const WHEN_FULL: [(&str, WhenFull); 4] = [
+    ("refuse", WhenFull::Refuse),
+    ("drop-oldest", WhenFull::DropOldest),
+    ("drop-newest", WhenFull::DropNewest),
+    ("wait", WhenFull::Wait),
+];
 
 /// What supervisors and nodes have in common.
 fn rules(element: &RobotElement<'_>) -> SupervisorDescription {
-    let exceeded = [("stop-child", WhenExceeded::StopChild), ("escalate", WhenExceeded::Escalate)];
     let strategy = element.take("strategy", |text| value::word("a strategy", &STRATEGIES, text));
-    let exceeded = element.take("when-exceeded", |text| value::word("a measure", &exceeded, text));
+    let exceeded = element.take("when-exceeded", |text| value::word("a measure", &EXCEEDED, text));
     SupervisorDescription {
         strategy: strategy.unwrap_or_default(),
         intensity: element.take("intensity", value::count),
@@ -373,14 +389,23 @@ fn rules(element: &RobotElement<'_>) -> SupervisorDescription {
 fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
     if element.name() == "component" {
         // The attribute is the same for each copy, and is read before there is one.
-        let Some(copies) = element.take("copies", value::copies) else {
-            return children.push(component(element));
-        };
+        let copies = element.take("copies", value::copies);
+        if !element.count_components(copies.as_ref().map_or(1, Vec::len), COMPONENTS_MAX) {
+            return element.leave();
+        }
+        let Some(copies) = copies else { return children.push(component(element)) };
         for copy in &copies {
             let copied = element.copy(copy);
             copied.take("copies", value::text);
             children.push(component(&copied));
         }
+        return element.leave();
+    }
+    if element.node.ancestors().nth(NESTED_MAX).is_some() {
+        let at = [(element.place("name"), "one too many".to_owned())];
+        let sentence = format!("more than {NESTED_MAX} elements stand within each other");
+        let help = "make the tree of supervisors flatter".to_owned();
+        element.find("robot::limit", sentence, at, Some(help));
         return element.leave();
     }
     let mut supervisor = SupervisorDescription {
@@ -396,27 +421,16 @@ fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
 }
 
 fn component(element: &RobotElement<'_>) -> ChildDescription {
-    let restarts = [
-        ("permanent", Restart::Permanent),
-        ("transient", Restart::Transient),
-        ("temporary", Restart::Temporary),
-    ];
-    let when_full = [
-        ("refuse", WhenFull::Refuse),
-        ("drop-oldest", WhenFull::DropOldest),
-        ("drop-newest", WhenFull::DropNewest),
-        ("wait", WhenFull::Wait),
-    ];
     let threads = [("shared", false), ("own", true)];
-    let restart = element.take("restart", |text| value::word("a restart type", &restarts, text));
-    let when_full = element.take("when-full", |text| value::word("a policy", &when_full, text));
+    let restart = element.take("restart", |text| value::word("a restart type", &RESTARTS, text));
+    let when_full = element.take("when-full", |text| value::word("a policy", &WHEN_FULL, text));
     let thread = element.take("thread", |text| value::word("a kind of thread", &threads, text));
-    let parameters = element.children(&["param"]).into_iter().filter_map(|param| {
+    let parameters = element.distinct("param", "name").into_iter().filter_map(|param| {
         Some((param.need("name", value::text)?, param.need("value", value::text)?))
     });
     let parameters = parameters.collect();
-    let actuators = element.children(&["actuator"]).iter().filter_map(actuator).collect();
-    let claims = element.children(&["claim"]).into_iter().filter_map(|claim| {
+    let actuators = element.distinct("actuator", "port").iter().filter_map(actuator).collect();
+    let claims = element.distinct("claim", "name").into_iter().filter_map(|claim| {
         let policies = [("refuse", ClaimPolicy::Refuse), ("standby", ClaimPolicy::Standby)];
         let policy = claim.take("policy", |text| value::word("a policy", &policies, text));
         Some((claim.need("name", value::object_name)?, policy.unwrap_or(ClaimPolicy::Refuse)))
@@ -488,7 +502,7 @@ fn actuator(element: &RobotElement<'_>) -> Option<(String, ActuatorSettings)> {
     let lease = element.take("lease", value::duration);
     let command_timeout = element.take("command-timeout", value::command_timeout);
     let safe = element.child("safe").map(|safe| {
-        let fields = safe.children(&["field"]);
+        let fields = safe.distinct("field", "name");
         let field = |field: &RobotElement<'_>| {
             Some((field.need("name", value::text)?, field.need("value", value::text)?))
         };

@@ -1,9 +1,21 @@
 //! The reader and the schema say the same.
 
-use crate::reader::{AskedNames, read};
-use roxmltree::{Document, Node};
+use crate::description::{ComponentDescription, RobotNetwork, SupervisorDescription};
+use crate::reader::{AskedNames, EXCEEDED, RESTARTS, STRATEGIES, WHEN_FULL, read};
+use blastema::NodeBuilder;
+use blastema::core::recovery::{Backoff, SupervisorRules};
+use blastema::prelude::*;
+use roxmltree::Document;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+use std::time::Duration;
+
+/// The namespace of schemas.
+const XS: &str = "http://www.w3.org/2001/XMLSchema";
+
+struct Nothing;
+
+impl Component for Nothing {}
 
 type Names = BTreeSet<String>;
 
@@ -11,7 +23,7 @@ type Names = BTreeSet<String>;
 fn of_schema() -> BTreeMap<String, [Names; 2]> {
     let document = Document::parse(crate::XSD).expect("it is XML");
     let named = |kind: &str, name: &str| {
-        let is_it = |node: &Node<'_, '_>| {
+        let is_it = |node: &roxmltree::Node<'_, '_>| {
             node.tag_name().name() == kind && node.attribute("name") == Some(name)
         };
         let top = document.root_element().children();
@@ -50,6 +62,55 @@ fn the_schema_has_the_elements_and_attributes_that_the_reader_takes() {
         .collect();
 
     assert_eq!(of_reader, of_schema());
+}
+
+/// The word of a value.
+fn word<T: PartialEq>(words: &[(&str, T)], value: T) -> String {
+    let found = words.iter().find(|(_, known)| *known == value);
+    found.expect("each value has a word").0.to_owned()
+}
+
+#[test]
+fn the_schema_has_the_defaults_of_the_code() {
+    let document = Document::parse(crate::XSD).expect("it is XML");
+    let attributes = document.descendants().filter(|node| node.has_tag_name((XS, "attribute")));
+    let of_schema = attributes.filter_map(|attribute| {
+        let owners = attribute.ancestors().skip(1);
+        let owner = owners.filter_map(|node| node.attribute("name")).next()?;
+        let name = format!("{owner} {}", attribute.attribute("name")?);
+        Some((name, attribute.attribute("default")?.to_owned()))
+    });
+    let of_schema: BTreeMap<String, String> = of_schema.collect();
+
+    type Spec = ChildSpec<Nothing>;
+    let (rules, backoff) = (SupervisorRules::default(), Backoff::default());
+    let (component, network) = (ComponentDescription::default(), RobotNetwork::default());
+    let span = |span: Duration| format!("{span:?}");
+    let of_code = [
+        ("rules strategy", word(&STRATEGIES, rules.strategy)),
+        ("rules intensity", rules.intensity.to_string()),
+        ("rules period", span(rules.period)),
+        ("rules when-exceeded", word(&EXCEEDED, rules.when_exceeded)),
+        ("step times", "1".to_owned()),
+        ("step pause", span(backoff.first)),
+        ("step pause-factor", backoff.factor.to_string()),
+        ("step pause-limit", span(backoff.limit)),
+        ("claim policy", "refuse".to_owned()),
+        ("component restart", word(&RESTARTS, component.restart)),
+        ("component queue", Spec::QUEUE.to_string()),
+        ("component when-full", word(&WHEN_FULL, component.when_full)),
+        ("component thread", if component.own_thread { "own" } else { "shared" }.to_owned()),
+        ("component essential", component.essential.to_string()),
+        ("component max-block", span(Spec::MAX_BLOCK)),
+        ("component max-delay", span(Spec::MAX_DELAY)),
+        ("component ready-within", span(Spec::READY_WITHIN)),
+        ("component shutdown-within", span(Spec::SHUTDOWN_WITHIN)),
+        ("supervisor essential", SupervisorDescription::default().essential.to_string()),
+        ("network insecure", network.insecure.to_string()),
+        ("node grace", span(NodeBuilder::GRACE)),
+        ("argument type", "text".to_owned()),
+    ];
+    assert_eq!(of_schema, of_code.map(|(name, value)| (name.to_owned(), value)).into());
 }
 
 #[test]

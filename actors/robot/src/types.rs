@@ -4,10 +4,14 @@ use crate::description::{
     AnswerDescription, ChildDescription, ComponentDescription, EndpointDescription,
     NodeDescription, RobotDescription, RobotNetwork, SupervisorDescription,
 };
-use blastema::core::port::{PortConnection, TypeDescription};
+use crate::value::hint;
+use blastema::core::port::{
+    PortAddress, PortConnection, PortDescription, TypeDescription, resolve,
+};
 use blastema::core::recovery::SupervisorRules;
 use blastema::prelude::*;
 use blastema::{Fault, Link, Network, NodeBuilder, RecoveryStrategy};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
@@ -200,7 +204,7 @@ impl Types {
 
     fn supervisor(&self, supervisor: &SupervisorDescription) -> Result<SupervisorSpec, String> {
         let mut spec = SupervisorSpec::new(&supervisor.name, supervisor.strategy);
-        spec = spec.when_exceeded(supervisor.when_exceeded);
+        spec = spec.when_exceeded(supervisor.when_exceeded).whole_start();
         if supervisor.intensity.is_some() || supervisor.period.is_some() {
             let usual = SupervisorRules::default();
             let times = supervisor.intensity.unwrap_or(usual.intensity);
@@ -224,31 +228,44 @@ impl Types {
 
     /// The connections that this node makes.
     fn connections_at<'a>(
-        &self,
+        &'a self,
         robot: &'a RobotDescription,
-        node: &str,
-    ) -> Vec<&'a PortConnection> {
+        node: &'a str,
+    ) -> impl Iterator<Item = &'a PortConnection> {
         let connections = robot.connections.iter().map(|connection| &connection.ports);
-        let made_here = |ports: &&PortConnection| {
-            let role = self.port_role(robot, ports);
-            let end =
-                if role.is_some_and(|role| role.connects()) { &ports.from } else { &ports.to };
+        connections.filter(move |ports| {
+            let port = |address: &_, is_out| {
+                Ok(self.port(robot, address, is_out).unwrap_or_default().map(Cow::Borrowed))
+            };
+            let end = resolve(ports, port).map_or(&ports.to, |end| ports.end(end));
             end.node.as_ref().is_some_and(|end| end.as_str() == node)
-        };
-        connections.filter(made_here).collect()
+        })
     }
 
-    /// What the out port of a connection does.
-    fn port_role(
+    /// The port at an address with a node: an out port where a connection begins, another one where
+    /// it ends. `None` where the type of its component is not registered.
+    pub(crate) fn port(
         &self,
         robot: &RobotDescription,
-        ports: &PortConnection,
-    ) -> Option<blastema::core::port::ConnectionRole> {
-        let node = robot.node(ports.from.node.as_ref()?.as_str())?;
-        let components = node.components();
-        let component = components.iter().find(|known| known.name == ports.from.object.as_str())?;
-        let port = self.description(&component.type_name)?.port(&ports.from, true).ok()?;
-        Some(port.role)
+        address: &PortAddress,
+        is_out: bool,
+    ) -> Result<Option<&PortDescription>, UnknownPort> {
+        let name = address.node.as_ref().map_or("", |node| node.as_str());
+        let node = robot.node(name).ok_or_else(|| {
+            let known = robot.nodes.iter().map(|node| node.name.as_str());
+            UnknownPort::new(format!("the robot has no node `{name}`"), name, known)
+        })?;
+        let (components, object) = (node.components(), address.object.as_str());
+        let component = components.iter().find(|known| known.name == object).ok_or_else(|| {
+            let known = components.iter().map(|known| known.name.as_str());
+            UnknownPort::new(format!("node {name} has no component `{object}`"), object, known)
+        })?;
+        let Some(of) = self.description(&component.type_name) else { return Ok(None) };
+        of.port(address, is_out).map(Some).map_err(|error| {
+            let known = of.ports(is_out).iter().map(|port| port.name.as_str());
+            let unknown = UnknownPort::new(error.to_string(), address.port.as_str(), known);
+            UnknownPort { label: "no such port", ..unknown }
+        })
     }
 
     /// What a type takes and gives; `None` where it is not registered, or its `ports` panicked.
@@ -263,6 +280,23 @@ impl Types {
             self.strategies.keys().map(String::as_str).collect(),
             self.safe_outputs.keys().map(String::as_str).collect(),
         ]
+    }
+}
+
+/// Why an address is no port's: what is wrong, what to write, and what to show at its place.
+pub(crate) struct UnknownPort {
+    pub(crate) sentence: String,
+    pub(crate) help: String,
+    pub(crate) label: &'static str,
+}
+
+impl UnknownPort {
+    fn new<'w>(
+        sentence: String,
+        wrong: &str,
+        known: impl Iterator<Item = &'w str> + Clone,
+    ) -> Self {
+        UnknownPort { sentence, help: hint(wrong, known), label: "unknown" }
     }
 }
 

@@ -1,5 +1,6 @@
 //! What the text of an attribute means.
 
+use blastema::core::NameError;
 use blastema::core::suggestion::nearest;
 use blastema::recovery::RecoveryAction;
 use blastema::{CommandTimeout, FaultKind, NodeName, ObjectName};
@@ -19,6 +20,17 @@ pub(crate) struct ValueError {
 /// What a text means.
 pub(crate) type ParsedValue<T> = Result<T, ValueError>;
 
+/// The nearest word, or all.
+pub(crate) fn hint<'w>(wrong: &str, known: impl IntoIterator<Item = &'w str> + Clone) -> String {
+    match nearest(wrong, known.clone()) {
+        Some(near) => format!("write `{near}`"),
+        None => match known.into_iter().take(10).collect::<Vec<_>>().join(", ") {
+            all if all.is_empty() => "there is none".to_owned(),
+            all => format!("there are {all}"),
+        },
+    }
+}
+
 fn wrong<T>(sentence: String, label: &str, help: impl Into<String>) -> ParsedValue<T> {
     Err(ValueError { sentence, label: label.to_owned(), help: help.into() })
 }
@@ -31,18 +43,20 @@ pub(crate) fn words(text: &str) -> ParsedValue<Vec<String>> {
     Ok(text.split_whitespace().map(str::to_owned).collect())
 }
 
-pub(crate) fn node_name(text: &str) -> ParsedValue<String> {
-    match NodeName::new(text) {
+/// A name, which `parse` checks.
+fn name<T>(text: &str, parse: fn(&str) -> Result<T, NameError>) -> ParsedValue<String> {
+    match parse(text) {
         Ok(_) => Ok(text.to_owned()),
         Err(error) => wrong(error.to_string(), "a name", "write another name"),
     }
 }
 
+pub(crate) fn node_name(text: &str) -> ParsedValue<String> {
+    name(text, NodeName::new)
+}
+
 pub(crate) fn object_name(text: &str) -> ParsedValue<String> {
-    match ObjectName::new(text) {
-        Ok(_) => Ok(text.to_owned()),
-        Err(error) => wrong(error.to_string(), "a name", "write another name"),
-    }
+    name(text, ObjectName::new)
 }
 
 /// One of several words.

@@ -10,7 +10,9 @@ use crate::host::reference::ActorRef;
 use crate::liveness::limits::SharedLimits;
 use crate::messaging::queue::WhenFull;
 use crate::platform::panics;
-use crate::settings::{QUEUE, RATE_HZ, SettingError};
+use crate::settings::{
+    MAX_BLOCK, MAX_DELAY, QUEUE, RATE_HZ, READY_WITHIN, SHUTDOWN_WITHIN, SettingError,
+};
 use blastema_contract::child::Child;
 use blastema_core::ObjectName;
 use blastema_core::detection::Liveness;
@@ -46,6 +48,14 @@ impl<C: Component> fmt::Debug for ChildSpec<C> {
 impl<C: Component> ChildSpec<C> {
     /// The capacity of a component's [`queue`](Self::queue), unless that is set.
     pub const QUEUE: usize = QUEUE.default;
+    /// The limit of [`max_block`](Self::max_block), unless that is set.
+    pub const MAX_BLOCK: Duration = MAX_BLOCK.default;
+    /// The limit of [`max_delay`](Self::max_delay), unless that is set.
+    pub const MAX_DELAY: Duration = MAX_DELAY.default;
+    /// The limit of [`ready_within`](Self::ready_within), unless that is set.
+    pub const READY_WITHIN: Duration = READY_WITHIN.default;
+    /// The limit of [`shutdown_within`](Self::shutdown_within), unless that is set.
+    pub const SHUTDOWN_WITHIN: Duration = SHUTDOWN_WITHIN.default;
 
     /// A component that `factory` builds for every incarnation.
     ///

@@ -75,7 +75,8 @@ impl NodeBuilder {
     /// A description that cannot work is refused before any component is started. A component that
     /// cannot be started is a fault, which the plan answers: by default it is restarted and at last
     /// put to rest, and the node starts without it. Where supervisors give up first, up to the
-    /// root, that is [`StartError::GaveUp`]: it is returned when the safe outputs are applied and
+    /// root, as one does whose [start is whole](SupervisorSpec::whole_start), that is
+    /// [`StartError::GaveUp`]: it is returned when the safe outputs are applied and
     /// all components have ended. A component that does not end within its `shutdown_within` is
     /// abandoned.
     pub async fn start(self) -> Result<Node, StartError> {

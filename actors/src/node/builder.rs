@@ -312,6 +312,9 @@ impl NodeBuilder {
         self
     }
 
+    /// The time of [`grace`](Self::grace), unless that is set.
+    pub const GRACE: Duration = GRACE.default;
+
     /// How long a handler that was found hanging still has to return before its neighbours on the
     /// same arbiter are re-created elsewhere; an hour at most.
     pub fn grace(mut self, grace: Duration) -> Self {

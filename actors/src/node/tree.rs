@@ -86,6 +86,17 @@ impl SupervisorSpec {
         self
     }
 
+    /// Makes its first start one operation, which completes or is undone: as soon as the plan has
+    /// given up a child that cannot be started, all children end in reverse order, and the parent
+    /// of the supervisor is informed. The parent of the root is the node:
+    /// [`NodeBuilder::start`](crate::NodeBuilder::start) fails with the reason. A
+    /// [temporary](Restart::Temporary) child may be missing; one that waits for
+    /// [what is not there yet](crate::Failure::unavailable) has been started.
+    pub fn whole_start(mut self) -> Self {
+        self.rules.whole_start = true;
+        self
+    }
+
     /// Its own supervisor cannot do without it: see [`ChildSpec::essential`].
     pub fn essential(mut self) -> Self {
         self.kept.essential = true;

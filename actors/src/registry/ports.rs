@@ -7,7 +7,8 @@
 use super::lookup::CurrentReceiver;
 use super::{Inner, Registry};
 use blastema_core::port::{
-    ConnectError, ConnectionRole, PortAddress, PortConnection, PortDescription, check_connection,
+    ConnectError, ConnectionEnd, ConnectionRole, PortAddress, PortConnection, PortDescription,
+    resolve,
 };
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{ContractIdentity, DeliveryError, NameError, ObjectName};
@@ -71,18 +72,14 @@ impl Inner {
 
     /// Checks that this node can make the connection. Returns whether it is a listener's.
     fn check_ends(&self, connection: &PortConnection) -> Result<bool, ConnectError> {
-        let PortConnection { from, to } = connection;
-        let of_other = match (self.port(from, true)?, self.port(to, false)?) {
-            (Some(given), Some(taken)) => {
-                check_connection(&given.describe(), &taken.describe())?;
-                return Ok(taken.role.connects());
-            }
-            (Some(given), None) if given.role.connects() => return Ok(false),
-            (None, Some(taken)) if taken.role.connects() => return Ok(true),
-            (None, Some(_)) => &from.node,
-            (_, None) => &to.node,
-        };
-        Err(ConnectError::Elsewhere { node: of_other.clone() })
+        let end = resolve(connection, |address, is_out| {
+            let port = self.port(address, is_out)?;
+            Ok(port.map(|port| Cow::Owned(port.describe())))
+        })?;
+        match &connection.end(end).node {
+            None => Ok(end == ConnectionEnd::To),
+            node => Err(ConnectError::Elsewhere { node: node.clone() }),
+        }
     }
 }
 

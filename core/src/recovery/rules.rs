@@ -116,6 +116,9 @@ pub struct SupervisorRules {
     pub when_exceeded: WhenExceeded,
     /// The supervisor is the root: its escalation puts the node into the safe state.
     pub root: bool,
+    /// The first start completes or is undone: a child that cannot be started, and is not
+    /// [temporary](Restart::Temporary), ends all others. Later starts follow the other rules.
+    pub whole_start: bool,
 }
 
 impl Default for SupervisorRules {
@@ -127,6 +130,7 @@ impl Default for SupervisorRules {
             period: Duration::from_secs(10),
             when_exceeded: WhenExceeded::StopChild,
             root: false,
+            whole_start: false,
         }
     }
 }

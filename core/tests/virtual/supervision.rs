@@ -77,8 +77,14 @@ impl World {
         intensity: u32,
         restarts: &[Restart],
     ) -> Self {
-        let rules =
-            SupervisorRules { strategy, intensity, period: PERIOD, when_exceeded, root: true };
+        let rules = SupervisorRules {
+            strategy,
+            intensity,
+            period: PERIOD,
+            when_exceeded,
+            root: true,
+            ..SupervisorRules::default()
+        };
         let mut machine = Supervisor::new(rules);
         let mut names = Vec::new();
         let now = Instant::from_millis(1);

@@ -1,8 +1,8 @@
 //! Benchmarks of the middleware beside what it is built on, as ratios within one run.
 //!
 //! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [throughput]
-//! [memory] [monitored] [failover] [takeover] [overloaded]
-//! [devices]`; without arguments, all of them.
+//! [memory] [monitored] [failover] [takeover] [overloaded] [devices] [robot]`; without arguments,
+//! all of them.
 //! `ROUNDS=n` sets how often the rows of a table are run in turn.
 #![allow(clippy::print_stdout, reason = "tables are what this program is for")]
 
@@ -18,12 +18,13 @@ mod overloaded;
 mod process;
 mod remote;
 mod restart;
+mod robot;
 mod takeover;
 mod throughput;
 
 use std::process::ExitCode;
 
-const PARTS: [&str; 11] = [
+const PARTS: [&str; 12] = [
     "messages",
     "restart",
     "fanout",
@@ -35,6 +36,7 @@ const PARTS: [&str; 11] = [
     "takeover",
     "overloaded",
     "devices",
+    "robot",
 ];
 
 fn main() -> ExitCode {
@@ -82,6 +84,9 @@ fn main() -> ExitCode {
     }
     if wanted("devices") {
         blastema::run(devices::run(rounds));
+    }
+    if wanted("robot") {
+        blastema::run(robot::run(rounds));
     }
     ExitCode::SUCCESS
 }

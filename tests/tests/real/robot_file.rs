@@ -67,6 +67,15 @@ impl RunningRobot {
         }
     }
 
+    /// Waits until each of these texts has been printed, in any order.
+    fn until_each(&mut self, texts: &[&str]) {
+        for text in texts {
+            if !self.seen.iter().any(|line| line.contains(text)) {
+                self.until(text);
+            }
+        }
+    }
+
     fn interrupt(&self) {
         let id = self.process.id().to_string();
         let status = Command::new("kill").args(["-INT", &id]).status();
@@ -168,26 +177,134 @@ fn a_process_that_dies_is_started_again() {
 }
 
 #[test]
-fn a_node_that_cannot_start_stops_the_robot_with_a_status() {
+fn a_node_that_dies_too_often_stops_the_robot_with_a_status() {
     let _turn = blastema_doubles::turn();
     let folder = tempfile::tempdir().expect("a folder");
-    let file = folder.path().join("broken.robot.xml");
-    let text = r#"<robot schema="1" name="ranger">
-  <node name="left"><component name="counter" type="Counter"/></node>
-  <node name="right" when-exceeded="escalate" intensity="0" >
-    <component name="broken" type="Broken" essential="true"/>
-  </node>
-</robot>
-"#;
-    fs::write(&file, text).expect("it can be written");
+    let file = two_nodes(folder.path(), "", ["", ""], "1");
+    with_endpoints(&file, unix_ends(folder.path()));
 
     let mut robot = RunningRobot::start(&file, &[]);
 
     assert_eq!(robot.status(), 1, "{:#?}", robot.seen);
     assert_eq!(robot.lines_with("[right] its process ended").len(), 3, "{:#?}", robot.seen);
-    assert_eq!(robot.lines_with("[right] node right: the node did not come up").len(), 4);
-    assert_eq!(robot.lines_with("[left] counter ends").len(), 1);
     assert_eq!(robot.lines_with("node right: its process ended 4 times in 10s").len(), 1);
+    assert_eq!(robot.lines_with("[left] counter ends").len(), 1);
+}
+
+#[test]
+fn a_process_whose_output_is_held_is_started_again_and_stops() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = two_nodes(folder.path(), "", ["", ""], "3");
+    with_endpoints(&file, unix_ends(folder.path()));
+    let text = fs::read_to_string(&file).expect("it was written");
+    let more = "<param name=\"leaves_process\" value=\"true\"/><param name=\"dies_at\"";
+    fs::write(&file, text.replace("<param name=\"dies_at\"", more)).expect("it can be written");
+
+    // So slow that it does not die four times in ten seconds.
+    let mut robot = RunningRobot::start(&file, &["--set", "rate=1Hz"]);
+    robot.until("[right] its process ended with exit status: 7, and is started again");
+    robot.until("[right] display begins");
+    robot.interrupt();
+
+    assert_eq!(robot.status(), 0, "{:#?}", robot.seen);
+}
+
+/// A robot of two nodes: a map and a group with these components, and an arm that needs them.
+fn composed(folder: &Path, group: &str) -> PathBuf {
+    let (file, [base, arm]) = (folder.join("composed.robot.xml"), unix_ends(folder));
+    let text = format!(
+        r#"<robot schema="1" name="ranger">
+  <network name="lan" hello-every="20ms"/>
+  <node name="base" work-threads="1">
+    <endpoint network="lan" at="{base}"/>
+    <component name="map" type="Part"><param name="mass" value="2.5 kg"/></component>
+    <supervisor name="drive">
+      <component name="wheels" type="Part" depends-on="map"/>
+      {group}
+    </supervisor>
+  </node>
+  <node name="arm" work-threads="1">
+    <endpoint network="lan" at="{arm}"/>
+    <component name="gripper" type="Part" depends-on="base:wheels"/>
+  </node>
+</robot>
+"#
+    );
+    fs::write(&file, text).expect("it can be written");
+    file
+}
+
+/// What the parts of a node have printed.
+fn steps<'r>(robot: &'r RunningRobot, node: &str) -> Vec<&'r str> {
+    let lines = robot.seen.iter().filter_map(|line| line.strip_prefix(node));
+    let steps = ["is initialized", "is active", "is inactive", "is finalized"];
+    lines.filter(|line| steps.iter().any(|step| line.contains(step))).collect()
+}
+
+#[test]
+fn components_are_configured_and_start_in_order_and_are_finalized_in_reverse() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let motors = "<component name=\"motors\" type=\"Part\" depends-on=\"wheels\"/>";
+    let file = composed(folder.path(), motors);
+
+    let mut robot = RunningRobot::start(&file, &[]);
+    robot.until_each(&["[base] motors is active", "[arm] gripper is active"]);
+    robot.interrupt();
+
+    assert_eq!(robot.status(), 0, "{:#?}", robot.seen);
+    let expected = [
+        "map is initialized with 2.5 kg",
+        "map is active",
+        "wheels is initialized with 1 kg",
+        "wheels is active",
+        "motors is initialized with 1 kg",
+        "motors is active",
+        "motors is inactive",
+        "motors is finalized",
+        "wheels is inactive",
+        "wheels is finalized",
+        "map is inactive",
+        "map is finalized",
+    ];
+    assert_eq!(steps(&robot, "[base] "), expected);
+    let of = |text: &str| robot.seen.iter().position(|line| line == text);
+    assert!(
+        of("[arm] gripper is finalized") < of("[base] motors is inactive"),
+        "{:#?}",
+        robot.seen
+    );
+}
+
+#[test]
+fn a_robot_whose_first_start_fails_is_undone_with_the_reason() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let group = "<component name=\"broken\" type=\"Broken\" depends-on=\"wheels\"/>\n\
+                 <component name=\"motors\" type=\"Part\"/>";
+    let file = composed(folder.path(), group);
+
+    let mut robot = RunningRobot::start(&file, &[]);
+
+    assert_eq!(robot.status(), 3, "{:#?}", robot.seen);
+    let expected = [
+        "map is initialized with 2.5 kg",
+        "map is active",
+        "wheels is initialized with 1 kg",
+        "wheels is active",
+        "wheels is inactive",
+        "wheels is finalized",
+        "map is inactive",
+        "map is finalized",
+    ];
+    assert_eq!(steps(&robot, "[base] "), expected);
+    let begun = robot.lines_with("[arm] gripper is active").len();
+    assert_eq!(robot.lines_with("[arm] gripper is finalized").len(), begun, "{:#?}", robot.seen);
+    let why = robot.lines_with("[base] node base: the node did not come up: drive could not be");
+    assert!(why.len() == 1 && why[0].ends_with("it is broken"), "{:#?}", robot.seen);
+    assert_eq!(robot.lines_with("is started again"), [""; 0]);
+    assert_eq!(robot.lines_with("node base: it did not come up, and the start of").len(), 1);
 }
 
 #[test]
@@ -258,13 +375,14 @@ fn check_graph_and_describe_say_what_there_is() {
     let _turn = blastema_doubles::turn();
     let folder = tempfile::tempdir().expect("a folder");
     let file = two_nodes(folder.path(), "", ["", ""], "many");
+    with_endpoints(&file, unix_ends(folder.path()));
     let file = file.display().to_string();
     let text = |output: &Output| String::from_utf8_lossy(&output.stdout).into_owned();
 
     let checked = run(&["check", &file]);
     let errors = String::from_utf8_lossy(&checked.stderr);
     assert_eq!(checked.status.code(), Some(1), "{errors}");
-    assert!(errors.contains("two.robot.xml:8:") && errors.contains("`many`"), "{errors}");
+    assert!(errors.contains("two.robot.xml:10:") && errors.contains("`many`"), "{errors}");
     assert_eq!(run(&["check", "/nowhere.xml"]).status.code(), Some(2));
 
     fs::write(&file, fs::read_to_string(&file).unwrap().replace("many", "0")).unwrap();

@@ -60,8 +60,8 @@ fn numbers_of_the_node_that_make_no_sense_are_refused() {
         taken(node().session_timeout(200 * MS).child(lamp())).await;
 
         let storm = node().intensity(3, Duration::ZERO);
-        refused(storm, &["the intensity's period of root is 0ns", "1 ms at least for each"]).await;
-        refused(node().intensity(u32::MAX, MS), &["the intensity of root", "1000 at most"]).await;
+        refused(storm, &["period of root is 0ns", "1 ms at least for each"]).await;
+        refused(node().intensity(u32::MAX, MS), &["intensity of root", "1000 at most"]).await;
         refused(node().intensity(1000, 999 * MS), &["period of root is 999ms"]).await;
         taken(node().intensity(1000, 1000 * MS).child(lamp())).await;
         let below = SupervisorSpec::new("drive", Strategy::OneForOne).intensity(3, Duration::ZERO);
@@ -83,19 +83,18 @@ fn spans_of_a_component_that_are_never_or_always_over_are_refused() {
         refused(lamp().max_wait(Duration::ZERO), &["max_wait of lamp"]).await;
         refused(lamp().ready_within(Duration::ZERO), &["ready_within of lamp"]).await;
 
-        let interval = &["the watch's interval of lamp is", "Liveness::Guard"];
+        let interval = &["liveness.interval of lamp is", "Liveness::Guard"];
         refused(lamp().liveness(Liveness::push(Duration::ZERO, 3)), interval).await;
         refused(lamp().liveness(Liveness::push(Duration::MAX, 3)), interval).await;
         refused(lamp().liveness(Liveness::pull(Duration::ZERO, MS)), interval).await;
-        refused(lamp().liveness(Liveness::push(MS, 0)), &["the watch's tolerance of lamp is 0"])
-            .await;
+        refused(lamp().liveness(Liveness::push(MS, 0)), &["liveness.tolerance of lamp is 0"]).await;
         refused(lamp().liveness(Liveness::push(MS, u32::MAX)), &["1 to 1000"]).await;
         refused(lamp().liveness(Liveness::pull(MS, Duration::ZERO)), &["within of lamp"]).await;
         refused(lamp().max_delay(Duration::ZERO), &["max_delay of lamp"]).await;
         refused(lamp().max_missed_rounds(0), &["max_missed_rounds of lamp"]).await;
         refused(lamp().max_missed_rounds(101), &["max_missed_rounds of lamp"]).await;
         let rare = lamp().rate_hz(1.0).liveness(Liveness::push(100 * MS, 3));
-        refused(rare, &["the watch's interval of lamp", "every 1s", "rate_hz"]).await;
+        refused(rare, &["liveness.interval of lamp", "every 1s", "rate_hz"]).await;
         let start_up = Push { start_up: Duration::ZERO, ..Push::default() };
         refused(lamp().liveness(Liveness::Push(start_up)), &["start_up of lamp"]).await;
 
@@ -227,9 +226,9 @@ fn ports_of_which_one_could_not_be_reached_or_held_are_refused() {
         refused(told::<3>(), &[twice, "both by actuator"]).await;
         refused(told::<4>(), &["two ports for \"settings/speed\"", "both by variable"]).await;
         refused(told::<5>(), &["a variable of wheel", "faster than it can stop"]).await;
-        refused(told::<6>(), &["a lease of wheel is 1ms", "20 ms to 60 s"]).await;
-        refused(told::<7>(), &["a lease of wheel"]).await;
-        refused(told::<8>(), &["the command timeout of wheel is 1ms", "or Hold for"]).await;
+        refused(told::<6>(), &["actuator.lease of wheel is 1ms", "20 ms to 60 s"]).await;
+        refused(told::<7>(), &["actuator.lease of wheel"]).await;
+        refused(told::<8>(), &["actuator.command_timeout of wheel is 1ms", "or Hold for"]).await;
         taken(told::<9>()).await;
         let claims = lamp().claim("light", ClaimPolicy::Refuse).claim("light", ClaimPolicy::Refuse);
         refused(node().child(claims), &["a claim of lamp is light twice"]).await;

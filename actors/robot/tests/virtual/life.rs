@@ -75,7 +75,23 @@ fn a_start_that_cannot_be_completed_is_undone_with_the_reason() {
 
     let refused = refused.expect("it cannot start");
     assert!(refused.contains("broken"), "{refused}");
-    // The plan tries again before the supervisors give up.
+    assert!(refused.contains("its device is on fire"), "{refused}");
+    // The plan tries again before the supervisor gives up.
     done.dedup();
     assert_eq!(done, ["map begins", "laser begins", "broken fails", "laser ends", "map ends"]);
+}
+
+#[test]
+fn a_temporary_component_that_cannot_start_may_be_missing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (file, undone) = (folder.path().join("spare.xml"), "tests/right/undone.robot.xml");
+    let text = std::fs::read_to_string(undone).expect("it is there");
+    let text = text.replace("type=\"Broken\"", "type=\"Broken\" restart=\"temporary\"");
+    std::fs::write(&file, text).expect("it can be written");
+
+    let (refused, done) = run(&file.display().to_string());
+
+    assert_eq!(refused, None);
+    let begun = ["map begins", "laser begins", "broken fails", "motors begins"];
+    assert_eq!(done, [&begun[..], &["motors ends", "laser ends", "map ends"]].concat());
 }

@@ -1,15 +1,23 @@
 //! The schema for editors, as `xmllint` reads it.
 
 use std::fs;
+use std::io::Write;
 use std::path::PathBuf;
 use std::process::Command;
 
-/// Whether `xmllint` takes a file; `None` where it is not installed.
+/// Whether `xmllint` takes a file; `None`, and a line that no test run hides, where it is not
+/// installed.
 fn is_valid(file: &str) -> Option<bool> {
     let mut xmllint = Command::new("xmllint");
     xmllint.args(["--noout", "--schema", "robot-1.xsd", file]);
-    let ended = xmllint.output().ok()?;
-    Some(ended.status.success())
+    match xmllint.output() {
+        Ok(ended) => Some(ended.status.success()),
+        Err(error) => {
+            let skipped = format!("SKIPPED: the schema is not tried: xmllint: {error}\n");
+            std::io::stderr().write_all(skipped.as_bytes()).expect("standard error is open");
+            None
+        }
+    }
 }
 
 fn files_in(folder: &str) -> Vec<PathBuf> {
@@ -20,16 +28,15 @@ fn files_in(folder: &str) -> Vec<PathBuf> {
 
 #[test]
 fn xmllint_takes_right_files_and_finds_mistakes_of_shape() {
-    for file in files_in("tests/right").into_iter().chain(files_in("tests/right/parts")) {
+    let right = files_in("tests/right").into_iter().chain(files_in("tests/right/parts"));
+    let of_shape = files_in("tests/wrong")
+        .into_iter()
+        .filter(|file| fs::read_to_string(file).expect("it is there").contains("<!-- shape -->"));
+    let files = right.map(|file| (file, true)).chain(of_shape.map(|file| (file, false)));
+    for (file, expected) in files {
         let file = file.display().to_string();
-        assert_ne!(is_valid(&file), Some(false), "{file}");
-    }
-    for file in files_in("tests/wrong") {
-        let text = fs::read_to_string(&file).expect("it is there");
-        let file = file.display().to_string();
-        if text.contains("<!-- shape -->") {
-            assert_ne!(is_valid(&file), Some(true), "{file}");
-        }
+        let Some(valid) = is_valid(&file) else { return };
+        assert_eq!(valid, expected, "{file}");
     }
 }
 

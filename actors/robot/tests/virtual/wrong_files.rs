@@ -89,3 +89,20 @@ fn a_mistake_of_the_code_is_found_once_at_the_component() {
     assert_eq!(found.matches("robot::").count(), 1, "{found}");
     assert!(found.contains("brakes.robot.xml:3:"), "{found}");
 }
+
+#[test]
+fn a_tree_without_end_is_a_mistake_and_no_crash() {
+    let folder = tempfile::TempDir::new().expect("a folder");
+    let file = folder.path().join("deep.robot.xml");
+    let deep = 20_000;
+    let text = format!(
+        "<robot schema=\"1\" name=\"r\"><node name=\"base\">\n{}{}</node></robot>\n",
+        "<supervisor name=\"s\">\n".repeat(deep),
+        "</supervisor>\n".repeat(deep)
+    );
+    fs::write(&file, text).expect("it can be written");
+
+    let found = blastema::run(async { types().load(&file, &[]) }).expect_err("it is refused");
+
+    assert!(found.to_string().contains("more than 64 elements stand within each other"), "{found}");
+}

@@ -10,7 +10,8 @@
 //! its recoverer then takes the next action, at last safe stop. Where the rules say so, the
 //! strategy makes children depend on each other, or the child is essential, the supervisor
 //! escalates instead; and it does so too if the recoverer gives a child up that cannot be started,
-//! so that it is the same whether the plan or the intensity allows fewer attempts.
+//! so that it is the same whether the plan or the intensity allows fewer attempts. A first start
+//! that is to be whole is undone by the first child that cannot be started, on every level.
 //!
 //! Two sets carry all order. `going` holds the children whose present incarnation must end: only
 //! the last of them in start order is stopped at a time. `coming` holds those that are to start:
@@ -374,14 +375,16 @@ impl Supervisor {
         self.set_isolated(key, true);
         let child = self.kept(key);
         let (essential, worked) = (child.rules.essential, child.worked);
+        let why = child.failed.take().map(|why| format!(": {why}")).unwrap_or_default();
+        let undone = self.start_needs(key);
         self.dismiss(key, ChildTarget::Rest, cause, now);
         if self.at_work() && cause != ReplacementCause::Asked {
             // As many restarts as the plan allows, and one too many, are the same end.
             let starts = self.phase == Phase::Starting || !worked;
             if essential {
                 self.end(Some(format!("{name} is essential, and was put into the safe state")));
-            } else if self.rules.counts_together() && starts {
-                self.end(Some(format!("{name} could not be started")));
+            } else if undone || (self.rules.counts_together() && starts) {
+                self.end(Some(format!("{name} could not be started{why}")));
             }
         }
         self.advance(now);
@@ -532,10 +535,14 @@ impl Supervisor {
         now: Instant,
     ) {
         let Some(key) = self.present(name, incarnation) else { return };
-        self.incarnation_ended(key, false, reason, now);
+        let undone = self.start_needs(key);
+        self.incarnation_ended(key, false, reason.clone(), now);
         // It may have been about to leave, and is gone now.
         let failed = self.children.get(&key).is_some_and(|child| child.failed.is_some());
-        if failed
+        if failed && undone {
+            // Its children were tried as often as its rules allow.
+            self.end(Some(format!("{name} could not be started: {reason}")));
+        } else if failed
             && self.at_work()
             && let Err(why) = self.replace(key, ReplacementCause::Died, now)
         {

@@ -44,6 +44,7 @@ impl Supervisor {
             }
             None if self.phase == Phase::Starting && self.is_up() => {
                 self.phase = Phase::Serving;
+                self.rules.whole_start = false;
                 self.outputs.push_back(SupervisorOutput::AllStarted);
             }
             None => {}
@@ -130,6 +131,12 @@ impl Supervisor {
                 (up && whole).then_some(Ok(Some(child.incarnation)))
             }
         }
+    }
+
+    /// Whether the start is to be whole, and is not without this child.
+    pub(super) fn start_needs(&self, key: ChildKey) -> bool {
+        let needed = self.children[&key].rules.restart != Restart::Temporary;
+        self.rules.whole_start && self.phase == Phase::Starting && needed
     }
 
     /// A child whose incarnation has ended in the meantime delays those behind it until the

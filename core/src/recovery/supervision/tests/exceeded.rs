@@ -143,7 +143,7 @@ fn a_shared_restart_count_escalates_for_a_child_that_cannot_start() {
         let mut rig = Rig::of(rules, &children);
         rig.begin();
         rig.start_failed("a", 1);
-        let escalates = ["isolate a", "retire a", "escalate: a could not be started"];
+        let escalates = ["isolate a", "retire a", "escalate: a could not be started: no device"];
         assert_eq!(rig.rest("a", ReplacementCause::Faulty)[..3], escalates, "as it starts");
 
         let mut rig = Rig::of(rules, &children);
@@ -154,7 +154,9 @@ fn a_shared_restart_count_escalates_for_a_child_that_cannot_start() {
         rig.restart("b", ReplacementCause::Died, 1);
         rig.start_failed("b", 2);
         assert_eq!(rig.rest("b", ReplacementCause::Died)[..3], ["isolate b", "retire b", "stop a"]);
-        assert!(rig.stopped("a", 1).contains(&"escalate: b could not be started".to_owned()));
+        assert!(
+            rig.stopped("a", 1).contains(&"escalate: b could not be started: no device".to_owned())
+        );
 
         let mut rig = Rig::of(rules, &children);
         rig.begin();
@@ -222,4 +224,45 @@ fn a_thousand_children_that_fail_at_once_are_all_replaced() {
         assert_eq!(rig.started(name, 2), [format!("{} recovered {name} #2", at + 1)]);
     }
     assert_eq!(rig.machine.poll_timeout(), None);
+}
+
+#[test]
+fn a_whole_start_is_undone_by_the_first_child_that_cannot_be_started() {
+    let rules = SupervisorRules { whole_start: true, ..SupervisorRules::default() };
+    let children = [
+        ("a", permanent()),
+        ("b", kept(Restart::Temporary)),
+        ("c", permanent()),
+        ("d", permanent()),
+    ];
+    let mut rig = Rig::of(rules, &children);
+    rig.begin();
+    rig.started("a", 1);
+    let next = rig.start_failed("b", 1);
+    assert!(next.contains(&"start c #1".to_owned()), "a temporary child may be missing: {next:?}");
+    rig.start_failed("c", 1);
+
+    let undone = rig.rest("c", ReplacementCause::Died);
+
+    assert!(undone.contains(&"stop a".to_owned()), "{undone:?}");
+    assert!(!undone.contains(&"start d #1".to_owned()), "{undone:?}");
+    assert_eq!(rig.stopped("a", 1), ["escalate: c could not be started: no device"]);
+
+    // A supervisor below that has undone its start is not tried again.
+    let mut rig = Rig::of(rules, &[("a", permanent()), ("b", ChildRules::supervisor())]);
+    rig.begin();
+    rig.started("a", 1);
+    let undone = rig.escalated("b", 1);
+    assert!(!undone.iter().any(|line| line.starts_with("start")), "{undone:?}");
+    let escalates = rig.stopped("a", 1);
+    assert!(escalates[0].starts_with("escalate: b could not be started: "), "{escalates:?}");
+
+    // Once it has been whole, children rest by themselves.
+    let mut rig = Rig::of(rules, &[("a", permanent()), ("b", permanent())]);
+    rig.begin();
+    rig.started("a", 1);
+    rig.started("b", 1);
+    rig.died("b", 1);
+    rig.rest("b", ReplacementCause::Died);
+    assert_eq!((rig.state("a"), rig.state("b")), (ChildState::Running, ChildState::Resting));
 }
