@@ -70,7 +70,8 @@ impl<M: Contract> OutPort for Sender<M> {
 
 impl<C: Component> Ports<C> {
     /// Publishes events at this port, which any number of listeners are connected to. While none
-    /// is, the events reach no listener. They are those of the topic `NODE/COMPONENT/PORT`.
+    /// is, the events reach no listener. They are those of the topic `NODE/COMPONENT/PORT`,
+    /// so the name has no `/`.
     pub fn publishes<E: Event>(&mut self, name: &str) -> &mut Self {
         self.declare::<E>(name.to_owned().into(), Publisher::<E>::ROLE)
     }

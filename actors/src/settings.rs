@@ -168,6 +168,14 @@ pub(crate) const SHUTDOWN_WITHIN: Setting<Duration> = Setting {
 pub(crate) const CONDITION_TIMEOUT: Setting<Duration, ()> = Setting {
     name: "the timeout",
     default: (),
+    range: Duration::from_millis(10)..=HOUR,
+    cure: "write 10 ms to an hour",
+};
+
+/// When the last rung of a policy for lost communication begins, counted from the loss.
+pub(crate) const LAST_RUNG_AFTER: Setting<Duration, ()> = Setting {
+    name: "the time of its last rung",
+    default: (),
     range: Duration::ZERO..=HOUR,
     cure: "write an hour at most",
 };

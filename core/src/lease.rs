@@ -21,6 +21,11 @@
 //! While the component leaves work in order, claims are refused, and an actuator that has carried
 //! out a command gets its stop command. The cut-off is called only where that fails or comes too
 //! late.
+//!
+//! A policy for lost communication takes the lease without a cut-off, and holds it over all its
+//! rungs. Meanwhile the rung's command takes the place of the safe command and the cut-off of a
+//! lease that ends. It is given until it is carried out, and again as often as the command timeout
+//! asks for. The cut-off is called once where it is not carried out in time.
 
 use crate::{DeliveryError, Incarnation, Instant, Machine, ObjectName};
 use std::collections::VecDeque;
@@ -28,6 +33,11 @@ use std::time::Duration;
 
 /// How long a component has to begin its safe command before it is looked at: one beat.
 const BEAT: Duration = Duration::from_millis(10);
+/// How long a component has to carry out the command of a rung, unless its `max_wait` is longer. A
+/// shorter time cuts an actuator off whose component is only being restarted.
+const RUNG_WITHIN: Duration = Duration::from_secs(1);
+/// How often it is looked at whether the command of a rung is to be given again.
+const RUNG_INTERVAL: Duration = Duration::from_millis(100);
 
 /// The identity of a commander.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -59,6 +69,8 @@ pub enum RestCause {
     Released,
     /// The component leaves work in order.
     Stopped,
+    /// A policy for lost communication commands it, under this number.
+    Rung(u64),
 }
 
 /// What stops an actuator whose component leaves work in order.
@@ -162,7 +174,23 @@ pub struct Lease {
     /// brings it to rest.
     is_cut: bool,
     work: Work,
+    /// The policy for lost communication that holds the lease.
+    rung: Option<RungHold>,
+    /// How many commands rungs had.
+    rungs: u64,
+    /// By when what was given has to be carried out, unless the actuator is cut off.
+    apply_by: Option<Instant>,
     outputs: VecDeque<LeaseOutput>,
+}
+
+/// The hold of a policy for lost communication.
+#[derive(Debug)]
+struct RungHold {
+    policy: CommanderId,
+    /// Commanders may claim the lease, and the policy has it back after them.
+    yields: bool,
+    /// When to look whether the command is to be given again.
+    again_at: Instant,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -199,6 +227,9 @@ impl Lease {
             cut_offs: 0,
             is_cut: false,
             work: Work::Goes,
+            rung: None,
+            rungs: 0,
+            apply_by: None,
             outputs: VecDeque::new(),
         }
     }
@@ -206,37 +237,50 @@ impl Lease {
     /// How it stands at `now`.
     pub fn status(&self, now: Instant) -> LeaseStatus {
         let (commander, epoch) = (self.commander.clone(), self.last_epoch);
-        match &self.state {
-            State::Free => LeaseStatus::Free,
-            State::Held { due } => LeaseStatus::Held { commander, epoch, left: *due - now },
-            State::Settling => LeaseStatus::Settling { commander },
+        match (&self.state, &self.rung) {
+            (State::Held { due }, _) => LeaseStatus::Held { commander, epoch, left: *due - now },
+            (_, Some(RungHold { policy, .. })) => {
+                LeaseStatus::Held { commander: policy.clone(), epoch, left: self.rules.span }
+            }
+            (State::Free, None) => LeaseStatus::Free,
+            (State::Settling, None) => LeaseStatus::Settling { commander },
         }
+    }
+
+    /// The commander that holds the lease, which a policy for lost communication is not.
+    pub fn commander(&self) -> Option<&CommanderId> {
+        matches!(self.state, State::Held { .. }).then_some(&self.commander)
     }
 
     /// A commander claims the lease.
     ///
     /// # Errors
-    /// [`DeliveryError::Held`] while another one does; a later incarnation of the same commander
-    /// takes over from the one before. [`DeliveryError::Restarting`] while the safe command is
-    /// being carried out, the cut-off has not returned, or the component is not at work.
+    /// [`DeliveryError::Held`] while another one does, or a policy for lost communication; a later
+    /// incarnation of the same commander takes over from the one before.
+    /// [`DeliveryError::Restarting`] while the safe command is being carried out, the cut-off has
+    /// not returned, or the component is not at work.
     pub fn handle_claim(
         &mut self,
         commander: CommanderId,
         now: Instant,
     ) -> Result<LeaseGrant, DeliveryError> {
         self.expire(now);
-        let holder = &self.commander;
-        match &self.state {
+        let held = |holder: &CommanderId| {
+            let by = format!("{}{}", holder.name, holder.incarnation);
+            Err(DeliveryError::Held { actuator: self.actuator.to_string(), by })
+        };
+        match (&self.state, &self.rung) {
+            (State::Settling, _) => return Err(DeliveryError::Restarting),
             _ if self.work != Work::Goes => return Err(DeliveryError::Restarting),
-            State::Settling => return Err(DeliveryError::Restarting),
-            State::Held { .. }
-                if holder.name != commander.name || holder.incarnation > commander.incarnation =>
+            (_, Some(RungHold { policy, yields: false, .. })) => return held(policy),
+            (State::Free, _) if self.cut_offs > 0 => return Err(DeliveryError::Restarting),
+            (State::Held { .. }, _)
+                if self.commander.name != commander.name
+                    || self.commander.incarnation > commander.incarnation =>
             {
-                let by = format!("{}{}", holder.name, holder.incarnation);
-                let actuator = self.actuator.to_string();
-                return Err(DeliveryError::Held { actuator, by });
+                return held(&self.commander);
             }
-            State::Free | State::Held { .. } => {}
+            (State::Free | State::Held { .. }, _) => {}
         }
         self.last_epoch += 1;
         self.commander = commander;
@@ -266,7 +310,7 @@ impl Lease {
 
     /// The commander's command is handed to the component, and counts from now on.
     pub fn handle_command(&mut self, now: Instant) {
-        (self.moves, self.given, self.check_at) = (true, None, None);
+        (self.moves, self.given, self.check_at, self.apply_by) = (true, None, None, None);
         self.counts_until = self.rules.command_timeout.map(|timeout| now + timeout);
     }
 
@@ -284,7 +328,90 @@ impl Lease {
         }
     }
 
-    /// The safe or the stop command that was given for this cause was carried out, or could not be.
+    /// Ends the lease of a commander that is meant, as if it had given it back.
+    pub fn handle_suspended(&mut self, is_meant: impl Fn(&CommanderId) -> bool) {
+        if self.commander().is_some_and(is_meant) {
+            self.end(RestCause::Released);
+        }
+    }
+
+    /// A policy for lost communication takes the lease for its next command, or holds it already:
+    /// no cut-off is called and no safe command given. A rung that `yields` takes it from no
+    /// commander, lets others claim it, and has it back, with the last command, when their lease
+    /// ends.
+    pub fn handle_rung(&mut self, policy: CommanderId, yields: bool, now: Instant) {
+        if let Some(rung) = self.rung.as_mut().filter(|_| yields) {
+            rung.yields = true;
+            return;
+        }
+        if !yields && self.commander().is_some() {
+            self.state = State::Free;
+        }
+        self.rungs += 1;
+        self.rung = Some(RungHold { policy, yields, again_at: now + RUNG_INTERVAL });
+        if self.give_rung(false) {
+            self.apply_by = Some(now + self.rung_within());
+        }
+    }
+
+    /// The policy for lost communication lets others command again: the actuator gets its safe
+    /// command, and is not cut off unless it does not carry that out.
+    pub fn handle_rungs_over(&mut self, now: Instant) {
+        if self.rung.take().is_some() && self.work == Work::Goes {
+            self.state = State::Settling;
+            self.give(RestCause::Released, false);
+            self.apply_by = Some(now + self.rung_within());
+        }
+    }
+
+    /// The node enters the safe state: whatever commands the actuator ends.
+    pub fn handle_rest(&mut self) {
+        let is_held = self.rung.take().is_some() || self.commander().is_some();
+        if is_held && self.work == Work::Goes {
+            self.bring_to_rest(RestCause::Released);
+        }
+        self.handle_stop_failed();
+    }
+
+    fn rung_within(&self) -> Duration {
+        self.rules.max_wait.max(RUNG_WITHIN)
+    }
+
+    /// Gives the rung's command, if one counts and the component is at work. Says whether it did.
+    fn give_rung(&mut self, again: bool) -> bool {
+        let is_held = self.commander().is_some();
+        let Some(rung) = self.rung.as_ref().filter(|_| !is_held) else { return false };
+        if self.work == Work::Goes {
+            (self.commander, self.moves) = (rung.policy.clone(), true);
+            self.give(RestCause::Rung(self.rungs), again);
+        }
+        self.work == Work::Goes
+    }
+
+    fn look_at_rung(&mut self, now: Instant) {
+        let within = self.rung_within();
+        if let Some(rung) = self.rung.as_mut().filter(|rung| now >= rung.again_at) {
+            let interval = self.rules.command_timeout.map(|timeout| timeout / 3);
+            // Three commands in a timeout tolerate two late ones.
+            rung.again_at = now + interval.unwrap_or(RUNG_INTERVAL);
+            if interval.is_some() && self.given.is_none() {
+                self.give_rung(true);
+            }
+            if matches!(self.given, Some(RestCause::Rung(_))) && !self.is_cut {
+                self.apply_by.get_or_insert(now + within);
+            }
+        }
+        if self.apply_by.is_some_and(|by| now >= by) {
+            self.apply_by = None;
+            // One that leaves work in order is stopped.
+            if let (Some(cause), Work::Goes) = (self.given, self.work) {
+                self.cut_off(cause);
+            }
+        }
+    }
+
+    /// The safe, the stop, or a rung's command that was given for this cause was carried out, or
+    /// could not be.
     pub fn handle_applied(&mut self, cause: RestCause, applied: bool) {
         self.is_cut &= !applied;
         // Another one may have taken its place.
@@ -293,9 +420,12 @@ impl Lease {
         }
         match applied {
             true => {
-                self.moves &=
-                    cause != RestCause::Stopped && self.rules.stop_by == StopBy::StopCommand;
-                self.given = None;
+                self.moves &= match cause {
+                    RestCause::Rung(_) => true,
+                    RestCause::Stopped => false,
+                    _ => self.rules.stop_by == StopBy::StopCommand,
+                };
+                (self.given, self.apply_by) = (None, None);
                 self.free_once_settled();
             }
             false if cause == RestCause::Stopped => self.handle_stop_failed(),
@@ -305,20 +435,24 @@ impl Lease {
         }
     }
 
-    /// A command that must not fail was not carried out, or not in time: the actuator is cut off.
-    pub fn handle_not_taken(&mut self) {
-        self.cut_off(RestCause::CommandTimeout);
-    }
-
     /// The cut-off has returned, panicked, or is absent.
     pub fn handle_cut_off_returned(&mut self) {
         self.cut_offs = self.cut_offs.saturating_sub(1);
+        // It may have ended what the rung's command began.
+        if self.cut_offs == 0 {
+            self.give_rung(true);
+        }
         self.free_once_settled();
     }
 
     /// The component is at work, at first or again.
     pub fn handle_at_work(&mut self) {
         self.work = Work::Goes;
+        if self.give_rung(true) {
+            // A new incarnation may have switched on what was cut off.
+            self.is_cut = false;
+            return;
+        }
         match self.given {
             Some(cause) => self.give(cause, true),
             // The next command reaches an incarnation that owes nothing.
@@ -332,7 +466,7 @@ impl Lease {
         if self.work == Work::Goes {
             self.work = Work::Ends { stops: self.moves };
             self.state = State::Settling;
-            (self.given, self.check_at) = (None, None);
+            (self.given, self.check_at, self.apply_by) = (None, None, None);
             match self.moves {
                 true => self.give(RestCause::Stopped, false),
                 false => self.free_once_settled(),
@@ -401,11 +535,20 @@ impl Lease {
     }
 
     fn end(&mut self, cause: RestCause) {
-        if let State::Held { .. } = self.state {
-            self.state = State::Settling;
-            self.cut_off(cause);
-            self.give(cause, false);
+        match (&self.state, &self.rung) {
+            (State::Held { .. }, Some(_)) => {
+                self.state = State::Free;
+                self.give_rung(false);
+            }
+            (State::Held { .. }, None) => self.bring_to_rest(cause),
+            (State::Free | State::Settling, _) => {}
         }
+    }
+
+    fn bring_to_rest(&mut self, cause: RestCause) {
+        (self.state, self.apply_by) = (State::Settling, None);
+        self.cut_off(cause);
+        self.give(cause, false);
     }
 
     fn expire(&mut self, now: Instant) {
@@ -444,17 +587,17 @@ impl Machine for Lease {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        match self.state {
-            State::Held { due } => {
-                let check_at = self.check_at.map(|(at, _)| at);
-                [Some(due), self.counts_until, check_at].into_iter().flatten().min()
-            }
-            State::Free | State::Settling => None,
-        }
+        let rung = self.rung.as_ref().map(|rung| rung.again_at);
+        let held = match self.state {
+            State::Held { due } => [Some(due), self.counts_until, self.check_at.map(|(at, _)| at)],
+            State::Free | State::Settling => [None; 3],
+        };
+        held.into_iter().chain([rung, self.apply_by]).flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
         self.expire(now);
+        self.look_at_rung(now);
         if !matches!(self.state, State::Held { .. }) {
             return;
         }
@@ -523,6 +666,7 @@ mod tests {
             LeaseOutput::CheckTaken { is_late: false } => "check",
             LeaseOutput::CheckTaken { is_late: true } => "late",
             LeaseOutput::Apply { cause: RestCause::Stopped, .. } => "stop",
+            LeaseOutput::Apply { cause: RestCause::Rung(_), .. } => "rung",
             LeaseOutput::Apply { .. } => "safe",
         };
         std::iter::from_fn(|| lease.poll_output()).map(name).collect()
@@ -855,6 +999,102 @@ mod tests {
         assert_eq!(outputs(&mut lease), ["cut-off"]);
         lease.handle_at_work();
         assert_eq!(outputs(&mut lease), ["safe"]);
+    }
+
+    /// A policy takes the lease of a commander at 10 ms.
+    fn taken(command_timeout: Option<Duration>) -> Lease {
+        let (stop_by, max_wait) = (StopBy::SafeCommand, Duration::from_millis(40));
+        let (mut lease, _) =
+            held_under(LeaseRules { span: SPAN, command_timeout, max_wait, stop_by });
+        lease.handle_command(ms(1));
+        lease.handle_rung(who("policy", 1), false, ms(10));
+        assert_eq!(outputs(&mut lease), ["rung"]);
+        lease
+    }
+
+    #[test]
+    fn a_policy_holds_the_lease_over_all_its_rungs_and_no_change_cuts_the_actuator_off() {
+        let mut lease = taken(None);
+        assert_eq!(lease.handle_claim(who("console", 1), ms(11)), held_by("policy#1"));
+        lease.handle_applied(RestCause::Rung(1), true);
+
+        lease.handle_rung(who("policy", 1), true, ms(15));
+        let homing = lease.handle_claim(who("homing", 1), ms(20)).unwrap();
+        lease.handle_command(ms(21));
+        lease.handle_release(homing.epoch);
+        assert_eq!(outputs(&mut lease), ["rung"], "the policy has it back");
+        lease.handle_claim(who("homing", 2), ms(30)).unwrap();
+        lease.handle_command(ms(31));
+        lease.handle_rung(who("policy", 1), false, ms(40));
+        lease.handle_applied(RestCause::Rung(1), true);
+        assert_eq!(lease.handle_claim(who("homing", 3), ms(41)), held_by("policy#1"));
+        lease.handle_applied(RestCause::Rung(2), true);
+        lease.handle_timeout(ms(9_000));
+        assert_eq!((outputs(&mut lease), lease.commander()), (vec!["rung"], None));
+
+        lease.handle_rungs_over(ms(9_100));
+        assert_eq!(outputs(&mut lease), ["safe"]);
+        lease.handle_applied(RestCause::Released, true);
+        lease.handle_timeout(ms(99_000));
+        assert!(lease.handle_claim(who("console", 1), ms(99_000)).is_ok());
+        assert_eq!(outputs(&mut lease), [""; 0]);
+    }
+
+    #[test]
+    fn a_rungs_command_is_given_until_it_is_carried_out_and_again_in_each_third_of_its_timeout() {
+        let mut lease = taken(Some(Duration::from_millis(300)));
+        lease.handle_timeout(ms(110));
+        lease.handle_applied(RestCause::Rung(1), false);
+        lease.handle_timeout(ms(210));
+        assert_eq!(outputs(&mut lease), [""; 0]);
+        lease.handle_at_work();
+        for now in [310, 410] {
+            assert_eq!(outputs(&mut lease), ["rung"]);
+            lease.handle_timeout(ms(now));
+            assert_eq!(outputs(&mut lease), [""; 0], "it is being served");
+            lease.handle_applied(RestCause::Rung(1), true);
+            lease.handle_timeout(ms(now + 99));
+            lease.handle_timeout(ms(now + 100));
+        }
+        assert_eq!(outputs(&mut lease), ["rung"]);
+        lease.handle_applied(RestCause::Rung(1), true);
+        lease.handle_leaving();
+        assert_eq!(outputs(&mut lease), ["stop"]);
+        lease.handle_applied(RestCause::Stopped, true);
+        lease.handle_settled();
+        lease.handle_timeout(ms(5_000));
+        assert_eq!(outputs(&mut lease), [""; 0], "it was stopped in order");
+        lease.handle_at_work();
+        assert_eq!(outputs(&mut lease), ["rung"]);
+    }
+
+    #[test]
+    fn an_actuator_whose_rung_fails_is_late_or_is_never_finished_is_cut_off_once() {
+        type Step = fn(&mut Lease);
+        let never_begun: Step = |_| {};
+        let fails: Step = |lease| lease.handle_applied(RestCause::Rung(1), false);
+        let dies: Step = |lease| lease.handle_left(false);
+        let ends: Step = |lease| lease.handle_rungs_over(ms(10));
+        for step in [never_begun, fails, dies, ends] {
+            let mut lease = taken(None);
+            step(&mut lease);
+            lease.handle_timeout(ms(1009));
+            assert!(!outputs(&mut lease).contains(&"cut-off"));
+            lease.handle_timeout(ms(1010));
+            assert_eq!(outputs(&mut lease), ["cut-off"]);
+            lease.handle_timeout(ms(9_000));
+            assert!(!outputs(&mut lease).contains(&"cut-off"));
+        }
+    }
+
+    #[test]
+    fn a_node_in_the_safe_state_ends_the_hold_of_a_policy() {
+        let mut lease = taken(None);
+        lease.handle_rest();
+        assert_eq!(outputs(&mut lease), ["cut-off", "safe"]);
+        lease.handle_applied(RestCause::Released, true);
+        lease.handle_cut_off_returned();
+        assert_eq!((lease.status(ms(20)), outputs(&mut lease)), (LeaseStatus::Free, vec![]));
     }
 
     #[test]

@@ -112,11 +112,15 @@ impl PortAddress {
         }
     }
 
-    /// The topic of the events of an out port: `base/laser/scan`.
+    /// The topic of the events of an out port: `base/laser/scan`. No other port has it.
     ///
     /// # Errors
-    /// The names are too long together.
+    /// The names are too long together, or that of the port has a `/`: the port `scan` of the
+    /// component `laser/left` would have the topic of the port `left/scan` of `laser`.
     pub fn topic(&self, own: Option<&NodeName>) -> Result<ObjectName, NameError> {
+        if let Some(at) = self.port.as_str().find('/') {
+            return Err(NameError::Character { text: self.port.to_string(), found: '/', at });
+        }
         let node = self.node.as_ref().or(own);
         let node = node.map(|node| format!("{node}/")).unwrap_or_default();
         ObjectName::new(&format!("{node}{}/{}", self.object, self.port))
@@ -471,6 +475,9 @@ mod tests {
 
         assert_eq!(topic("laser#scan").as_deref(), Ok("base/laser/scan"));
         assert_eq!(topic("arm:eye/left#image").as_deref(), Ok("arm/eye/left/image"));
+        assert_eq!(topic("eye/left#image").as_deref(), Ok("base/eye/left/image"));
+        let same = topic("eye#left/image").expect_err("it would be that of eye/left#image");
+        assert!(same.to_string().contains("\"left/image\" holds '/' at byte 4"), "{same}");
         let long = format!("{}#scan", "l".repeat(128));
         assert!(matches!(topic(&long), Err(NameError::TooLong { .. })));
         let seen = |text: &str| address(text).seen_from(own.as_ref()).to_string();

@@ -6,14 +6,14 @@
 //!      ╳ (killed, cut off, hangs)         └─ lease over ─► cut-off, safe command ─► component
 //! ```
 
-pub(crate) mod command;
+mod command;
 mod ports;
 mod settings;
 pub(crate) mod table;
 
 pub use settings::ActuatorSettings;
 pub use table::ActuatorRow;
-pub(crate) use table::{ActuatorTable, DeclaredActuator};
+pub(crate) use table::{ActuatorKey, ActuatorTable, DeclaredActuator};
 
 use crate::messaging::error::decode_kind;
 use crate::messaging::sender::Sender;
@@ -164,7 +164,7 @@ impl<M: Contract> ActuatorSpec<M> {
     }
 }
 
-fn encoded<M: Contract>(command: &M) -> Result<Vec<u8>, DeliveryError> {
+pub(crate) fn encoded<M: Contract>(command: &M) -> Result<Vec<u8>, DeliveryError> {
     let mut bytes = Vec::new();
     match codec::encode(command, &mut bytes) {
         Ok(()) => Ok(bytes),

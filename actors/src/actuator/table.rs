@@ -11,8 +11,9 @@ use crate::registry::access::{AccessControl, AccessWish, MessageOrigin};
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
 use crate::runtime::callbacks::{CallKind, CallOutcome, Callbacks};
-use crate::runtime::guardian::{Guardian, answers_the_monitor};
-use actix::prelude::*;
+use crate::runtime::guardian::Guardian;
+use crate::runtime::timekeeper::Timekeeper;
+use actix::prelude::{ArbiterHandle, Recipient};
 use blastema_contract::reports::AreYouAlive;
 use blastema_core::lease::{
     CommanderId, Lease, LeaseOutput, LeaseRules, LeaseStatus, RestCause, StopBy,
@@ -25,7 +26,7 @@ use blastema_core::{
 use bytes::Bytes;
 use std::sync::atomic::Ordering::{Relaxed, SeqCst};
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tracing::{error, info, warn};
 
@@ -48,6 +49,7 @@ pub(crate) struct DeclaredActuator {
 
 /// An actuator and its commander, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct ActuatorRow {
     /// The component.
     pub object: ObjectName,
@@ -77,25 +79,38 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-type Actuators = SortedMap<(ObjectName, &'static str), Arc<Actuator>>;
+/// A component and the contract of its commands.
+pub(crate) type ActuatorKey = (ObjectName, &'static str);
+type Actuators = SortedMap<ActuatorKey, Arc<Actuator>>;
+
+/// What a policy for lost communication has done by an actuator, also while its component is away.
+struct RungOrder {
+    policy: CommanderId,
+    /// The command, encoded; the safe one where the policy has given none.
+    command: Option<Bytes>,
+    /// Commanders may claim the actuator meanwhile.
+    yields: bool,
+}
 
 /// The actuators of a node. Clones share them.
 #[derive(Clone, Default)]
 pub(crate) struct ActuatorTable {
     /// As many as its components declare.
     actuators: Arc<Mutex<Actuators>>,
-    timekeeper: Arc<OnceLock<Recipient<Look>>>,
+    timekeeper: Arc<Timekeeper>,
     /// Calls cut-offs.
     callbacks: Callbacks,
     /// The node is in the safe state, in which no lease is granted.
     rests: Arc<AtomicBool>,
-    /// The nodes whose commanders were lost.
+    /// The nodes whose commanders were lost, and components whose rungs are not carried out.
     suspended: Arc<Mutex<SortedSet<String>>>,
+    /// What policies for lost communication have done now.
+    rungs: Arc<Mutex<SortedMap<ActuatorKey, RungOrder>>>,
 }
 
-/// The node of a commander.
-fn node_of(commander: &str) -> &str {
-    commander.split(':').next().unwrap_or_default()
+/// Whether this commander has that name, or is of the node of that name.
+fn is_of(commander: &str, name: &str) -> bool {
+    commander == name || commander.split_once(':').is_some_and(|(node, _)| node == name)
 }
 
 impl ActuatorTable {
@@ -112,11 +127,7 @@ impl ActuatorTable {
         arbiter: Option<&ArbiterHandle>,
     ) -> Recipient<AreYouAlive> {
         let table = self.clone();
-        let make = move |_: &mut Context<Timekeeper>| Timekeeper { table, armed: None };
-        let timekeeper = guardian.start(name, arbiter, make);
-        // A table is started once, with its node.
-        let _ = self.timekeeper.set(timekeeper.clone().recipient());
-        timekeeper.recipient()
+        self.timekeeper.start(move |now| table.advance(now), name, guardian, arbiter)
     }
 
     /// The object has these actuators from now on; the port is where they are commanded.
@@ -140,7 +151,9 @@ impl ActuatorTable {
                 turn: AtomicU64::default(),
                 busy: Arc::default(),
             };
-            lock(&self.actuators).insert(key, Arc::new(actuator));
+            let actuator = Arc::new(actuator);
+            lock(&self.actuators).insert(key, actuator.clone());
+            self.begin_rung(&actuator);
         }
         let (table, object) = (self.clone(), object.clone());
         let serve = move |order: ActuatorCommand,
@@ -164,9 +177,8 @@ impl ActuatorTable {
     /// Something becomes of the component's work. Returns how long it may go on until it has
     /// settled, where it leaves work.
     pub(crate) fn handle_work(&self, object: &ObjectName, handle: impl Fn(&mut Lease)) -> Duration {
-        let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
         let mut settle_within = Duration::ZERO;
-        for actuator in all.iter().filter(|actuator| actuator.object == *object) {
+        for actuator in self.all().iter().filter(|actuator| actuator.object == *object) {
             let mut lease = lock(&actuator.lease);
             handle(&mut lease);
             if lease.is_stopping() {
@@ -182,17 +194,14 @@ impl ActuatorTable {
     /// work again.
     pub(crate) fn rest(&self) {
         self.rests.store(true, SeqCst);
-        let now = platform::now();
-        let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
-        for actuator in all {
-            let mut lease = lock(&actuator.lease);
-            if let LeaseStatus::Held { epoch, .. } = lease.status(now) {
-                lease.handle_release(epoch);
-            }
-            lease.handle_stop_failed();
-            drop(lease);
+        for actuator in self.all() {
+            lock(&actuator.lease).handle_rest();
             self.carry_out(&actuator);
         }
+    }
+
+    fn all(&self) -> Vec<Arc<Actuator>> {
+        lock(&self.actuators).values().cloned().collect()
     }
 
     /// The components of actuators without a cut-off.
@@ -215,13 +224,13 @@ impl ActuatorTable {
     /// Whether each that was commanded has carried out its safe command.
     pub(crate) fn are_at_rest(&self) -> bool {
         let now = platform::now();
-        let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
-        all.iter().all(|actuator| lock(&actuator.lease).status(now) == LeaseStatus::Free)
+        self.all().iter().all(|actuator| lock(&actuator.lease).status(now) == LeaseStatus::Free)
     }
 
-    /// The node goes to work again.
+    /// The node goes to work again, and policies for lost communication go on.
     pub(crate) fn resume(&self) {
         self.rests.store(false, SeqCst);
+        self.all().iter().for_each(|actuator| self.begin_rung(actuator));
     }
 
     /// All of them, and who commands each.
@@ -232,64 +241,75 @@ impl ActuatorTable {
             contract: actuator.declared.identity.name,
             status: lock(&actuator.lease).status(now),
         };
-        let actuators: Vec<_> = lock(&self.actuators).values().cloned().collect();
-        actuators.iter().map(row).collect()
+        self.all().iter().map(row).collect()
     }
 
-    /// How long a command of this actuator counts; `None` for ever.
-    pub(crate) fn command_timeout(&self, object: &ObjectName, contract: &str) -> Option<Duration> {
-        self.named(object, contract)?.declared.rules.command_timeout
+    /// The commander that holds an actuator of this component.
+    pub(crate) fn commander_of(&self, object: &ObjectName) -> Option<CommanderId> {
+        let all = self.all().into_iter().filter(|actuator| actuator.object == *object);
+        all.filter_map(|actuator| lock(&actuator.lease).commander().cloned()).last()
     }
 
-    /// Ends the lease of any commander but this one.
-    pub(crate) fn seize(&self, object: &ObjectName, contract: &str, own: &str) {
-        if let Some(actuator) = self.named(object, contract) {
-            self.end_lease(&actuator, |commander| commander != own);
-        }
-    }
-
-    /// Ends the leases of all commanders of this node, and refuses its claims from now on.
-    pub(crate) fn suspend(&self, node: &str) {
-        lock(&self.suspended).insert(node.to_owned());
-        let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
-        for actuator in all {
-            self.end_lease(&actuator, |commander| node_of(commander) == node);
-        }
-    }
-
-    /// Lets commanders of this node claim again.
-    pub(crate) fn resume_commander(&self, node: &str) {
-        lock(&self.suspended).remove(node);
-    }
-
-    /// Calls the cut-off of an actuator that does not take its command.
-    pub(crate) fn cut_off_now(&self, object: &str, contract: &str) {
-        let object = ObjectName::new(object).ok();
-        if let Some(actuator) = object.and_then(|object| self.named(&object, contract)) {
-            lock(&actuator.lease).handle_not_taken();
+    /// Ends the leases of the commander of this name, or of all of the node of this name, and
+    /// refuses claims from now on.
+    pub(crate) fn suspend(&self, name: &str) {
+        lock(&self.suspended).insert(name.to_owned());
+        for actuator in self.all() {
+            lock(&actuator.lease).handle_suspended(|commander| is_of(&commander.name, name));
             self.carry_out(&actuator);
         }
+        self.timekeeper.look();
     }
 
-    fn end_lease(&self, actuator: &Arc<Actuator>, is_meant: impl Fn(&str) -> bool) {
+    /// Lets those claim again.
+    pub(crate) fn resume_commander(&self, name: &str) {
+        lock(&self.suspended).remove(name);
+    }
+
+    /// Has the actuator carry out this command, encoded, of a policy for lost communication, until
+    /// the next one or the end. Without a command commanders may claim it from the policy.
+    pub(crate) fn enter_rung(
+        &self,
+        key: &ActuatorKey,
+        policy: &CommanderId,
+        command: Option<Bytes>,
+    ) {
+        let mut rungs = lock(&self.rungs);
+        let yields = command.is_none();
+        let command = command.or_else(|| rungs.remove(key)?.command);
+        rungs.insert(key.clone(), RungOrder { policy: policy.clone(), command, yields });
+        drop(rungs);
+        if let Some(actuator) = self.find(key) {
+            self.begin_rung(&actuator);
+        }
+    }
+
+    /// The policy that commands this actuator lets others command it again.
+    pub(crate) fn end_rungs(&self, key: &ActuatorKey) {
+        lock(&self.rungs).remove(key);
+        if let Some(actuator) = self.find(key) {
+            lock(&actuator.lease).handle_rungs_over(platform::now());
+            self.carry_out(&actuator);
+            self.timekeeper.look();
+        }
+    }
+
+    /// Takes the lease for the policy that commands this actuator, if one does.
+    fn begin_rung(&self, actuator: &Arc<Actuator>) {
         let mut lease = lock(&actuator.lease);
-        if let LeaseStatus::Held { commander, epoch, .. } = lease.status(platform::now())
-            && is_meant(&commander.name)
+        // As for a claim: the safe state comes before all policies.
+        if let Some(order) = lock(&self.rungs).get(&actuator.key())
+            && !self.rests.load(SeqCst)
         {
-            lease.handle_release(epoch);
+            lease.handle_rung(order.policy.clone(), order.yields, platform::now());
         }
         drop(lease);
         self.carry_out(actuator);
+        self.timekeeper.look();
     }
 
-    fn named(&self, object: &ObjectName, contract: &str) -> Option<Arc<Actuator>> {
-        let actuators = lock(&self.actuators);
-        let mut own = actuators.iter().filter(|((of, name), _)| of == object && *name == contract);
-        own.next().map(|(_, actuator)| actuator.clone())
-    }
-
-    fn find(&self, object: &ObjectName, theirs: &PeerIdentity) -> Option<Arc<Actuator>> {
-        self.named(object, &theirs.name)
+    fn find(&self, key: &ActuatorKey) -> Option<Arc<Actuator>> {
+        lock(&self.actuators).get(key).cloned()
     }
 
     fn serve(
@@ -311,7 +331,10 @@ impl ActuatorTable {
         if let Err(why) = access.check(from, AccessWish::Command, object, || theirs.name.clone()) {
             return answer.give(CommandReply::refused(&why));
         }
-        let Some(actuator) = self.find(object, &theirs) else {
+        let named = |actuator: &&Arc<Actuator>| {
+            actuator.object == *object && actuator.declared.identity.name == theirs.name
+        };
+        let Some(actuator) = lock(&self.actuators).values().find(named).cloned() else {
             let why = DeliveryError::Unknown { name: format!("{} of {object}", theirs.name) };
             return answer.give(CommandReply::refused(&why));
         };
@@ -336,7 +359,7 @@ impl ActuatorTable {
                 Err(DeliveryError::Restarting)
             }
             CommandKind::Claim { commander, .. }
-                if lock(&self.suspended).contains(node_of(&commander)) =>
+                if lock(&self.suspended).iter().any(|name| is_of(&commander, name)) =>
             {
                 let by = "the policy for lost communication".to_owned();
                 Err(DeliveryError::Held { actuator: object.to_string(), by })
@@ -371,7 +394,7 @@ impl ActuatorTable {
                     Ok(()) => {
                         actuator.command((message, age), &mut lease, answer);
                         drop(lease);
-                        return self.look();
+                        return self.timekeeper.look();
                     }
                     Err(why) => Err(why),
                 }
@@ -382,7 +405,7 @@ impl ActuatorTable {
         if matches!(done, Ok(CommandReply::Granted { .. })) {
             self.take_back(&actuator);
         }
-        self.look();
+        self.timekeeper.look();
         answer.give(done.unwrap_or_else(|why| CommandReply::refused(&why)));
     }
 
@@ -398,24 +421,14 @@ impl ActuatorTable {
         }
     }
 
-    /// The timekeeper is to look when it has to be up next.
-    fn look(&self) {
-        if let Some(timekeeper) = self.timekeeper.get() {
-            timekeeper.do_send(Look);
-        }
-    }
-
     /// Lets all leases act on the time, and says when they want to be looked at again.
     fn advance(&self, now: Instant) -> Option<Instant> {
-        let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
-        let mut next: Option<Instant> = None;
-        for actuator in all {
+        let advance = |actuator: &Arc<Actuator>| {
             lock(&actuator.lease).handle_timeout(now);
-            self.carry_out(&actuator);
-            let due = lock(&actuator.lease).poll_timeout();
-            next = next.into_iter().chain(due).min();
-        }
-        next
+            self.carry_out(actuator);
+            lock(&actuator.lease).poll_timeout()
+        };
+        self.all().iter().filter_map(advance).min()
     }
 
     fn carry_out(&self, actuator: &Arc<Actuator>) {
@@ -430,6 +443,10 @@ impl ActuatorTable {
                         continue;
                     }
                     let (who, incarnation) = (&commander.name, commander.incarnation);
+                    if let RestCause::Rung(_) = cause {
+                        info!(%object, who, "a rung commands the actuator");
+                        continue;
+                    }
                     if cause == RestCause::Expired {
                         let detail = format!("its commander {who}{incarnation} has gone");
                         actuator.skeleton.declare(FaultKind::CommanderGone, detail);
@@ -453,14 +470,19 @@ impl ActuatorTable {
         }
     }
 
-    /// Gives the safe command, or the stop command.
+    /// Gives the safe command, the stop command, or that of a rung.
     fn give(&self, actuator: &Arc<Actuator>, cause: RestCause) {
         let DeclaredActuator { rules, safe, stop, .. } = &actuator.declared;
         let command = match (cause, rules.stop_by) {
             // The component's hook stops the actuator.
             (RestCause::Stopped, StopBy::Hook) => return,
-            (RestCause::Stopped, _) => stop,
-            _ => safe,
+            (RestCause::Stopped, _) => stop.clone(),
+            (RestCause::Rung(_), _) => {
+                let rungs = lock(&self.rungs);
+                let ordered = rungs.get(&actuator.key()).and_then(|order| order.command.clone());
+                ordered.unwrap_or_else(|| safe.clone())
+            }
+            _ => safe.clone(),
         };
         actuator.turn.store(actuator.skeleton.turn(), Relaxed);
         let (table, applied_at) = (self.clone(), actuator.clone());
@@ -470,7 +492,7 @@ impl ActuatorTable {
         });
         let metadata = MessageMetadata { is_first: true, ..MessageMetadata::default() };
         // What came of it is told to the closure in every case.
-        let _ = actuator.skeleton.deliver(command, metadata, Some(applied));
+        let _ = actuator.skeleton.deliver(&command, metadata, Some(applied));
     }
 
     /// Has the cut-off called. The next lease is granted after it has returned: a cut-off that
@@ -510,6 +532,10 @@ impl ActuatorTable {
 }
 
 impl Actuator {
+    fn key(&self) -> ActuatorKey {
+        (self.object.clone(), self.declared.identity.name)
+    }
+
     /// Why this is none of the sender's: the name of a commander is that of an object of its node,
     /// and a lease is used from where it was claimed. Its number is easily guessed.
     fn impersonation(
@@ -554,66 +580,9 @@ impl Actuator {
     }
 }
 
-/// Look when you have to be up next.
-#[derive(Message)]
-#[rtype(result = "()")]
-struct Look;
-
-/// Sees that leases end in time.
-struct Timekeeper {
-    table: ActuatorTable,
-    armed: Option<(Instant, SpawnHandle)>,
-}
-
-impl Timekeeper {
-    fn look(&mut self, context: &mut Context<Self>) {
-        let now = platform::now();
-        let Some(due) = self.table.advance(now) else { return };
-        match &self.armed {
-            // Renewals push the end of a lease out: the timer is left standing, and looks again.
-            Some((armed, _)) if *armed <= due && *armed > now => return,
-            Some((_, handle)) => drop(context.cancel_future(*handle)),
-            None => {}
-        }
-        let timer = tokio::time::sleep_until(platform::timer_at(due));
-        let timer = actix::fut::wrap_future::<_, Self>(timer);
-        let handle = context.spawn(timer.map(|(), timekeeper: &mut Self, context| {
-            timekeeper.armed = None;
-            timekeeper.look(context);
-        }));
-        self.armed = Some((due, handle));
-    }
-}
-
-answers_the_monitor!(Timekeeper);
-
-impl Actor for Timekeeper {
-    type Context = Context<Self>;
-
-    fn started(&mut self, context: &mut Context<Self>) {
-        self.armed = None;
-        self.look(context);
-    }
-}
-
-impl Supervised for Timekeeper {
-    fn restarting(&mut self, context: &mut Context<Self>) {
-        self.started(context);
-    }
-}
-
-impl Handler<Look> for Timekeeper {
-    type Result = ();
-
-    fn handle(&mut self, _: Look, context: &mut Context<Self>) {
-        self.look(context);
-    }
-}
-
 #[cfg(all(test, feature = "network"))]
 mod tests {
     use super::*;
-    use blastema_core::NodeName;
     use blastema_core::net::NodeId;
     use std::sync::mpsc;
 

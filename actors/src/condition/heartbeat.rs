@@ -15,7 +15,8 @@ use std::time::Duration;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Event)]
 #[contract(crate = "crate", name = "blastema/heartbeat", version = 1, delivery = "newest")]
 pub struct Heartbeat {
-    /// How many heartbeats the sender has sent before this one.
+    /// One more than that of the sender's heartbeat before. Each sender begins with a number by
+    /// chance, by which senders on one topic are told apart.
     pub sequence: u64,
     /// When it was sent, by the wall clock of its sender, in microseconds since 1970.
     pub stamp_us: u64,
@@ -30,7 +31,8 @@ impl Heartbeat {
 
 /// Publishes heartbeats until it is dropped.
 pub(crate) async fn publish(publisher: Publisher<Heartbeat>, interval: Duration) {
-    for sequence in 0.. {
+    // As many again are left to count.
+    for sequence in platform::random_seed() / 2.. {
         // An incarnation that was fenced off gives no sign of life.
         if publisher.publish(Heartbeat::new(sequence)).is_err() {
             return;

@@ -32,6 +32,7 @@ use tokio::sync::watch;
 
 /// How a condition is, and why.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct ConditionStatus {
     /// How it is.
     pub state: ConditionState,
@@ -161,6 +162,11 @@ impl Condition {
             // Its node has ended: it is never reached.
             std::future::pending::<()>().await;
         }
+    }
+
+    /// Where its status is followed, until the node ends.
+    pub(crate) fn watch(&self) -> watch::Receiver<ConditionStatus> {
+        self.status.clone()
     }
 
     /// Follows the changes of the condition, from now on.

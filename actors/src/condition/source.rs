@@ -2,7 +2,7 @@
 
 #[cfg(feature = "network")]
 use super::echo::RoundTrips;
-use super::spec::{ChannelSpec, ConnectedChannel, Figure};
+use super::spec::{ChannelSpec, ConnectedChannel};
 use crate::actuator::ActuatorTable;
 #[cfg(feature = "network")]
 use crate::directory::DirectoryTable;
@@ -19,13 +19,15 @@ use blastema_contract::session::SessionRow;
 use blastema_core::NodeName;
 use blastema_core::connection::{ChannelReading, TopicEstimator};
 #[cfg(feature = "network")]
-use blastema_core::connection::{Latency, LossEstimator, RoundTripEstimator};
+use blastema_core::connection::{Latency, LossEstimator};
 #[cfg(feature = "network")]
 use blastema_core::directory::DirectoryKey;
-use blastema_core::lease::LeaseStatus;
 #[cfg(feature = "network")]
 use blastema_core::net::LinkState;
-use blastema_core::{Instant, NameError, ObjectName};
+#[cfg(feature = "network")]
+use blastema_core::suggestion::nearest;
+use blastema_core::{Instant, ObjectName};
+use std::any::Any;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -39,36 +41,36 @@ pub(crate) struct ConditionWiring {
     pub(crate) directory: DirectoryTable,
     #[cfg(feature = "network")]
     pub(crate) net: Option<NetHandle>,
+    /// The links that a condition may name; what begins as one that ends at `/` may come by itself.
+    #[cfg(feature = "network")]
+    pub(crate) links: Vec<String>,
     /// How long a channel may be silent over the media of the node; `None` without any.
     pub(crate) timeout: Option<Duration>,
 }
 
 /// A channel with what was read of it before.
 pub(super) struct ChannelSource {
-    origin: Origin,
+    channel: ConnectedChannel,
     last: ChannelReading,
     wants_latency: bool,
-    wants_loss: bool,
     clocks_within: Option<Duration>,
+    /// What is known of a topic, and what measures it until this is dropped.
+    measured: Arc<Mutex<TopicEstimator>>,
+    _tapped: Option<Box<dyn Any + Send>>,
+    #[cfg(feature = "network")]
+    network: NetworkSource,
 }
 
-enum Origin {
-    Topic {
-        measured: Arc<Mutex<TopicEstimator>>,
-        #[cfg(feature = "network")]
-        key: DirectoryKey,
-    },
-    Commander(ObjectName),
-    #[cfg(feature = "network")]
-    Node {
-        node: NodeName,
-        needs_session: bool,
-        /// How many chunks the session had sent, and sent again.
-        counted: (u64, u64),
-        loss: LossEstimator,
-    },
-    #[cfg(feature = "network")]
-    Link(String),
+/// What was read of other nodes.
+#[cfg(feature = "network")]
+#[derive(Default)]
+struct NetworkSource {
+    wants_loss: bool,
+    /// The fastest round trip of late to the slowest node that published.
+    trip: Option<Duration>,
+    /// How many chunks the session had sent, and sent again.
+    counted: (u64, u64),
+    loss: LossEstimator,
 }
 
 /// What is read for all channels together.
@@ -97,47 +99,47 @@ pub(super) struct NetworkRows {
 const ROWS_INTERVAL: Duration = Duration::from_millis(100);
 
 impl ChannelSource {
-    pub(super) fn new(
+    /// Begins to measure the channel for the condition of this name.
+    pub(super) fn open(
         spec: &ChannelSpec,
-        measured: Arc<Mutex<TopicEstimator>>,
-    ) -> Result<Self, NameError> {
+        channel: &ConnectedChannel,
+        wiring: &ConditionWiring,
+        listener: &ObjectName,
+    ) -> Result<Self, String> {
         #[cfg(feature = "network")]
-        let node = |name: &str, needs_session| {
-            let (counted, loss) = Default::default();
-            NodeName::new(name).map(|node| Origin::Node { node, needs_session, counted, loss })
-        };
-        let origin = match &spec.channel {
-            #[cfg(feature = "network")]
-            ConnectedChannel::Topic { topic, contract, .. } => {
-                let (topic, contract) = (ObjectName::new(topic)?, (*contract).to_owned());
-                Origin::Topic { measured, key: DirectoryKey::Publisher { topic, contract } }
+        if let ConnectedChannel::Link(link) = channel {
+            wiring.check_link(link)?;
+        }
+        let measured = Arc::<Mutex<TopicEstimator>>::default();
+        let tapped = match channel {
+            ConnectedChannel::Topic(topic, events) => {
+                let tapped = (events.listen)(&wiring.topics, topic, listener, measured.clone());
+                Some(tapped.map_err(|why| why.to_string())?)
             }
-            #[cfg(not(feature = "network"))]
-            ConnectedChannel::Topic { .. } => Origin::Topic { measured },
-            ConnectedChannel::Commander(actuator) => Origin::Commander(ObjectName::new(actuator)?),
-            #[cfg(feature = "network")]
-            ConnectedChannel::Node(name) => node(name, false)?,
-            #[cfg(feature = "network")]
-            ConnectedChannel::Session(name) => node(name, true)?,
-            #[cfg(feature = "network")]
-            ConnectedChannel::Link(link) => Origin::Link(link.clone()),
+            _ => None,
         };
         Ok(ChannelSource {
-            origin,
+            channel: channel.clone(),
             last: ChannelReading::default(),
-            wants_latency: spec.figures().any(|figure| figure == Figure::Latency),
-            wants_loss: spec.figures().any(|figure| figure == Figure::Loss),
+            wants_latency: spec.wants_latency(),
             clocks_within: spec.clocks_within,
+            measured,
+            _tapped: tapped,
+            #[cfg(feature = "network")]
+            network: NetworkSource {
+                wants_loss: spec.limits.loss_permille.is_some(),
+                ..NetworkSource::default()
+            },
         })
     }
 
     /// Whether the rows of links and sessions must be read for it.
     #[cfg(feature = "network")]
     pub(super) fn needs_rows(&self) -> bool {
-        match &self.origin {
-            Origin::Link(_) => true,
-            Origin::Node { .. } => self.wants_loss,
-            Origin::Topic { .. } | Origin::Commander(_) => false,
+        match &self.channel {
+            ConnectedChannel::Link(_) => true,
+            ConnectedChannel::Node(_) | ConnectedChannel::Session(_) => self.network.wants_loss,
+            ConnectedChannel::Topic(..) | ConnectedChannel::Commander(_) => false,
         }
     }
 
@@ -148,90 +150,73 @@ impl ChannelSource {
         shared: &mut SharedReadings,
         now: Instant,
     ) -> ChannelReading {
-        let ChannelSource { origin, last, wants_latency, wants_loss, clocks_within } = self;
-        #[cfg(not(feature = "network"))]
-        let _ = (wants_loss, shared);
-        match origin {
-            Origin::Topic { measured, .. } => {
-                let measured = *measured.lock().unwrap_or_else(PoisonError::into_inner);
+        match &self.channel {
+            ConnectedChannel::Topic(topic, events) => {
+                let measured = *self.measured.lock().unwrap_or_else(PoisonError::into_inner);
+                let last = &mut self.last;
                 (last.arrived, last.heard_at) = (measured.arrived(), measured.heard_at());
                 last.jitter = last.heard_at.map(|_| measured.jitter());
                 last.loss_permille = measured.loss_permille();
-                let trip = match origin {
-                    _ if !*wants_latency => None,
-                    #[cfg(feature = "network")]
-                    Origin::Topic { key, .. } => {
-                        let nodes = wiring.directory.nodes_with(key);
-                        let trips = nodes.iter().map(|node| {
-                            shared.round_trips.to(node, &wiring.registry, now).fastest()
-                        });
-                        match nodes.is_empty() {
-                            // No other node publishes: events come from this one.
-                            true => last.heard_at.map(|_| Duration::ZERO),
-                            false => trips
-                                .collect::<Option<Vec<_>>>()
-                                .and_then(|all| all.into_iter().max()),
-                        }
-                    }
-                    _ => last.heard_at.map(|_| Duration::ZERO),
+                #[cfg(not(feature = "network"))]
+                let (trip, _) = (Some(Duration::ZERO), (topic, events, shared, now));
+                #[cfg(feature = "network")]
+                let trip = match self.wants_latency {
+                    true => self.network.topic_trip((topic, events.contract), wiring, shared, now),
+                    false => None,
                 };
-                // What was known stays while the publisher is away.
-                if let Some(trip) = trip {
-                    let one_way = clocks_within.and_then(|error| measured.one_way(error, trip));
+                // What was known stays while a round trip is not.
+                if let (Some(trip), Some(_), true) = (trip, last.heard_at, self.wants_latency) {
+                    let agreed = self.clocks_within;
+                    let one_way = agreed.and_then(|error| measured.one_way(error, trip));
                     last.latency = Some(one_way.unwrap_or_else(|| measured.latency(trip)));
                 }
             }
-            Origin::Commander(actuator) => {
-                let rows = wiring.actuators.rows();
-                let held = rows.into_iter().filter(|row| row.object == *actuator);
-                let held = held.filter_map(|row| match row.status {
-                    LeaseStatus::Held { commander, .. } => Some(commander),
-                    LeaseStatus::Free | LeaseStatus::Settling { .. } => None,
-                });
-                if let Some(commander) = held.last() {
-                    last.heard_at = Some(now);
-                    #[cfg(feature = "network")]
-                    if *wants_latency {
-                        let node = commander.name.split(':').next().map(NodeName::new);
-                        let node = node.and_then(Result::ok);
-                        let node = node.and_then(|node| wiring.registry.elsewhere(node));
-                        let trips =
-                            node.map(|node| shared.round_trips.to(&node, &wiring.registry, now));
-                        last.latency = match trips {
-                            Some(trips) => latency_of(&trips, now),
-                            None => Some(Latency::of_round_trip(Duration::ZERO)),
-                        };
-                    }
-                    #[cfg(not(feature = "network"))]
-                    let _ = (commander, wants_latency);
+            ConnectedChannel::Commander(actuator) => {
+                let Some(commander) = wiring.actuators.commander_of(actuator) else {
+                    return self.last;
+                };
+                self.last.heard_at = Some(now);
+                #[cfg(not(feature = "network"))]
+                let _ = commander;
+                #[cfg(feature = "network")]
+                if self.wants_latency {
+                    let node = commander.name.split(':').next().map(NodeName::new);
+                    let node = node.and_then(Result::ok);
+                    self.last.latency = match node.and_then(|node| wiring.registry.elsewhere(node))
+                    {
+                        Some(node) => shared.latency_to(&node, wiring, now),
+                        None => Some(Latency::of_round_trip(Duration::ZERO)),
+                    };
                 }
             }
             #[cfg(feature = "network")]
-            Origin::Node { node, needs_session, counted, loss } => {
-                let is_there = wiring.net.as_ref().is_some_and(|net| match needs_session {
+            ConnectedChannel::Node(node) | ConnectedChannel::Session(node) => {
+                let is_session = matches!(self.channel, ConnectedChannel::Session(_));
+                let is_there = wiring.net.as_ref().is_some_and(|net| match is_session {
                     true => net.is_connected(node),
                     false => net.is_reachable(node),
                 });
                 if is_there {
-                    last.heard_at = Some(now);
+                    self.last.heard_at = Some(now);
                 }
-                if *wants_latency {
-                    let trips = shared.round_trips.to(node, &wiring.registry, now);
-                    last.latency = latency_of(&trips, now);
+                if self.wants_latency {
+                    self.last.latency = shared.latency_to(node, wiring, now);
                 }
                 let rows = shared.rows.lock().unwrap_or_else(PoisonError::into_inner);
                 let row = rows.sessions.iter().find(|row| row.node == *node);
-                if let Some(row) = row.filter(|_| *wants_loss) {
+                if let Some(row) = row.filter(|_| self.network.wants_loss) {
+                    let NetworkSource { counted, loss, .. } = &mut self.network;
                     let counters = row.status.counters;
                     let now = (counters.sent, counters.retransmitted);
                     let (sent, again) =
                         (now.0.saturating_sub(counted.0), now.1.saturating_sub(counted.1));
                     loss.handle(again, sent.saturating_sub(again));
-                    (*counted, last.loss_permille) = (now, Some(loss.permille()));
+                    (*counted, self.last.loss_permille) = (now, Some(loss.permille()));
                 }
             }
             #[cfg(feature = "network")]
-            Origin::Link(name) => {
+            ConnectedChannel::Link(name) => {
+                let last = &mut self.last;
                 let rows = shared.rows.lock().unwrap_or_else(PoisonError::into_inner);
                 let link = rows.links.iter().find(|row| *row.link == **name);
                 if let Some(link) = link
@@ -247,17 +232,65 @@ impl ChannelSource {
                 }
             }
         }
-        *last
+        self.last
     }
 }
 
 #[cfg(feature = "network")]
-fn latency_of(trips: &RoundTripEstimator, now: Instant) -> Option<Latency> {
-    trips.smoothed(now).map(Latency::of_round_trip)
+impl NetworkSource {
+    /// The fastest round trip of late to the slowest node that publishes on the topic. It stays
+    /// when that node has left. Where no node did, events come from this one.
+    fn topic_trip(
+        &mut self,
+        (topic, contract): (&ObjectName, &str),
+        wiring: &ConditionWiring,
+        shared: &mut SharedReadings,
+        now: Instant,
+    ) -> Option<Duration> {
+        let (topic, contract) = (topic.clone(), contract.to_owned());
+        let nodes = wiring.directory.nodes_with(&DirectoryKey::Publisher { topic, contract });
+        if nodes.is_empty() {
+            return Some(self.trip.unwrap_or_default());
+        }
+        let mut trips = nodes.iter().map(|node| shared.round_trips.to(node, &wiring.registry, now));
+        let slowest = trips.try_fold(Duration::ZERO, |slowest, trips| {
+            trips.fastest().map(|fastest| slowest.max(fastest))
+        });
+        self.trip = slowest.or(self.trip);
+        slowest
+    }
+}
+
+#[cfg(feature = "network")]
+impl ConditionWiring {
+    fn check_link(&self, name: &str) -> Result<(), String> {
+        let is_known =
+            |link: &String| link == name || link.ends_with('/') && name.starts_with(link);
+        if self.links.iter().any(is_known) {
+            return Ok(());
+        }
+        Err(match (nearest(name, self.links.iter().map(String::as_str)), self.links.is_empty()) {
+            (Some(near), _) => format!("the node has no link {name}: did you mean {near}?"),
+            (None, true) => format!("the node has no link {name}, as it has no networks"),
+            (None, false) => {
+                format!("the node has no link {name}: it has {}", self.links.join(", "))
+            }
+        })
+    }
 }
 
 #[cfg(feature = "network")]
 impl SharedReadings {
+    fn latency_to(
+        &mut self,
+        node: &NodeName,
+        wiring: &ConditionWiring,
+        now: Instant,
+    ) -> Option<Latency> {
+        let trips = self.round_trips.to(node, &wiring.registry, now);
+        trips.last(now).map(Latency::of_round_trip)
+    }
+
     /// Asks links and sessions how they are, unless they still owe an answer.
     pub(super) fn read_rows(&mut self, wiring: &ConditionWiring, now: Instant) {
         let Some(net) = &wiring.net else { return };

@@ -1,11 +1,15 @@
 //! What a condition needs.
 
 use super::heartbeat::Heartbeat;
+use super::table::LOOK_INTERVAL;
 use crate::component::envelope::Times;
 use crate::topic::Topics;
-use blastema_core::connection::{ConnectionLimits, ConnectionRules, Presence};
+#[cfg(feature = "network")]
+use blastema_core::NodeName;
+use blastema_core::connection::{Combination, ConnectionLimits, ConnectionRules, Presence};
 use blastema_core::connection::{TopicArrival, TopicEstimator};
-use blastema_core::{DeliveryError, Event, ObjectName};
+use blastema_core::{Contract, DeliveryError, Event, NameError, ObjectName};
+use std::any::Any;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -27,19 +31,14 @@ pub(super) const TIMEOUT: Duration = Duration::from_secs(3);
 /// let any = Connected::any([operator.clone(), Connected::heartbeat("base/beat")]);
 /// let two = Connected::at_least(2, [operator, radio, any]);
 /// ```
-#[derive(Clone)]
-pub struct Connected(pub(super) ConnectedPart);
-
-#[derive(Clone)]
-pub(super) enum ConnectedPart {
-    Channel(ChannelSpec),
-    AtLeast(usize, Vec<Connected>),
-}
+#[derive(Clone, Debug, PartialEq)]
+pub struct Connected(pub(super) Combination<ChannelSpec>);
 
 /// One channel, and how it is judged.
-#[derive(Clone)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct ChannelSpec {
-    pub(super) channel: ConnectedChannel,
+    /// A name that does not parse is refused where the condition is declared.
+    pub(super) channel: Result<ConnectedChannel, NameError>,
     pub(super) timeout: Option<Duration>,
     /// It is lost below this rate, rather than in silence.
     pub(super) rate: Option<(f64, Duration)>,
@@ -49,79 +48,78 @@ pub(super) struct ChannelSpec {
 }
 
 /// What is looked at.
-#[derive(Clone)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) enum ConnectedChannel {
-    Topic {
-        topic: String,
-        listen: ListenFn,
-        contract: &'static str,
-    },
+    Topic(ObjectName, ConnectedEvents),
     #[cfg(feature = "network")]
-    Node(String),
+    Node(NodeName),
     #[cfg(feature = "network")]
-    Session(String),
+    Session(NodeName),
     #[cfg(feature = "network")]
     Link(String),
-    Commander(String),
+    Commander(ObjectName),
 }
 
-/// Lets the events of a topic be measured, for the condition of this name.
+/// The events of a topic, and what measures them.
+#[derive(Clone)]
+pub(super) struct ConnectedEvents {
+    pub(super) contract: &'static str,
+    pub(super) listen: ListenFn,
+}
+
+impl PartialEq for ConnectedEvents {
+    fn eq(&self, other: &Self) -> bool {
+        self.contract == other.contract
+    }
+}
+
+impl fmt::Debug for ConnectedEvents {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.contract)
+    }
+}
+
+/// Lets the events of a topic be measured, for the condition of this name, until what is returned
+/// is dropped.
 pub(super) type ListenFn = Arc<
-    dyn Fn(&Topics, &str, &ObjectName, Arc<Mutex<TopicEstimator>>) -> Result<(), DeliveryError>
+    dyn Fn(
+            &Topics,
+            &ObjectName,
+            &ObjectName,
+            Arc<Mutex<TopicEstimator>>,
+        ) -> Result<Box<dyn Any + Send>, DeliveryError>
         + Send
         + Sync,
 >;
 
-/// Measures the events of a topic; `more` completes what is known of one.
-fn listen<E: Event>(more: fn(&E, TopicArrival) -> TopicArrival) -> ListenFn {
-    Arc::new(move |topics, topic, listener, measured| {
-        let tap = move |event: &E, times: Times| {
-            let age = times.posted_at - times.captured_at();
-            let arrival = TopicArrival { at: times.posted_at, age, ..TopicArrival::default() };
-            let mut measured = measured.lock().unwrap_or_else(PoisonError::into_inner);
-            measured.handle_arrival(more(event, arrival));
-        };
-        topics.tap::<E>(topic, listener, Arc::new(tap))
-    })
-}
-
 impl ConnectedChannel {
-    /// Has the events of a topic measured, for the condition of this name.
-    pub(super) fn listen(
-        &self,
-        topics: &Topics,
-        listener: &ObjectName,
-        measured: Arc<Mutex<TopicEstimator>>,
-    ) -> Result<(), DeliveryError> {
-        match self {
-            ConnectedChannel::Topic { topic, listen, .. } => {
-                listen(topics, topic, listener, measured)
-            }
-            _ => Ok(()),
-        }
-    }
-
-    /// Which figures a limit can be set on.
-    pub(super) fn has(&self, figure: Figure) -> bool {
-        match self {
-            ConnectedChannel::Topic { contract, .. } => {
-                figure != Figure::Loss || *contract == <Heartbeat as blastema_core::Contract>::NAME
-            }
-            #[cfg(feature = "network")]
-            ConnectedChannel::Node(_) | ConnectedChannel::Session(_) => {
-                matches!(figure, Figure::Latency | Figure::Loss)
-            }
-            #[cfg(feature = "network")]
-            ConnectedChannel::Link(_) => figure != Figure::Rate,
-            ConnectedChannel::Commander(_) => figure == Figure::Latency,
-        }
+    /// The events of a topic; `more` completes what is known of one.
+    fn topic<E: Event>(
+        topic: &str,
+        more: fn(&E, TopicArrival) -> TopicArrival,
+    ) -> Result<Self, NameError> {
+        let listen = move |topics: &Topics,
+                           topic: &ObjectName,
+                           listener: &ObjectName,
+                           measured: Arc<Mutex<TopicEstimator>>| {
+            let tap = move |event: &E, times: Times| {
+                let age = times.posted_at - times.captured_at();
+                let arrival = TopicArrival { at: times.posted_at, age, ..TopicArrival::default() };
+                let mut measured = measured.lock().unwrap_or_else(PoisonError::into_inner);
+                measured.handle_arrival(more(event, arrival));
+            };
+            let tapped = topics.tap::<E>(topic.as_str(), listener, Arc::new(tap))?;
+            Ok(Box::new(tapped) as Box<dyn Any + Send>)
+        };
+        let events = ConnectedEvents { contract: E::NAME, listen: Arc::new(listen) };
+        Ok(ConnectedChannel::Topic(ObjectName::new(topic)?, events))
     }
 }
 
 impl fmt::Display for ConnectedChannel {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            ConnectedChannel::Topic { topic, .. } => f.write_str(topic),
+            ConnectedChannel::Topic(topic, _) => topic.fmt(f),
             #[cfg(feature = "network")]
             ConnectedChannel::Node(node) => write!(f, "node {node}"),
             #[cfg(feature = "network")]
@@ -133,55 +131,47 @@ impl fmt::Display for ConnectedChannel {
     }
 }
 
-/// A figure of a channel.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Figure {
-    Latency,
-    Jitter,
-    Loss,
-    Rate,
-}
-
-impl fmt::Display for Figure {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Figure::Latency => "latency",
-            Figure::Jitter => "jitter",
-            Figure::Loss => "loss",
-            Figure::Rate => "rate",
-        })
-    }
-}
-
 impl ChannelSpec {
-    fn of(channel: ConnectedChannel) -> Connected {
-        Connected(ConnectedPart::Channel(ChannelSpec {
-            channel,
-            timeout: None,
-            rate: None,
-            limits: ConnectionLimits::default(),
-            clocks_within: None,
-        }))
+    fn of(channel: Result<ConnectedChannel, NameError>) -> Connected {
+        let (timeout, rate, limits, clocks_within) = Default::default();
+        let spec = ChannelSpec { channel, timeout, rate, limits, clocks_within };
+        Connected(Combination::Channel(spec))
     }
 
-    /// The figures that it sets limits on.
-    pub(super) fn figures(&self) -> impl Iterator<Item = Figure> {
-        let ConnectionLimits { latency, jitter, loss_permille, rate } = self.limits;
-        let is_rate = rate.is_some() || self.rate.is_some();
-        let set = [
-            (Figure::Latency, latency.is_some() || self.clocks_within.is_some()),
-            (Figure::Jitter, jitter.is_some()),
-            (Figure::Loss, loss_permille.is_some()),
-            (Figure::Rate, is_rate),
+    /// Whether the latency is to be found out.
+    pub(super) fn wants_latency(&self) -> bool {
+        self.limits.latency.is_some() || self.clocks_within.is_some()
+    }
+
+    /// A figure that is limited and not measured on this channel.
+    pub(super) fn unmeasured(&self, channel: &ConnectedChannel) -> Option<&'static str> {
+        let measured: &[&str] = match channel {
+            ConnectedChannel::Topic(_, events) if events.contract == Heartbeat::NAME => {
+                &["latency", "jitter", "loss", "rate"]
+            }
+            ConnectedChannel::Topic(..) => &["latency", "jitter", "rate"],
+            #[cfg(feature = "network")]
+            ConnectedChannel::Node(_) | ConnectedChannel::Session(_) => &["latency", "loss"],
+            #[cfg(feature = "network")]
+            ConnectedChannel::Link(_) => &["latency", "jitter", "loss"],
+            ConnectedChannel::Commander(_) => &["latency"],
+        };
+        let limited = [
+            ("latency", self.wants_latency()),
+            ("jitter", self.limits.jitter.is_some()),
+            ("loss", self.limits.loss_permille.is_some()),
+            ("rate", self.limits.rate.is_some() || self.rate.is_some()),
         ];
-        set.into_iter().filter(|(_, is_set)| *is_set).map(|(figure, _)| figure)
+        let limited = limited.into_iter().filter(|(_, is_limited)| *is_limited);
+        let mut limited = limited.map(|(figure, _)| figure);
+        limited.find(|figure| !measured.contains(figure))
     }
 
     /// How it is judged, where channels without a timeout of their own have this one.
     pub(super) fn rules(&self, timeout: Duration) -> ConnectionRules {
         let timeout = self.timeout.unwrap_or(match self.channel {
-            // Its lease has a timeout already.
-            ConnectedChannel::Commander(_) => Duration::ZERO,
+            // Its lease has a timeout already. It is looked at twice.
+            Ok(ConnectedChannel::Commander(_)) => 2 * LOOK_INTERVAL,
             _ => timeout,
         });
         let presence = match self.rate {
@@ -189,23 +179,6 @@ impl ChannelSpec {
             None => Presence::Heard { timeout },
         };
         ConnectionRules { presence, limits: self.limits }
-    }
-}
-
-impl fmt::Debug for Connected {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match &self.0 {
-            ConnectedPart::Channel(ChannelSpec {
-                channel,
-                timeout,
-                rate,
-                limits,
-                clocks_within,
-            }) => {
-                write!(f, "{channel}, {timeout:?}, {rate:?}, {limits:?}, {clocks_within:?}")
-            }
-            ConnectedPart::AtLeast(least, of) => write!(f, "{least} of {of:?}"),
-        }
     }
 }
 
@@ -218,22 +191,12 @@ impl Connected {
             stamps_us: Some((crate::platform::stamp_us(), beat.stamp_us)),
             ..arrival
         };
-        let (topic, contract) = (topic.to_owned(), <Heartbeat as blastema_core::Contract>::NAME);
-        ChannelSpec::of(ConnectedChannel::Topic {
-            topic,
-            listen: listen::<Heartbeat>(more),
-            contract,
-        })
+        ChannelSpec::of(ConnectedChannel::topic::<Heartbeat>(topic, more))
     }
 
     /// Events of this contract arrive on this topic.
     pub fn topic<E: Event>(topic: &str) -> Self {
-        let listen = listen::<E>(|_, arrival| arrival);
-        ChannelSpec::of(ConnectedChannel::Topic {
-            topic: topic.to_owned(),
-            listen,
-            contract: E::NAME,
-        })
+        ChannelSpec::of(ConnectedChannel::topic::<E>(topic, |_, arrival| arrival))
     }
 
     /// Events of this contract arrive on this topic at a rate of `hz` or more, counted over
@@ -245,30 +208,30 @@ impl Connected {
     /// A path leads to this node: it was discovered, has not left, and is not isolated.
     #[cfg(feature = "network")]
     pub fn node(node: &str) -> Self {
-        ChannelSpec::of(ConnectedChannel::Node(node.to_owned()))
+        ChannelSpec::of(NodeName::new(node).map(ConnectedChannel::Node))
     }
 
     /// A session with this node is open, so that messages reach it.
     #[cfg(feature = "network")]
     pub fn session(node: &str) -> Self {
-        ChannelSpec::of(ConnectedChannel::Session(node.to_owned()))
+        ChannelSpec::of(NodeName::new(node).map(ConnectedChannel::Session))
     }
 
     /// This link is up. Its name is the one that [`LinkRow`](crate::LinkRow) shows.
     #[cfg(feature = "network")]
     pub fn link(link: &str) -> Self {
-        ChannelSpec::of(ConnectedChannel::Link(link.to_owned()))
+        ChannelSpec::of(Ok(ConnectedChannel::Link(link.to_owned())))
     }
 
     /// A commander holds this actuator of this node. It is lost with its lease.
     pub fn commander(actuator: &str) -> Self {
-        ChannelSpec::of(ConnectedChannel::Commander(actuator.to_owned()))
+        ChannelSpec::of(ObjectName::new(actuator).map(ConnectedChannel::Commander))
     }
 
     /// All of these are connected.
     pub fn all(of: impl IntoIterator<Item = Connected>) -> Self {
         let of: Vec<_> = of.into_iter().collect();
-        Connected(ConnectedPart::AtLeast(of.len(), of))
+        Connected::at_least(of.len(), of)
     }
 
     /// One of these is connected.
@@ -278,12 +241,13 @@ impl Connected {
 
     /// At least so many of these are connected.
     pub fn at_least(least: usize, of: impl IntoIterator<Item = Connected>) -> Self {
-        Connected(ConnectedPart::AtLeast(least, of.into_iter().collect()))
+        let of = of.into_iter().map(|Connected(part)| part).collect();
+        Connected(Combination::AtLeast { least, of })
     }
 
     /// Sets how long a channel may be silent. By default as long as the slowest
     /// [medium](crate::MediumKind) of the node's networks asks for, 3 s on a node without networks,
-    /// and no longer than its lease for a commander. Of several channels it is set on each that has
+    /// and 100 ms after its lease for a commander. Of several channels it is set on each that has
     /// none of its own.
     #[must_use]
     pub fn timeout(self, timeout: Duration) -> Self {
@@ -326,15 +290,17 @@ impl Connected {
         self.each(|spec| spec.clocks_within = Some(error))
     }
 
-    fn each(mut self, set: impl Fn(&mut ChannelSpec)) -> Self {
-        self.for_each(&set);
-        self
+    /// Whether it needs a commander of an actuator.
+    pub(crate) fn has_commander(&self) -> bool {
+        let mut found = false;
+        self.clone().0.for_each(&mut |spec| {
+            found |= matches!(spec.channel, Ok(ConnectedChannel::Commander(_)));
+        });
+        found
     }
 
-    fn for_each(&mut self, set: &impl Fn(&mut ChannelSpec)) {
-        match &mut self.0 {
-            ConnectedPart::Channel(spec) => set(spec),
-            ConnectedPart::AtLeast(_, of) => of.iter_mut().for_each(|part| part.for_each(set)),
-        }
+    fn each(mut self, set: impl Fn(&mut ChannelSpec)) -> Self {
+        self.0.for_each(&mut |spec| set(spec));
+        self
     }
 }

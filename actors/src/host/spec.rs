@@ -76,6 +76,11 @@ impl<C: Component> ChildSpec<C> {
         }
     }
 
+    /// The component's name.
+    pub(crate) fn name(&self) -> &str {
+        &self.name
+    }
+
     /// Declares ports in addition to `Component::ports`: those that depend on values of the
     /// program, such as the topic of one of several cameras, or the default of a variable.
     pub fn with_ports(mut self, declare: impl FnOnce(&mut Ports<C>) + Send + 'static) -> Self {

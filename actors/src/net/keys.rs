@@ -192,6 +192,11 @@ impl NodeKeys {
         self.roster.node(node).map(|listed| listed.role)
     }
 
+    /// The nodes of the roster.
+    pub(crate) fn listed(&self) -> SortedSet<NodeName> {
+        self.roster.nodes().iter().map(|node| node.name.clone()).collect()
+    }
+
     /// Whose word isolates a node: the wardens of the roster, or more than half of all but guests.
     pub(crate) fn judges(&self) -> IsolationAuthority {
         let of_role = |role| {

@@ -135,6 +135,8 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies);
     let preparation = preparation.map_err(|mut refused| refused.swap_remove(0))?;
     assembly.check_parameters()?;
+    let components = builder.policies.iter().flat_map(LostCommunicationPolicy::components);
+    components.for_each(|name| assembly.environment.registry.keep_connections(name));
     for (from, to) in builder.connections {
         let connected = assembly.environment.registry.connect_ports(&from, &to);
         connected.map_err(|why| StartError::Connection { from, to, why: Box::new(why) })?;
@@ -175,7 +177,7 @@ struct NodeAssembly {
     /// All that is to be watched.
     enrolments: Vec<Register>,
     undone: StopOnFailure,
-    policies: Vec<KeptPolicy>,
+    policies: Vec<Arc<KeptPolicy>>,
     /// Files and sockets that no other node has while this one lives.
     held: Vec<PathBuf>,
 }
@@ -332,6 +334,8 @@ impl NodeAssembly {
             #[cfg(feature = "network")]
             net,
             #[cfg(feature = "network")]
+            links: self.networks.iter().flat_map(|networks| networks.links.clone()).collect(),
+            #[cfg(feature = "network")]
             timeout,
             #[cfg(not(feature = "network"))]
             timeout: None,
@@ -342,15 +346,30 @@ impl NodeAssembly {
     }
 
     fn keep_policies(&mut self, policies: Vec<LostCommunicationPolicy>) -> Result<(), StartError> {
-        let FaultChainParts { guardian, chain, .. } = &self.parts;
         let who = (&self.node, self.incarnation);
+        for (place, policy) in policies.iter().enumerate() {
+            policy.checked(&policies[..place], self.environment.actuators())?;
+            if let Some(node) = policy.commander_node()? {
+                self.check_commander(&node).map_err(|reason| policy.refused(reason))?;
+            }
+        }
         for policy in policies {
-            let arbiter = chain.arbiter.as_ref();
-            let (kept, name, pings) = policy.start(who, &self.environment, guardian, arbiter)?;
-            self.policies.push(kept);
-            self.enrolments.push(middleware(name, Some(pings)));
+            let arbiter = self.parts.chain.arbiter.as_ref();
+            self.policies.push(policy.start(who, &self.environment, arbiter)?);
         }
         Ok(())
+    }
+
+    /// Finds a commander that cannot be: another node has it, of this robot where that has keys.
+    fn check_commander(&self, node: &NodeName) -> Result<(), String> {
+        if *node == self.node {
+            return Err(format!("its commander {node} is this node: name the one that is lost"));
+        }
+        #[cfg(feature = "network")]
+        if let Some(networks) = &self.networks {
+            return networks.check_commander(node);
+        }
+        Err(format!("its commander {node} cannot reach this node, which has no networks: add one"))
     }
 
     /// It is opened when there is something to be seen.

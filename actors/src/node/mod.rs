@@ -155,7 +155,7 @@ struct Shared {
     plan: Arc<blastema_core::recovery::Plan>,
     systemd: Option<Systemd>,
     /// What it does when communication is lost.
-    policies: Vec<KeptPolicy>,
+    policies: Vec<Arc<KeptPolicy>>,
     /// Components have begun, so that outputs may have to be made safe.
     begun: AtomicBool,
     /// The safe outputs were applied without the fault chain.

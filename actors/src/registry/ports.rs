@@ -14,6 +14,7 @@ use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{ContractIdentity, DeliveryError, NameError, ObjectName};
 use std::borrow::Cow;
 use tokio::sync::watch;
+use tracing::warn;
 
 /// The most connections that one node makes: some for each of several thousand components.
 const CONNECTION_LIMIT: usize = 16_384;
@@ -40,13 +41,22 @@ pub(super) struct Connections {
     listening: SortedSet<PortConnection>,
     /// Where out ports that command or ask lead.
     leading: SortedMap<PortAddress, PortAddress>,
+    /// Components that come and go, and the connections to be made when they come.
+    kept: SortedMap<ObjectName, SortedSet<PortConnection>>,
     /// Rises whenever a port is connected or disconnected.
     changes: watch::Sender<u64>,
 }
 
 impl Connections {
-    /// Forgets the connections that this component made.
+    /// Forgets the connections that this component made, unless it comes again.
     pub(super) fn remove(&mut self, component: &ObjectName) {
+        if let Some(kept) = self.kept.get_mut(component) {
+            let listening = self.listening.iter().filter(|known| known.to.object == *component);
+            let leading = self.leading.iter().filter(|(from, _)| from.object == *component);
+            let leading = leading.map(|(from, to)| (from.clone(), to.clone()));
+            let leading = leading.map(|(from, to)| PortConnection { from, to });
+            kept.extend(listening.cloned().chain(leading));
+        }
         self.listening.retain(|known| known.to.object != *component);
         self.leading.retain(|from, _| from.object != *component);
     }
@@ -103,7 +113,23 @@ impl Registry {
         if let Some(entry) = inner.objects.get_mut(component) {
             entry.declared = ports.into();
         }
+        let kept = inner.connections.kept.get_mut(component).map(std::mem::take);
+        drop(inner);
+        for PortConnection { from, to } in kept.unwrap_or_default().iter() {
+            if let Err(why) = self.connect_ports(&from.to_string(), &to.to_string()) {
+                warn!(%from, %to, %why, "two ports are not connected again");
+            }
+        }
         Ok(())
+    }
+
+    /// Keeps the connections of a component that comes and goes: those that it makes are made again
+    /// whenever it comes. They may be made before it comes at first.
+    pub(crate) fn keep_connections(&self, component: &str) {
+        // Another name is refused where the component is added.
+        if let Ok(component) = ObjectName::new(component) {
+            self.lock().connections.kept.entry(component).or_default();
+        }
     }
 
     /// Checks that a component of this node has this out port.
@@ -141,11 +167,21 @@ impl Registry {
         let connection = self.parsed(from, to)?;
         let PortConnection { from, to } = &connection;
         let mut inner = self.lock();
-        let is_listeners = inner.check_ends(&connection)?;
-        let Connections { listening, leading, changes } = &mut inner.connections;
-        if listening.len() + leading.len() >= CONNECTION_LIMIT {
+        let Inner { objects, connections, .. } = &mut *inner;
+        let waits = connections.kept.values().map(SortedSet::len).sum::<usize>();
+        if connections.listening.len() + connections.leading.len() + waits >= CONNECTION_LIMIT {
             return Err(ConnectError::TooMany { limit: CONNECTION_LIMIT });
         }
+        for end in [from, to].into_iter().filter(|end| end.node.is_none()) {
+            if let (false, Some(kept)) =
+                (objects.contains_key(&end.object), connections.kept.get_mut(&end.object))
+            {
+                kept.insert(connection.clone());
+                return Ok(());
+            }
+        }
+        let is_listeners = inner.check_ends(&connection)?;
+        let Connections { listening, leading, changes, .. } = &mut inner.connections;
         let first = leading.get(from).or(listening.get(&connection).map(|known| &known.to));
         if let Some(to) = first {
             return Err(ConnectError::Taken { to: to.clone() });
@@ -185,11 +221,12 @@ impl Registry {
         let connection = self.parsed(from, to)?;
         let PortConnection { from, to } = &connection;
         let mut inner = self.lock();
-        let Connections { listening, leading, changes } = &mut inner.connections;
+        let Connections { listening, leading, kept, changes } = &mut inner.connections;
         let is_listeners = listening.remove(&connection);
+        let waited = kept.values_mut().any(|kept| kept.remove(&connection));
         if leading.get(from) == Some(to) {
             leading.remove(from);
-        } else if !is_listeners {
+        } else if !is_listeners && !waited {
             inner.check_ends(&connection)?;
             return Err(ConnectError::NotConnected);
         }

@@ -5,3 +5,4 @@ pub(crate) mod driver;
 pub(crate) mod guardian;
 pub(crate) mod pending_answer;
 pub(crate) mod reports;
+pub(crate) mod timekeeper;

@@ -97,6 +97,21 @@ pub(crate) struct Topics {
     ended: NodeEnd,
 }
 
+/// A tap of a topic, which ends when this is dropped.
+pub(crate) struct Tapped<E: Event> {
+    topic: Arc<Topic<E>>,
+    tap: TopicTap<E>,
+    listener: ObjectName,
+}
+
+impl<E: Event> Drop for Tapped<E> {
+    fn drop(&mut self) {
+        self.topic.taps.remove(&self.tap);
+        let is_last = self.topic.remove_listener();
+        self.topic.listener_changed(&self.listener, false, is_last);
+    }
+}
+
 impl Topics {
     pub(crate) fn new(dead_letters: DeadLetterLog, reports: FaultReports) -> Self {
         let (inner, interest, joined, publishing, ended) = Default::default();
@@ -164,7 +179,7 @@ impl Topics {
         Ok(topic)
     }
 
-    /// Tells this tap of every event of the topic, from now until the node ends. It counts as a
+    /// Tells this tap of every event of the topic until what is returned is dropped. It counts as a
     /// listener of this name, so that other nodes send their events.
     ///
     /// # Errors
@@ -175,12 +190,12 @@ impl Topics {
         name: &str,
         listener: &ObjectName,
         tap: TopicTap<E>,
-    ) -> Result<(), DeliveryError> {
+    ) -> Result<Tapped<E>, DeliveryError> {
         let topic: Arc<Topic<E>> = self.topic(name, Location::caller())?;
-        topic.taps.add(tap);
+        topic.taps.add(tap.clone());
         let is_first = topic.add_listener(&lock(&topic.latch));
         topic.listener_changed(listener, true, is_first);
-        Ok(())
+        Ok(Tapped { topic, tap, listener: listener.clone() })
     }
 
     /// On how many arbiters a topic has listeners.

@@ -30,6 +30,13 @@ impl<E> TopicTaps<E> {
         self.any.store(true, Relaxed);
     }
 
+    /// Removes it.
+    pub(super) fn remove(&self, tap: &TopicTap<E>) {
+        let mut all = lock(&self.all);
+        *all = all.iter().filter(|known| !Arc::ptr_eq(known, tap)).cloned().collect();
+        self.any.store(!all.is_empty(), Relaxed);
+    }
+
     /// Tells all of them of an event.
     #[inline]
     pub(super) fn tell(&self, event: &E, times: Times) {

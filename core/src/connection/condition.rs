@@ -1,69 +1,62 @@
 //! A condition: several channels, of which enough must be connected.
 
-use super::judge::{ChannelReading, ConditionState, ConnectionJudge};
+use super::judge::{ConditionState, ConnectionJudge};
 use crate::Instant;
 
 /// Which channels a condition needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Combination {
-    /// The channel of this number.
-    Channel(usize),
+pub enum Combination<C> {
+    /// This channel.
+    Channel(C),
     /// At least so many of these.
     AtLeast {
         /// How many: all of them, or one, or some.
         least: usize,
         /// Of which.
-        of: Vec<Combination>,
+        of: Vec<Combination<C>>,
     },
 }
 
-/// Judges the channels of one condition.
-#[derive(Debug)]
-pub struct ConnectionCondition {
-    judges: Vec<ConnectionJudge>,
-    combination: Combination,
-    state: ConditionState,
-}
-
-impl ConnectionCondition {
-    /// A condition over these channels, which the combination names by their places.
-    pub fn new(judges: Vec<ConnectionJudge>, combination: Combination) -> Self {
-        ConnectionCondition { judges, combination, state: ConditionState::Lost }
-    }
-
-    /// How the condition is.
-    pub fn state(&self) -> ConditionState {
-        self.state
-    }
-
-    /// Judges the channels by a reading of each, in their order. Returns whether the state is
-    /// another.
-    pub fn handle_readings(&mut self, readings: &[ChannelReading], now: Instant) -> bool {
-        for (judge, reading) in self.judges.iter_mut().zip(readings) {
-            judge.handle_reading(reading, now);
+impl<C> Combination<C> {
+    /// Shows each channel, in order.
+    pub fn for_each(&mut self, show: &mut impl FnMut(&mut C)) {
+        match self {
+            Combination::Channel(channel) => show(channel),
+            Combination::AtLeast { of, .. } => of.iter_mut().for_each(|part| part.for_each(show)),
         }
-        let state = self.state_of(&self.combination);
-        std::mem::replace(&mut self.state, state) != state
     }
 
-    /// When a channel is lost unless it is heard before.
-    pub fn poll_timeout(&self) -> Option<Instant> {
-        self.judges.iter().filter_map(ConnectionJudge::poll_timeout).min()
-    }
-
-    /// Why the condition is as it is: the channels that are not connected, or all of them where it
-    /// is connected, with their figures.
-    pub fn cause(&self) -> String {
-        self.cause_of(&self.combination)
-    }
-
-    fn state_of(&self, combination: &Combination) -> ConditionState {
-        match combination {
-            Combination::Channel(place) => {
-                self.judges.get(*place).map_or(ConditionState::Lost, ConnectionJudge::state)
+    /// Makes another one with these channels in their places, in order.
+    ///
+    /// # Errors
+    /// The first error of `make`, and what `refuse` makes of a number that is not one of those that
+    /// there are, and of how many these are.
+    pub fn try_map<D, E>(
+        &self,
+        make: &mut impl FnMut(&C) -> Result<D, E>,
+        refuse: &impl Fn(usize, usize) -> E,
+    ) -> Result<Combination<D>, E> {
+        match self {
+            Combination::Channel(channel) => make(channel).map(Combination::Channel),
+            Combination::AtLeast { least, of } if !(1..=of.len()).contains(least) => {
+                Err(refuse(*least, of.len()))
             }
             Combination::AtLeast { least, of } => {
-                let mut states: Vec<_> = of.iter().map(|part| self.state_of(part)).collect();
+                let of =
+                    of.iter().map(|part| part.try_map(make, refuse)).collect::<Result<_, _>>()?;
+                Ok(Combination::AtLeast { least: *least, of })
+            }
+        }
+    }
+}
+
+impl Combination<ConnectionJudge> {
+    /// How the condition is.
+    pub fn state(&self) -> ConditionState {
+        match self {
+            Combination::Channel(judge) => judge.state(),
+            Combination::AtLeast { least, of } => {
+                let mut states: Vec<_> = of.iter().map(Self::state).collect();
                 states.sort_unstable_by(|a, b| b.cmp(a));
                 // The state that at least so many have reached.
                 let last = least.checked_sub(1).and_then(|place| states.get(place));
@@ -72,18 +65,24 @@ impl ConnectionCondition {
         }
     }
 
-    fn cause_of(&self, combination: &Combination) -> String {
-        match combination {
-            Combination::Channel(place) => {
-                self.judges.get(*place).map_or(String::new(), |judge| judge.cause().to_owned())
-            }
+    /// When a channel is lost unless it is heard before.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        match self {
+            Combination::Channel(judge) => judge.poll_timeout(),
+            Combination::AtLeast { of, .. } => of.iter().filter_map(Self::poll_timeout).min(),
+        }
+    }
+
+    /// Why the condition is as it is: the channels that are not connected, or all of them where it
+    /// is connected, with their figures.
+    pub fn cause(&self) -> String {
+        match self {
+            Combination::Channel(judge) => judge.cause().to_owned(),
             Combination::AtLeast { least, of } => {
-                let is_well =
-                    |part: &&Combination| self.state_of(part) == ConditionState::Connected;
+                let is_well = |part: &&Self| part.state() == ConditionState::Connected;
                 let well = of.iter().filter(is_well).count();
                 let told = of.iter().filter(|part| well >= *least || !is_well(part));
-                let causes: Vec<_> = told.map(|part| self.cause_of(part)).collect();
-                let causes = causes.join("; ");
+                let causes = told.map(Self::cause).collect::<Vec<_>>().join("; ");
                 match of.len() {
                     1 => causes,
                     all => format!("{well} of {all} connected, {least} needed: {causes}"),
@@ -96,7 +95,7 @@ impl ConnectionCondition {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::connection::{ConnectionLimits, ConnectionRules, Presence};
+    use crate::connection::{ChannelReading, ConnectionLimits, ConnectionRules, Presence};
     use std::time::Duration;
 
     #[test]
@@ -108,17 +107,18 @@ mod tests {
             let presence = Presence::Heard { timeout: Duration::from_secs(1) };
             let rules = ConnectionRules { presence, limits };
             let judges = ["a", "b", "c"].map(|name| ConnectionJudge::new(name.into(), rules));
-            let parts = (0..3).map(Combination::Channel).collect();
-            let combination = Combination::AtLeast { least, of: parts };
-            let mut condition = ConnectionCondition::new(judges.into(), combination);
-            let readings = states.map(|state| ChannelReading {
-                heard_at: (state != Lost).then_some(Instant::ORIGIN),
-                loss_permille: Some(if state == Connected { 0 } else { 100 }),
-                ..ChannelReading::default()
+            let of = judges.map(Combination::Channel).into();
+            let mut condition = Combination::AtLeast { least, of };
+            let mut states = states.into_iter();
+            condition.for_each(&mut |judge| {
+                let state = states.next().expect("one for each");
+                let reading = ChannelReading {
+                    heard_at: (state != Lost).then_some(Instant::ORIGIN),
+                    loss_permille: Some(if state == Connected { 0 } else { 100 }),
+                    ..ChannelReading::default()
+                };
+                judge.handle_reading(&reading, Instant::from_millis(1));
             });
-            let changed = condition.handle_readings(&readings, Instant::from_millis(1));
-            assert_eq!(changed, condition.state() != Lost);
-            assert!(!condition.handle_readings(&readings, Instant::from_millis(2)));
             (condition.state(), condition.cause())
         };
         let mixed = [Connected, Degraded, Lost];

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 /// How a connection is. A greater one is better.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[non_exhaustive]
 pub enum ConditionState {
     /// It is silent, or was never heard.
     Lost,
@@ -101,20 +102,19 @@ pub struct ConnectionRules {
     pub limits: ConnectionLimits,
 }
 
-/// Counts how many messages arrive in a window that slides in tenths.
+/// Counts how many messages arrive in a window that slides in tenths, and judges their rate.
 #[derive(Debug)]
 struct RateMeter {
+    hz: f64,
     window: Duration,
+    is_slow: bool,
     /// When so many had arrived. The first is a window old, once there is one.
     marks: VecDeque<(Instant, u64)>,
 }
 
 impl RateMeter {
-    fn new(window: Duration) -> Self {
-        RateMeter { window, marks: VecDeque::new() }
-    }
-
-    fn handle(&mut self, arrived: u64, now: Instant) -> f64 {
+    /// Says how slow it is, where it is too slow.
+    fn judge(&mut self, arrived: u64, now: Instant) -> Option<String> {
         if self.marks.back().is_none_or(|(at, _)| now - *at >= self.window / 10) {
             self.marks.push_back((now, arrived));
         }
@@ -123,42 +123,19 @@ impl RateMeter {
         }
         let (from, before) = self.marks.front().copied().unwrap_or((now, arrived));
         let span = (now - from).max(self.window);
-        arrived.saturating_sub(before) as f64 / span.as_secs_f64()
+        let (rate, hz) = (arrived.saturating_sub(before) as f64 / span.as_secs_f64(), self.hz);
+        // A rate is to be high: the greater is the better.
+        let is_slow = is_beyond(&mut self.is_slow, Some(-rate), -hz * RATE_KEPT, -hz);
+        is_slow.then(|| format!("{rate:.1} messages a second, of {hz}"))
     }
 }
 
-/// How a figure is, compared with its limit.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum LimitStatus {
-    /// It is within the limit, or there is none.
-    #[default]
-    Kept,
-    /// It is not known yet. The limit counts as broken.
-    Unknown,
-    /// It was beyond the limit, and has not fallen to half of it since.
-    Broken,
-}
-
-impl LimitStatus {
-    /// Judges a figure by its limit. Says whether it is kept.
-    fn judge<T: PartialOrd>(&mut self, found: Option<T>, limit: T, cleared_at: T) -> bool {
-        let limit = if *self == LimitStatus::Broken { cleared_at } else { limit };
-        *self = match found {
-            None => LimitStatus::Unknown,
-            Some(found) if found > limit => LimitStatus::Broken,
-            Some(_) => LimitStatus::Kept,
-        };
-        *self == LimitStatus::Kept
-    }
-}
-
-/// How the figures of a channel are.
-#[derive(Debug, Default)]
-struct LimitStatuses {
-    latency: LimitStatus,
-    jitter: LimitStatus,
-    loss: LimitStatus,
-    rate: LimitStatus,
+/// Whether a figure is beyond its limit, or not known. A limit that was broken counts as broken
+/// until the figure has fallen to where it is cleared.
+fn is_beyond<T: PartialOrd>(broken: &mut bool, found: Option<T>, limit: T, cleared_at: T) -> bool {
+    let limit = if *broken { cleared_at } else { limit };
+    *broken = found.as_ref().is_some_and(|found| *found > limit);
+    *broken || found.is_none()
 }
 
 /// Judges one channel.
@@ -169,7 +146,10 @@ pub struct ConnectionJudge {
     presence_rate: Option<RateMeter>,
     limit_rate: Option<RateMeter>,
     is_there: bool,
-    limits: LimitStatuses,
+    /// A limit is broken.
+    is_degraded: bool,
+    /// Which were broken: those of latency, jitter and loss.
+    broken: [bool; 3],
     heard_at: Option<Instant>,
     /// What was found, for display.
     cause: String,
@@ -181,17 +161,20 @@ const RATE_KEPT: f64 = 0.8;
 impl ConnectionJudge {
     /// A channel of this name that was not heard yet.
     pub fn new(name: String, rules: ConnectionRules) -> Self {
+        let meter =
+            |(hz, window), is_slow| RateMeter { hz, window, is_slow, marks: <_>::default() };
         let presence_rate = match rules.presence {
-            Presence::Rate { window, .. } => Some(RateMeter::new(window)),
+            Presence::Rate { hz, window } => Some(meter((hz, window), true)),
             Presence::Heard { .. } => None,
         };
         ConnectionJudge {
             name,
             rules,
             presence_rate,
-            limit_rate: rules.limits.rate.map(|(_, window)| RateMeter::new(window)),
+            limit_rate: rules.limits.rate.map(|rate| meter(rate, false)),
             is_there: false,
-            limits: LimitStatuses::default(),
+            is_degraded: false,
+            broken: [false; 3],
             heard_at: None,
             cause: String::new(),
         }
@@ -199,13 +182,10 @@ impl ConnectionJudge {
 
     /// How the channel is.
     pub fn state(&self) -> ConditionState {
-        let LimitStatuses { latency, jitter, loss, rate } = self.limits;
-        match [latency, jitter, loss, rate] {
-            _ if !self.is_there => ConditionState::Lost,
-            [LimitStatus::Kept, LimitStatus::Kept, LimitStatus::Kept, LimitStatus::Kept] => {
-                ConditionState::Connected
-            }
-            _ => ConditionState::Degraded,
+        match (self.is_there, self.is_degraded) {
+            (false, _) => ConditionState::Lost,
+            (true, true) => ConditionState::Degraded,
+            (true, false) => ConditionState::Connected,
         }
     }
 
@@ -243,57 +223,40 @@ impl ConnectionJudge {
 
     fn judge_presence(&mut self, reading: &ChannelReading, now: Instant, causes: &mut Vec<String>) {
         let silence = reading.heard_at.map(|at| now - at);
-        self.is_there = match self.rules.presence {
-            Presence::Heard { timeout } => silence.is_some_and(|silence| silence <= timeout),
-            Presence::Rate { hz, .. } => {
-                let rate =
-                    self.presence_rate.as_mut().map(|rate| rate.handle(reading.arrived, now));
-                let rate = rate.unwrap_or_default();
-                let is_there = rate >= if self.is_there { hz * RATE_KEPT } else { hz };
-                if !is_there && silence.is_some() {
-                    causes.push(format!("{rate:.1} messages a second, of {hz}"));
-                }
-                is_there
-            }
+        let too_slow = self.presence_rate.as_mut().map(|rate| rate.judge(reading.arrived, now));
+        let missing = match (self.rules.presence, silence) {
+            (Presence::Heard { timeout }, Some(silence)) => (silence > timeout)
+                .then(|| format!("silent for {silence:.1?}, at most {timeout:?}")),
+            (Presence::Rate { .. }, Some(_)) => too_slow.flatten(),
+            (_, None) => Some("never heard".to_owned()),
         };
-        match (self.rules.presence, silence) {
-            (_, None) => causes.push("never heard".to_owned()),
-            (Presence::Heard { timeout }, Some(silence)) if !self.is_there => {
-                causes.push(format!("silent for {silence:.1?}, at most {timeout:?}"));
-            }
-            _ => {}
-        }
+        self.is_there = missing.is_none();
+        causes.extend(missing);
     }
 
     fn judge_limits(&mut self, reading: &ChannelReading, now: Instant, causes: &mut Vec<String>) {
-        let ConnectionLimits { latency, jitter, loss_permille, rate } = self.rules.limits;
-        let LimitStatuses { latency: late, jitter: unsteady, loss: lossy, rate: slow } =
-            &mut self.limits;
+        let ConnectionLimits { latency, jitter, loss_permille, .. } = self.rules.limits;
+        let [late, unsteady, lossy] = &mut self.broken;
         if let Some(limit) = latency {
             let most = reading.latency.map(|latency| latency.most());
-            if !late.judge(most, limit, limit / 2) {
+            if is_beyond(late, most, limit, limit / 2) {
                 let found = reading.latency.map(shown);
                 causes.push(beyond("latency", found, format!("{limit:?}")));
             }
         }
         if let Some(limit) = jitter
-            && !unsteady.judge(reading.jitter, limit, limit / 2)
+            && is_beyond(unsteady, reading.jitter, limit, limit / 2)
         {
             let found = reading.jitter.map(|jitter| format!("{jitter:.1?}"));
             causes.push(beyond("jitter", found, format!("{limit:?}")));
         }
         if let Some(limit) = loss_permille
-            && !lossy.judge(reading.loss_permille, limit, limit / 2)
+            && is_beyond(lossy, reading.loss_permille, limit, limit / 2)
         {
             causes.push(beyond("loss", reading.loss_permille.map(percent), percent(limit)));
         }
-        if let (Some((hz, _)), Some(meter)) = (rate, &mut self.limit_rate) {
-            let found = meter.handle(reading.arrived, now);
-            // A rate is to be high: the greater is the better.
-            if !slow.judge(Some(-found), -hz * RATE_KEPT, -hz) {
-                causes.push(format!("{found:.1} messages a second, of {hz}"));
-            }
-        }
+        causes.extend(self.limit_rate.as_mut().and_then(|rate| rate.judge(reading.arrived, now)));
+        self.is_degraded = !causes.is_empty();
     }
 }
 

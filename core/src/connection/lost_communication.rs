@@ -13,11 +13,11 @@ use std::time::Duration;
 
 /// What ends the ladder once communication is back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LostCommunicationEnd {
-    /// It has been back for so long without a break.
-    Stable(Duration),
-    /// A person acknowledges it.
-    Acknowledged,
+pub struct LostCommunicationEnd {
+    /// For how long it must be back without a break. A break before that belongs to the first loss.
+    pub stable: Duration,
+    /// A person must acknowledge it, at any time after it is back, and nothing else ends it.
+    pub is_acknowledged: bool,
 }
 
 /// What the ladder wants done.
@@ -83,10 +83,13 @@ impl LostCommunication {
     }
 
     /// Communication is lost. Where it was back and not yet stable, the time goes on from the first
-    /// loss.
+    /// loss; else the rungs that are left count from this one.
     pub fn handle_lost(&mut self, now: Instant) {
         self.state = match self.state {
             State::Commanded => State::Lost { since: now, next: 0 },
+            State::Back { next, at, .. } if now - at >= self.end.stable => {
+                State::Lost { since: now, next }
+            }
             State::Back { since, next, .. } => State::Lost { since, next },
             lost @ State::Lost { .. } => lost,
         };
@@ -128,12 +131,10 @@ impl Machine for LostCommunication {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        match (self.state, self.end) {
-            (State::Lost { since, next }, _) => self.rungs.get(next).map(|after| since + *after),
-            (State::Back { at, .. }, LostCommunicationEnd::Stable(span)) => Some(at + span),
-            (State::Back { .. }, LostCommunicationEnd::Acknowledged) | (State::Commanded, _) => {
-                None
-            }
+        match self.state {
+            State::Lost { since, next } => self.rungs.get(next).map(|after| since + *after),
+            State::Back { at, .. } if !self.end.is_acknowledged => Some(at + self.end.stable),
+            State::Back { .. } | State::Commanded => None,
         }
     }
 
@@ -145,7 +146,7 @@ impl Machine for LostCommunication {
             State::Lost { since, next } => {
                 // Of several rungs that are due at once the last counts.
                 let is_due = |after: &&Duration| now >= *since + **after;
-                *next = self.rungs.iter().take_while(is_due).count();
+                *next += self.rungs[*next..].iter().take_while(is_due).count();
                 let entered = next.saturating_sub(1);
                 self.outputs.push_back(LostCommunicationOutput::Enter(entered));
             }
@@ -164,7 +165,8 @@ mod tests {
         Instant::from_millis(seconds * 1000)
     }
 
-    fn ladder(end: LostCommunicationEnd) -> LostCommunication {
+    fn ladder(is_acknowledged: bool) -> LostCommunication {
+        let end = LostCommunicationEnd { stable: Duration::from_secs(5), is_acknowledged };
         LostCommunication::new([1, 10, 60].map(Duration::from_secs).into(), end)
     }
 
@@ -174,7 +176,7 @@ mod tests {
 
     #[test]
     fn rungs_come_in_their_time_and_a_short_loss_is_none() {
-        let mut ladder = ladder(LostCommunicationEnd::Stable(Duration::from_secs(5)));
+        let mut ladder = ladder(false);
         ladder.handle_connected(at(0));
         ladder.handle_lost(at(100));
         ladder.handle_connected(Instant::from_millis(100_900));
@@ -191,7 +193,7 @@ mod tests {
 
     #[test]
     fn the_ladder_ends_when_communication_is_stable_and_else_goes_on_from_the_first_loss() {
-        let mut ladder = ladder(LostCommunicationEnd::Stable(Duration::from_secs(5)));
+        let mut ladder = ladder(false);
         ladder.handle_lost(at(0));
         ladder.handle_timeout(at(1));
         ladder.handle_connected(at(7));
@@ -208,7 +210,7 @@ mod tests {
 
     #[test]
     fn a_ladder_that_a_person_ends_waits_for_that_and_takes_no_word_while_it_is_lost() {
-        let mut ladder = ladder(LostCommunicationEnd::Acknowledged);
+        let mut ladder = ladder(true);
         assert!(!ladder.handle_acknowledged(), "nothing was lost");
         ladder.handle_lost(at(0));
         ladder.handle_timeout(at(70));
@@ -216,6 +218,24 @@ mod tests {
         assert!(!ladder.handle_acknowledged());
         ladder.handle_connected(at(80));
         assert_eq!(ladder.poll_timeout(), None);
+        assert!(ladder.handle_acknowledged());
+        assert_eq!(outputs(&mut ladder), [End]);
+    }
+
+    #[test]
+    fn a_break_after_hours_counts_from_itself_and_skips_no_rung() {
+        let mut ladder = ladder(true);
+        ladder.handle_lost(at(0));
+        ladder.handle_timeout(at(1));
+        ladder.handle_connected(at(2));
+        ladder.handle_lost(at(4));
+        assert_eq!(ladder.poll_timeout(), Some(at(10)), "it was not stable");
+        ladder.handle_connected(at(5));
+
+        ladder.handle_lost(at(7_200));
+        assert_eq!(outputs(&mut ladder), [Enter(0)]);
+        assert_eq!((ladder.poll_timeout(), ladder.rung()), (Some(at(7_210)), Some(0)));
+        ladder.handle_connected(at(7_201));
         assert!(ladder.handle_acknowledged());
         assert_eq!(outputs(&mut ladder), [End]);
     }

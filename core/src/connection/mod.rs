@@ -5,9 +5,9 @@
 //!
 //! ```text
 //!  ChannelReading ─► ConnectionJudge ─┐
-//!  ChannelReading ─► ConnectionJudge ─┼─ at least k of n ─► ConnectionCondition ─► state, cause
-//!  ChannelReading ─► ConnectionJudge ─┘                             │
-//!                                             LostCommunication ◄───┘ rungs
+//!  ChannelReading ─► ConnectionJudge ─┼─ at least k of n: Combination ─► state, cause
+//!  ChannelReading ─► ConnectionJudge ─┘                                    │
+//!                                               LostCommunication ◄────────┘ rungs
 //! ```
 //!
 //! A channel that was never heard is lost. A limit that is broken is kept only when the figure has
@@ -19,7 +19,7 @@ mod lost_communication;
 mod round_trips;
 mod topic;
 
-pub use condition::{Combination, ConnectionCondition};
+pub use condition::Combination;
 pub use judge::{ChannelReading, ConditionState, ConnectionJudge, ConnectionLimits};
 pub use judge::{ConnectionRules, Latency, Presence};
 pub use lost_communication::{LostCommunication, LostCommunicationEnd, LostCommunicationOutput};

@@ -6,8 +6,7 @@ use std::time::Duration;
 /// The round trips to one node.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RoundTripEstimator {
-    smoothed: Option<Duration>,
-    last: Duration,
+    last: Option<Duration>,
     /// The fastest of the present window, and of the one before.
     fastest: Option<Duration>,
     before: Option<Duration>,
@@ -32,9 +31,7 @@ impl RoundTripEstimator {
             (self.before, self.fastest, self.window_from) = (self.fastest, None, now);
         }
         self.fastest = Some(self.fastest.map_or(trip, |fastest| fastest.min(trip)));
-        self.last = trip;
-        // RFC 6298's smoothing.
-        self.smoothed = Some(self.smoothed.map_or(trip, |smoothed| (smoothed * 7 + trip) / 8));
+        self.last = Some(trip);
     }
 
     /// It did not answer: what waits for it is not counted.
@@ -42,11 +39,11 @@ impl RoundTripEstimator {
         self.asked_at = None;
     }
 
-    /// The smoothed round trip, or the last one, or the time for which an answer is missing, where
-    /// one of these is longer: a path that has become slow is so at once, and stays so.
-    pub fn smoothed(&self, now: Instant) -> Option<Duration> {
+    /// The last round trip, or the time for which an answer is missing, where that is longer: a
+    /// path that has become slow is so at once. What judges it does so with hysteresis.
+    pub fn last(&self, now: Instant) -> Option<Duration> {
         let waited = self.asked_at.map_or(Duration::ZERO, |at| now - at);
-        self.smoothed.map(|smoothed| smoothed.max(self.last).max(waited))
+        self.last.map(|last| last.max(waited))
     }
 
     /// The fastest round trip of the last ten to twenty seconds.
@@ -70,15 +67,15 @@ mod tests {
             trips.handle_asked(at(asked));
             trips.handle_answer(at(asked + trip));
         };
-        assert_eq!((trips.smoothed(at(0)), trips.fastest()), (None, None));
+        assert_eq!((trips.last(at(0)), trips.fastest()), (None, None));
         ask(&mut trips, 0, 8);
         ask(&mut trips, 1000, 16);
-        assert_eq!(trips.smoothed(at(2000)), Some(Duration::from_millis(16)), "the last one");
+        assert_eq!(trips.last(at(2000)), Some(Duration::from_millis(16)));
         trips.handle_asked(at(2000));
-        assert_eq!(trips.smoothed(at(2500)), Some(Duration::from_millis(500)));
+        assert_eq!(trips.last(at(2500)), Some(Duration::from_millis(500)));
         trips.handle_failed();
         ask(&mut trips, 2600, 1);
-        assert_eq!(trips.smoothed(at(2700)), Some(Duration::from_millis(8)), "smoothed");
+        assert_eq!(trips.last(at(2700)), Some(Duration::from_millis(1)));
         (3..40).for_each(|second| ask(&mut trips, second * 1000, 300));
         assert_eq!(trips.fastest(), Some(Duration::from_millis(300)));
     }

@@ -11,7 +11,8 @@ pub struct TopicArrival {
     pub at: Instant,
     /// How much longer it took than the fastest message of late.
     pub age: Duration,
-    /// Its number among the messages of its sender, where they are numbered.
+    /// Its number among the messages of its sender, where they are numbered. Each sender begins
+    /// with a number by chance, so that the numbers of two are far apart.
     pub sequence: Option<u64>,
     /// When it arrived, and when it was sent by the sender's clock, in microseconds of wall time.
     pub stamps_us: Option<(u64, u64)>,
@@ -42,16 +43,30 @@ impl LossEstimator {
     }
 }
 
+/// How many senders of one topic are told apart: an operator, and those who stand by.
+const SENDERS: usize = 4;
+
 /// Measures a topic by the messages that arrive.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct TopicEstimator {
     arrived: u64,
     last: Option<TopicArrival>,
-    age: Duration,
+    age_us: Option<i64>,
     jitter: Duration,
     loss: LossEstimator,
+    /// The last numbers of the senders, that of the last message first.
+    numbers: [Option<u64>; SENDERS],
     /// How much later by our clock it arrived than it was sent by the sender's, in microseconds.
     one_way_us: Option<i64>,
+}
+
+/// Returns the smoothed figure: an eighth of each new one counts (RFC 6298).
+fn smoothed(before: Option<i64>, sample: i64) -> i64 {
+    before.map_or(sample, |before| before + (sample - before) / 8)
+}
+
+fn micros(span: Duration) -> i64 {
+    i64::try_from(span.as_micros()).unwrap_or(i64::MAX / 2)
 }
 
 impl TopicEstimator {
@@ -59,24 +74,29 @@ impl TopicEstimator {
     pub fn handle_arrival(&mut self, arrival: TopicArrival) {
         let last = self.last.replace(arrival);
         self.arrived += 1;
-        let lost = match (last.and_then(|last| last.sequence), arrival.sequence) {
-            // A smaller number is that of a sender that was started again, or was overtaken.
-            (Some(last), Some(now)) => now.saturating_sub(last).saturating_sub(1),
-            _ => 0,
-        };
+        let lost = arrival.sequence.map_or(0, |sequence| self.lost_before(sequence));
         self.loss.handle(lost, 1);
         let last_age = last.map_or(arrival.age, |last| last.age);
-        // The jitter of RFC 3550, and the smoothing of RFC 6298.
+        // The jitter of RFC 3550.
         self.jitter = (self.jitter * 15 + last_age.abs_diff(arrival.age)) / 16;
-        self.age = if last.is_none() { arrival.age } else { (self.age * 7 + arrival.age) / 8 };
+        self.age_us = Some(smoothed(self.age_us, micros(arrival.age)));
         if let Some((received, sent)) = arrival.stamps_us {
             let bounded = |us: u64| i64::try_from(us).unwrap_or(i64::MAX / 2).min(i64::MAX / 2);
-            let passage = bounded(received) - bounded(sent);
-            self.one_way_us = Some(match self.one_way_us {
-                Some(smoothed) => smoothed + (passage - smoothed) / 8,
-                None => passage,
-            });
+            self.one_way_us = Some(smoothed(self.one_way_us, bounded(received) - bounded(sent)));
         }
+    }
+
+    /// How many messages are missing between this one and the last one of its sender.
+    fn lost_before(&mut self, sequence: u64) -> u64 {
+        let gap = |known: &Option<u64>| sequence.checked_sub((*known)?)?.checked_sub(1);
+        let near = |known: &Option<u64>| gap(known).filter(|gap| *gap <= LossEstimator::RUN_MAX);
+        let known = (0..SENDERS).filter_map(|at| Some((near(&self.numbers[at])?, at))).min();
+        // A number that follows none is that of a sender that is new, or of a message that was
+        // overtaken.
+        let (lost, at) = known.unwrap_or((0, SENDERS - 1));
+        self.numbers[..=at].rotate_right(1);
+        self.numbers[0] = Some(sequence);
+        lost
     }
 
     /// How many messages have arrived.
@@ -99,10 +119,14 @@ impl TopicEstimator {
         self.last?.sequence.map(|_| self.loss.permille())
     }
 
+    fn age(&self) -> Duration {
+        Duration::from_micros(self.age_us.unwrap_or_default().unsigned_abs())
+    }
+
     /// How long a message takes, if the fastest round trip of late took so long. The fastest
     /// message took no longer than that, and each other one its age in addition.
     pub fn latency(&self, round_trip: Duration) -> Latency {
-        Latency { estimate: self.age + round_trip / 2, error: round_trip / 2 }
+        Latency { estimate: self.age() + round_trip / 2, error: round_trip / 2 }
     }
 
     /// How long a message takes by two clocks that agree within `error`. `None` where messages have
@@ -110,8 +134,7 @@ impl TopicEstimator {
     /// than its age and the fastest round trip.
     pub fn one_way(&self, error: Duration, round_trip: Duration) -> Option<Latency> {
         let passage = self.one_way_us?;
-        let micros = |span: Duration| i64::try_from(span.as_micros()).unwrap_or(i64::MAX / 2);
-        let most = micros(self.age + round_trip + error);
+        let most = micros(self.age() + round_trip + error);
         let agree = (-micros(error)..=most).contains(&passage);
         let estimate = Duration::from_micros(u64::try_from(passage).unwrap_or(0));
         agree.then_some(Latency { estimate, error })
@@ -140,6 +163,25 @@ mod tests {
         assert!((230..270).contains(&loss), "{loss}");
         (0..500).for_each(|sequence| topic.handle_arrival(numbered(sequence)));
         assert!(topic.loss_permille() < Some(5), "{topic:?}");
+    }
+
+    #[test]
+    fn senders_of_one_topic_are_told_apart_by_their_numbers() {
+        let mut topic = TopicEstimator::default();
+        let begin = [7 << 40, 3 << 50, 5 << 60];
+        for count in 0..300 {
+            for sender in begin {
+                topic.handle_arrival(numbered(sender + count));
+            }
+        }
+        assert_eq!(topic.loss_permille(), Some(0));
+        // The second loses half of its messages.
+        for count in (300..900).step_by(2) {
+            topic.handle_arrival(numbered(begin[0] + count / 2 + 150));
+            topic.handle_arrival(numbered(begin[1] + count));
+        }
+        let loss = topic.loss_permille().expect("it is numbered");
+        assert!((300..370).contains(&loss), "{loss}");
     }
 
     #[test]

@@ -205,7 +205,7 @@ fn relay(ends: &[Pty; 2], stopped: &OwnedFd, tick: Option<usize>, noise: Option<
                         random ^= random << 13;
                         random ^= random >> 7;
                         random ^= random << 17;
-                        if random % bits == 0 {
+                        if random.is_multiple_of(bits) {
                             bytes[bit / 8] ^= 1 << (bit % 8);
                         }
                     }

@@ -25,9 +25,11 @@ use blastema_core::detection::RecovererPort;
 use blastema_core::net::discovery::DiscoveryAdmission;
 use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::suggestion::nearest;
 use blastema_core::{Incarnation, NodeName};
 use std::sync::Arc;
 use std::time::Duration;
+use tracing::warn;
 
 /// The networks of a node that runs.
 pub(in crate::node) struct Networks {
@@ -38,6 +40,11 @@ pub(in crate::node) struct Networks {
     pub(super) arbiter: Option<ArbiterHandle>,
     /// The nodes that the description names.
     pub(super) described: SortedSet<NodeName>,
+    /// All nodes of the robot, where it has keys.
+    listed: Option<SortedSet<NodeName>>,
+    /// The links that the description names; those that begin as one that ends at `/` may come by
+    /// themselves.
+    pub(super) links: Vec<String>,
     /// How long a channel may be silent over the slowest of the media.
     pub(super) silence: Duration,
 }
@@ -52,6 +59,22 @@ impl Networks {
     /// Whether this node has met another, was told of it, or has heard what others say of it.
     pub(in crate::node) fn know(&self, node: &NodeName) -> bool {
         self.described.contains(node) || self.handle.knows(node)
+    }
+
+    /// Finds a commander that is no node of the robot. Without keys only its neighbours are known,
+    /// and others may be further away.
+    pub(super) fn check_commander(&self, node: &NodeName) -> Result<(), String> {
+        let known = self.listed.as_ref().unwrap_or(&self.described);
+        if known.contains(node) {
+            return Ok(());
+        }
+        let near = nearest(node.as_str(), known.iter().map(NodeName::as_str));
+        let hint = near.map(|near| format!(": did you mean {near}?")).unwrap_or_default();
+        if self.listed.is_some() {
+            return Err(format!("its commander {node} is not in the roster{hint}"));
+        }
+        warn!(%node, "the commander of a policy is no neighbour of this node{hint}");
+        Ok(())
     }
 
     /// All whom it has met, or was told of.
@@ -163,7 +186,8 @@ fn make_networks(
     let FaultChainParts { guardian, chain, monitor, .. } = parts;
     let (mut specs, mut cables) = (Vec::new(), SortedMap::new());
     let (mut neighbours, mut enrolments) = (SortedSet::new(), Vec::new());
-    let has_keys = keys.is_some();
+    let (has_keys, listed) = (keys.is_some(), keys.as_ref().map(|keys| keys.listed()));
+    let mut links = Vec::new();
     let rows: Vec<_> = networks.iter().map(|network| network.row(has_keys)).collect();
     rows.iter().for_each(NetworkRow::log);
     let silence = networks.iter().map(|network| network.medium_kind().timeout()).max();
@@ -178,6 +202,10 @@ fn make_networks(
         }
         enrolments.extend(started.transports.into_iter().map(|name| middleware(name, None)));
         neighbours.extend(started.spec.links.iter().filter_map(|link| link.neighbour.clone()));
+        links.extend(started.spec.links.iter().map(|link| link.name.to_string()));
+        if has_keys || started.spec.discovery.is_some() {
+            links.push(format!("{}/", started.spec.name));
+        }
         specs.push(started.spec);
     }
     let mut described = neighbours.clone();
@@ -237,7 +265,9 @@ fn make_networks(
         chain.notifier.do_send(AddPort { port, recover, stand_down: None });
     }
     let transports = transports.clone();
-    Ok((Networks { handle, cables, rows, transports, arbiter, described, silence }, enrolments))
+    let networks =
+        Networks { handle, cables, rows, transports, arbiter, described, listed, links, silence };
+    Ok((networks, enrolments))
 }
 
 /// Those that are admitted by name where they are met.

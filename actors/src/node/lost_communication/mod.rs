@@ -1,41 +1,34 @@
 //! What the robot does alone: a ladder in time for each commander that it may lose.
 //!
 //! ```text
-//!  Condition ─ lost, connected ─► LostCommunicationActor ─ rung ─► commands actuators
-//!  Node::acknowledge ────────────►        (ladder)        └──────► starts a component
+//!  Conditions ─ lost, connected, the time ─► KeptPolicy ─ rung ─► commands actuators
+//!  Node::acknowledge ───────────────────────►  (ladder)  └──────► starts a component
 //! ```
 //!
-//! The actor lives beside the fault chain. A rung of commands needs no other component than the
-//! actuators' own; where one of the last rung does not take its command, it is cut off.
+//! The actor that looks at conditions drives the ladders, beside the fault chain. The table of
+//! actuators holds their leases for the policy and gives the commands, as it gives safe commands:
+//! neither needs a component but the actuators' own.
 
 mod policy;
 
 pub use policy::{LostCommunicationPolicy, Rung};
 
-use super::conditions::OwnedTask;
+use super::Node;
+use super::conditions::NodeSlot;
 use super::error::StartError;
-use super::{Node, Shared};
+use crate::actuator::{ActuatorKey, ActuatorTable};
 use crate::component::environment::ComponentEnvironment;
-use crate::condition::Condition;
 use crate::platform;
-use crate::runtime::driver::{MachineActor, WakeTimer};
-use crate::runtime::guardian::{Guardian, answers_the_monitor};
-use actix::prelude::*;
-use blastema_contract::reports::{AreYouAlive, FaultDeclared};
+use actix::prelude::{ArbiterHandle, Recipient};
+use blastema_contract::reports::FaultDeclared;
 use blastema_core::connection::{ConditionState, LostCommunication, LostCommunicationOutput};
-use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName};
-use policy::{AddFn, RungCommand, RungDeed, RungSetup};
-use std::cell::Cell;
-use std::rc::Rc;
-use std::sync::{Arc, Weak};
+use blastema_core::lease::CommanderId;
+use blastema_core::{FaultKind, Incarnation, Instant, Machine, NodeName, ObjectName};
+use bytes::Bytes;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use tokio::sync::{oneshot, watch};
-use tracing::{info, warn};
-
-/// An actuator of the last rung is cut off if it has not carried out its command by then.
-const LAST_RUNG_WITHIN: Duration = Duration::from_secs(1);
-/// How often it tries to add a component that was refused.
-const ADD_INTERVAL: Duration = Duration::from_secs(1);
+use tokio::sync::watch;
+use tracing::info;
 
 /// How a policy for lost communication is, from [`Node::lost_communication`].
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -69,277 +62,204 @@ pub enum AcknowledgeError {
     },
 }
 
-/// What is carried out now. It ends when it is dropped.
-enum CarriedRung {
-    Commands(#[expect(dead_code, reason = "they end when they are dropped")] Vec<OwnedTask>),
-    /// The task removes the component when this is gone.
-    Component(#[expect(dead_code, reason = "the other end sees it drop")] oneshot::Sender<()>),
+/// Where a ladder stands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct LadderStatus {
+    /// The place of the rung that is carried out.
+    rung: Option<usize>,
+    is_back: bool,
 }
 
-struct LostCommunicationActor {
-    policy: LostCommunicationPolicy,
-    ladder: LostCommunication,
-    wake: WakeTimer,
-    setup: RungSetup,
-    condition: Condition,
-    faults: Option<Recipient<FaultDeclared>>,
-    node: Option<Weak<Shared>>,
-    running: Option<CarriedRung>,
-    follows: Option<OwnedTask>,
-    row: watch::Sender<LostCommunicationRow>,
-}
-
-impl LostCommunicationActor {
-    fn show(&self) {
-        let rung = self.ladder.rung().and_then(|place| self.policy.rungs.get(place));
-        let rung = rung.map(|(_, rung)| rung.name.clone());
-        let (name, is_back) = (self.policy.name.clone(), self.ladder.is_back());
-        self.row.send_replace(LostCommunicationRow { name, rung, is_back });
-    }
-
-    fn enter(&mut self, place: usize) {
-        let Some((after, rung)) = self.policy.rungs.get(place) else { return };
-        if let Some(node) = &self.policy.commander {
-            self.setup.actuators.suspend(node);
-        }
-        let is_last = place + 1 == self.policy.rungs.len();
-        // The rung before ends first: its component is stopped, its actuators are given back.
-        self.running = None;
-        self.running = Some(match &rung.deed {
-            RungDeed::Command(commands) => {
-                let begin = |command: &RungCommand| {
-                    let done = Rc::<Cell<bool>>::default();
-                    let work = (command.command)(&self.setup, done.clone());
-                    let object = is_last.then(|| command.actuator.clone());
-                    let (table, contract) = (self.setup.actuators.clone(), command.contract);
-                    let cut_off = async move {
-                        let Some(object) = object else { return };
-                        platform::sleep(LAST_RUNG_WITHIN).await;
-                        if !done.get() {
-                            warn!(object, "the last rung's command is not carried out: cut off");
-                            table.cut_off_now(&object, contract);
-                        }
-                    };
-                    [OwnedTask::spawn(work), OwnedTask::spawn(cut_off)]
-                };
-                CarriedRung::Commands(commands.iter().flat_map(begin).collect())
-            }
-            RungDeed::Run(add) => {
-                let (stop, stopped) = oneshot::channel();
-                let node = self.node.clone().unwrap_or_default();
-                actix_rt::spawn(run_component(node, add.clone(), stopped));
-                CarriedRung::Component(stop)
-            }
-        });
-        let (name, since) = (&rung.name, self.condition.status().cause);
-        let detail = format!("{since}; after {after:?} the robot begins to {name}");
-        info!(policy = self.policy.name, "{detail}");
-        // The condition may hold again by now, and its fault be over.
-        if self.condition.is_connected() {
-            return;
-        }
-        if let (Some(faults), Ok(object)) =
-            (&self.faults, ObjectName::new(&format!("conditions/{}", self.policy.name)))
-        {
-            let (incarnation, kind) = (Incarnation::FIRST, FaultKind::ConnectionLost);
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
-        }
-    }
-
-    fn end(&mut self) {
-        self.running = None;
-        if let Some(node) = &self.policy.commander {
-            self.setup.actuators.resume_commander(node);
-        }
-        info!(policy = self.policy.name, "communication is back: others command again");
-    }
-}
-
-/// Runs a component until it is told to stop, or the node has ended.
-async fn run_component(node: Weak<Shared>, add: AddFn, mut stopped: oneshot::Receiver<()>) {
-    let name = loop {
-        let Some(present) = node.upgrade().map(Node) else { return };
-        match add(present).await {
-            Ok(name) => break name,
-            Err(why) => warn!(why, "a rung's component is not added"),
-        }
-        if tokio::time::timeout(ADD_INTERVAL, &mut stopped).await.is_ok() {
-            return;
-        }
-    };
-    // The sender is dropped with the rung.
-    let _ = stopped.await;
-    if let Some(node) = node.upgrade().map(Node)
-        && let Err(why) = node.remove_child(&name).await
-    {
-        warn!(name, %why, "a rung's component is not removed");
-    }
-}
-
-/// The node whose policy it is.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(super) struct AttachNode(pub(super) Node);
-
-/// The condition is so now.
-#[derive(Message)]
-#[rtype(result = "()")]
-struct ConditionTurned(ConditionState);
-
-/// A person lets others command again. Answers whether a rung was to be ended.
-#[derive(Message)]
-#[rtype(result = "bool")]
-struct Acknowledge;
-
-/// A policy of a node.
+/// A policy of a node that runs.
 pub(super) struct KeptPolicy {
-    attach: Recipient<AttachNode>,
-    acknowledge: Recipient<Acknowledge>,
-    row: watch::Receiver<LostCommunicationRow>,
+    name: String,
+    /// The object in which the faults of its condition are found.
+    object: ObjectName,
+    rungs: Vec<KeptRung>,
+    /// By what name the policy holds leases.
+    holder: CommanderId,
+    commander: Option<NodeName>,
+    actuators: ActuatorTable,
+    faults: Option<Recipient<FaultDeclared>>,
+    /// The ladder, and how the condition was.
+    ladder: Mutex<(LostCommunication, ConditionState)>,
+    status: watch::Sender<LadderStatus>,
+    node: NodeSlot,
+}
+
+struct KeptRung {
+    after: Duration,
+    name: String,
+    commands: Vec<(ActuatorKey, Bytes)>,
+    /// The commander that the component is which it runs.
+    runs: Option<String>,
 }
 
 impl KeptPolicy {
     /// Lets rungs run components of the node.
     pub(super) fn attach(&self, node: &Node) {
-        self.attach.do_send(AttachNode(node.clone()));
+        // Once, when the node is put together.
+        let _ = self.node.set(Arc::downgrade(&node.0));
+    }
+
+    fn lock(&self) -> MutexGuard<'_, (LostCommunication, ConditionState)> {
+        self.ladder.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Acts on how the condition is, and on the time.
+    fn follow(&self, state: ConditionState, cause: &str, now: Instant) -> Option<Instant> {
+        let mut locked = self.lock();
+        let (ladder, last) = &mut *locked;
+        if std::mem::replace(last, state) == state {
+            ladder.handle_timeout(now);
+        } else if state == ConditionState::Connected {
+            ladder.handle_connected(now);
+        } else if state == ConditionState::Lost || ladder.since().is_some() {
+            // One that is there again, but not well enough to be trusted, is lost.
+            ladder.handle_lost(now);
+        }
+        let outputs: Vec<_> = std::iter::from_fn(|| ladder.poll_output()).collect();
+        let status = LadderStatus { rung: ladder.rung(), is_back: ladder.is_back() };
+        let due = ladder.poll_timeout();
+        drop(locked);
+        for output in outputs {
+            match output {
+                LostCommunicationOutput::Enter(place) => self.enter(place, state, cause),
+                LostCommunicationOutput::End => self.end(),
+            }
+        }
+        // Last: the removal of the component of the rung before begins with this.
+        self.status.send_if_modified(|known| std::mem::replace(known, status) != status);
+        due
+    }
+
+    /// The actuators that the ladder commands.
+    fn keys(&self) -> impl Iterator<Item = &ActuatorKey> {
+        self.rungs.iter().flat_map(|rung| rung.commands.iter().map(|(key, _)| key))
+    }
+
+    fn enter(&self, place: usize, state: ConditionState, cause: &str) {
+        let Some(KeptRung { after, name, commands, runs }) = self.rungs.get(place) else { return };
+        for (key, command) in commands {
+            self.actuators.enter_rung(key, &self.holder, Some(command.clone()));
+        }
+        self.suspend_components();
+        runs.iter().for_each(|component| self.actuators.resume_commander(component));
+        let is_commanded = |key: &ActuatorKey| commands.iter().any(|(known, _)| known == key);
+        for key in self.keys().filter(|key| runs.is_some() && !is_commanded(key)) {
+            self.actuators.enter_rung(key, &self.holder, None);
+        }
+        if let Some(node) = &self.commander {
+            self.actuators.suspend(node.as_str());
+        }
+        let detail = format!("{cause}; after {after:?} the robot begins to {name}");
+        info!(policy = self.name, "{detail}");
+        // The condition may hold again by now, and its fault be over.
+        if let (Some(faults), ConditionState::Lost) = (&self.faults, state) {
+            let (object, incarnation) = (self.object.clone(), Incarnation::FIRST);
+            let kind = FaultKind::ConnectionLost;
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+        }
+    }
+
+    /// Components command while their rungs are carried out, and not until they are removed.
+    fn suspend_components(&self) {
+        let components = self.rungs.iter().filter_map(|rung| rung.runs.as_ref());
+        components.for_each(|component| self.actuators.suspend(component));
+    }
+
+    fn end(&self) {
+        self.suspend_components();
+        self.keys().for_each(|key| self.actuators.end_rungs(key));
+        if let Some(node) = &self.commander {
+            self.actuators.resume_commander(node.as_str());
+        }
+        info!(policy = self.name, "communication is back: others command again");
+    }
+
+    fn row(&self) -> LostCommunicationRow {
+        let LadderStatus { rung, is_back } = *self.status.borrow();
+        let rung = rung.and_then(|place| Some(self.rungs.get(place)?.name.clone()));
+        LostCommunicationRow { name: self.name.clone(), rung, is_back }
     }
 }
 
 impl LostCommunicationPolicy {
-    /// Starts to follow the condition. Returns the policy, and its actor's name and where it
-    /// answers the monitor.
+    /// Finds what cannot work on this node, or beside the policies before it.
+    pub(super) fn checked(
+        &self,
+        before: &[LostCommunicationPolicy],
+        actuators: &ActuatorTable,
+    ) -> Result<(), StartError> {
+        let beside = before.iter().try_for_each(|other| self.check_beside(other));
+        beside.and_then(|()| self.check(actuators)).map_err(|reason| self.refused(reason))
+    }
+
+    pub(super) fn refused(&self, reason: String) -> StartError {
+        StartError::LostCommunication { policy: self.name.clone(), reason }
+    }
+
+    /// The node whose commanders are lost.
+    pub(super) fn commander_node(&self) -> Result<Option<NodeName>, StartError> {
+        let node = self.commander.as_deref().map(NodeName::new).transpose();
+        node.map_err(|error| self.refused(format!("its commander: {error}")))
+    }
+
+    /// Follows the condition from now on. Components of rungs are added and removed on `arbiter`,
+    /// or here.
     pub(super) fn start(
         self,
         (node, incarnation): (&NodeName, Incarnation),
         environment: &ComponentEnvironment,
-        guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
-    ) -> Result<(KeptPolicy, ObjectName, Recipient<AreYouAlive>), StartError> {
-        let refused =
-            |reason: String| StartError::LostCommunication { policy: self.name.clone(), reason };
-        let object = ObjectName::new(&format!("policies/{}", self.name));
-        let object = object.map_err(|error| refused(error.to_string()))?;
-        self.check(environment.actuators()).map_err(&refused)?;
+    ) -> Result<Arc<KeptPolicy>, StartError> {
         let conditions = environment.conditions();
         let condition = conditions.declare(&self.name, &self.needs, platform::now());
-        let condition = condition.map_err(|error| refused(error.to_string()))?;
-        let row = LostCommunicationRow { name: self.name.clone(), rung: None, is_back: false };
-        let (row, shown) = watch::channel(row);
-        let setup = RungSetup {
-            registry: environment.registry.clone(),
-            actuators: environment.actuators().clone(),
-            own: format!("{node}:{object}"),
-            incarnation,
-        };
-        let faults = environment.reports.faults.clone();
+        let condition = condition.map_err(|error| self.refused(error.to_string()))?;
+        let object = ObjectName::new(&format!("conditions/{}", self.name));
+        let object = object.map_err(|error| self.refused(error.to_string()))?;
+        let commander = self.commander_node()?;
         let times = self.rungs.iter().map(|(after, _)| *after).collect();
-        let make = move |_: &mut actix::Context<LostCommunicationActor>| LostCommunicationActor {
-            ladder: LostCommunication::new(times, self.end),
-            policy: self,
-            wake: WakeTimer::default(),
-            setup,
-            condition,
-            faults,
-            node: None,
-            running: None,
-            follows: None,
-            row,
-        };
-        let actor = guardian.start(object.clone(), arbiter, make);
-        let kept = KeptPolicy {
-            attach: actor.clone().recipient(),
-            acknowledge: actor.clone().recipient(),
-            row: shown,
-        };
-        Ok((kept, object, actor.recipient()))
-    }
-}
-
-impl MachineActor for LostCommunicationActor {
-    type Machine = LostCommunication;
-
-    fn driven(&mut self) -> (&mut LostCommunication, &mut WakeTimer) {
-        (&mut self.ladder, &mut self.wake)
-    }
-
-    fn carry_out(&mut self, output: LostCommunicationOutput, _: &mut Self::Context) {
-        match output {
-            LostCommunicationOutput::Enter(place) => self.enter(place),
-            LostCommunicationOutput::End => self.end(),
-        }
-        self.show();
-    }
-}
-
-answers_the_monitor!(LostCommunicationActor);
-
-impl Actor for LostCommunicationActor {
-    type Context = actix::Context<Self>;
-
-    fn started(&mut self, context: &mut Self::Context) {
-        let (turned, mut changes) =
-            (context.address().downgrade().recipient(), self.condition.changes());
-        self.follows = Some(OwnedTask::spawn(async move {
-            while let Some(status) = changes.next().await {
-                let Some(turned) = turned.upgrade() else { return };
-                turned.do_send(ConditionTurned(status.state));
+        let (slot, status) = (NodeSlot::default(), watch::Sender::new(LadderStatus::default()));
+        let mut rungs = Vec::new();
+        for (place, (after, rung)) in self.rungs.into_iter().enumerate() {
+            let commands = rung.commands.into_iter();
+            // Those that are wrong were refused by the check.
+            let commands = commands.filter_map(|known| Some((known.key()?, known.command.ok()?)));
+            let runs = rung.component.map(|component| format!("{node}:{component}"));
+            let commands = commands.collect();
+            rungs.push(KeptRung { after, name: rung.name, commands, runs });
+            let Some(run) = rung.run else { continue };
+            let (slot, ladder) = (slot.clone(), status.subscribe());
+            let begin = move || drop(actix_rt::spawn(run(slot, ladder, place)));
+            match arbiter {
+                Some(arbiter) => drop(arbiter.spawn_fn(begin)),
+                None => begin(),
             }
-        }));
-    }
-}
-
-impl Supervised for LostCommunicationActor {
-    /// The rung goes on; what has changed meanwhile is looked at.
-    fn restarting(&mut self, context: &mut Self::Context) {
-        self.wake = WakeTimer::default();
-        self.started(context);
-        if self.ladder.since().is_some() {
-            context.address().do_send(ConditionTurned(self.condition.state()));
         }
-    }
-}
-
-impl Handler<AttachNode> for LostCommunicationActor {
-    type Result = ();
-
-    fn handle(&mut self, AttachNode(node): AttachNode, _: &mut Self::Context) {
-        self.node = Some(Arc::downgrade(&node.0));
-    }
-}
-
-impl Handler<ConditionTurned> for LostCommunicationActor {
-    type Result = ();
-
-    fn handle(&mut self, ConditionTurned(state): ConditionTurned, context: &mut Self::Context) {
-        let now = platform::now();
-        match state {
-            ConditionState::Lost => self.ladder.handle_lost(now),
-            ConditionState::Connected => self.ladder.handle_connected(now),
-            // It is there again, but not well enough to be trusted.
-            ConditionState::Degraded if self.ladder.since().is_some() => {
-                self.ladder.handle_lost(now);
-            }
-            ConditionState::Degraded => {}
-        }
-        self.drive(context);
-        self.show();
-    }
-}
-
-impl Handler<Acknowledge> for LostCommunicationActor {
-    type Result = bool;
-
-    fn handle(&mut self, _: Acknowledge, context: &mut Self::Context) -> bool {
-        let was_due = self.ladder.handle_acknowledged();
-        self.drive(context);
-        was_due
+        let kept = Arc::new(KeptPolicy {
+            holder: CommanderId { name: format!("{node}:{object}"), incarnation },
+            name: self.name,
+            object,
+            rungs,
+            commander,
+            actuators: environment.actuators().clone(),
+            faults: environment.reports.faults.clone(),
+            ladder: Mutex::new((LostCommunication::new(times, self.end), ConditionState::Lost)),
+            status,
+            node: slot,
+        });
+        let follower = kept.clone();
+        let follow = move |state, cause: &str, now| follower.follow(state, cause, now);
+        conditions.follow(&condition, Arc::new(follow));
+        Ok(kept)
     }
 }
 
 impl Node {
     /// Returns the policies for lost communication, with the rungs that are carried out.
     pub fn lost_communication(&self) -> Vec<LostCommunicationRow> {
-        self.0.policies.iter().map(|policy| policy.row.borrow().clone()).collect()
+        self.0.policies.iter().map(|policy| policy.row()).collect()
     }
 
     /// Lets others command again after communication was lost and is back, for a person who has
@@ -349,18 +269,15 @@ impl Node {
     /// [`AcknowledgeError`] where there is no such policy, and while communication is lost.
     pub async fn acknowledge(&self, policy: &str) -> Result<(), AcknowledgeError> {
         let name = policy.to_owned();
-        let Some(policy) = self.0.policies.iter().find(|known| known.row.borrow().name == name)
-        else {
-            let known = self.0.policies.iter().map(|known| known.row.borrow().name.clone());
-            let known = match known.collect::<Vec<_>>().join(", ") {
-                none if none.is_empty() => "none".to_owned(),
-                known => known,
-            };
+        let Some(policy) = self.0.policies.iter().find(|known| known.name == name) else {
+            let known: Vec<_> = self.0.policies.iter().map(|known| &*known.name).collect();
+            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
             return Err(AcknowledgeError::Unknown { name, known });
         };
-        match policy.acknowledge.send(Acknowledge).await {
-            Ok(true) => Ok(()),
-            _ => Err(AcknowledgeError::NotBack { name }),
+        if !policy.lock().0.handle_acknowledged() {
+            return Err(AcknowledgeError::NotBack { name });
         }
+        self.0.environment.conditions().look_soon();
+        Ok(())
     }
 }

@@ -1,39 +1,30 @@
-//! The description of a policy for lost communication, and how a rung commands.
+//! The description of a policy for lost communication.
 
-use crate::actuator::command::ActuatorCommand;
-use crate::actuator::{self, ActuatorTable, Commander};
+use super::LadderStatus;
+use crate::actuator::{ActuatorKey, ActuatorRow, ActuatorTable, encoded};
 use crate::component::Component;
 use crate::condition::Connected;
 use crate::host::spec::ChildSpec;
-use crate::node::Node;
-use crate::node::conditions::OwnedTask;
-use crate::platform;
-use crate::registry::Registry;
-use crate::settings::CONDITION_TIMEOUT;
+use crate::node::conditions::{NodeSlot, keep_while};
+use crate::settings::LAST_RUNG_AFTER;
 use blastema_core::connection::LostCommunicationEnd;
-use blastema_core::{Contract, DeliveryError, Incarnation, ObjectName};
-use std::cell::Cell;
+use blastema_core::sorted::SortedSet;
+use blastema_core::suggestion::nearest;
+use blastema_core::{Contract, DeliveryError, ObjectName};
+use bytes::Bytes;
 use std::fmt;
 use std::pin::Pin;
-use std::rc::Rc;
-use std::sync::Arc;
 use std::time::Duration;
-use tracing::info;
+use tokio::sync::watch;
 
 /// Communication that is back for so long is taken for stable.
 const STABLE: Duration = Duration::from_secs(5);
-/// How long a rung waits for an actuator before it takes it from another commander again.
-const CLAIM_WITHIN: Duration = Duration::from_millis(100);
-/// After which it tries again what was refused.
-const RETRY_DELAY: Duration = Duration::from_millis(20);
-/// How often it looks whether it still holds an actuator whose commands count for ever.
-const HELD_INTERVAL: Duration = Duration::from_millis(50);
 
-pub(super) type LocalFuture<T> = Pin<Box<dyn Future<Output = T>>>;
-/// Commands an actuator until it is dropped. It sets the flag once a command was carried out.
-pub(super) type CommandFn = Box<dyn Fn(&RungSetup, Rc<Cell<bool>>) -> LocalFuture<()> + Send>;
-/// Adds a component, and says what it is called.
-pub(super) type AddFn = Arc<dyn Fn(Node) -> LocalFuture<Result<String, String>> + Send + Sync>;
+/// Runs a component of the node while the ladder stands at the rung of this place.
+type RunFn = Box<
+    dyn FnOnce(NodeSlot, watch::Receiver<LadderStatus>, usize) -> Pin<Box<dyn Future<Output = ()>>>
+        + Send,
+>;
 
 /// What a robot does when it loses a commander: a ladder in time, given to
 /// [`NodeBuilder::lost_communication`](crate::NodeBuilder::lost_communication).
@@ -62,7 +53,6 @@ pub(super) type AddFn = Arc<dyn Fn(Node) -> LocalFuture<Result<String, String>> 
 /// impl Component for Return {}
 ///
 /// let policy = LostCommunicationPolicy::new("operator", Connected::heartbeat("operator/beat"))
-///     .commander("console")
 ///     .after(Duration::from_secs(1), Rung::command("hold", "wheels", Drive(0.0)))
 ///     .after(Duration::from_secs(10), Rung::run("return", || ChildSpec::new("return", || Return)))
 ///     .after(Duration::from_secs(60), Rung::command("stop", "wheels", Drive(0.0)));
@@ -87,21 +77,27 @@ pub struct LostCommunicationPolicy {
     pub(super) end: LostCommunicationEnd,
 }
 
-/// One step of the ladder: commands to actuators, or a component that runs.
+/// One step of the ladder: commands to actuators, or a component that runs, or both.
 pub struct Rung {
     pub(super) name: String,
-    pub(super) deed: RungDeed,
-}
-
-pub(super) enum RungDeed {
-    Command(Vec<RungCommand>),
-    Run(AddFn),
+    pub(super) commands: Vec<RungCommand>,
+    /// The component that it runs.
+    pub(super) component: Option<String>,
+    /// What runs that, until the policy starts.
+    pub(super) run: Option<RunFn>,
 }
 
 pub(super) struct RungCommand {
     pub(super) actuator: String,
     pub(super) contract: &'static str,
-    pub(super) command: CommandFn,
+    pub(super) command: Result<Bytes, DeliveryError>,
+}
+
+impl RungCommand {
+    /// Which actuator is commanded; a name that does not parse names none.
+    pub(super) fn key(&self) -> Option<ActuatorKey> {
+        Some((ObjectName::new(&self.actuator).ok()?, self.contract))
+    }
 }
 
 impl fmt::Debug for Rung {
@@ -115,12 +111,13 @@ impl LostCommunicationPolicy {
     /// after it was connected.
     pub fn new(name: &str, needs: Connected) -> Self {
         let (commander, rungs) = (None, Vec::new());
-        let end = LostCommunicationEnd::Stable(STABLE);
+        let end = LostCommunicationEnd { stable: STABLE, is_acknowledged: false };
         LostCommunicationPolicy { name: name.to_owned(), needs, commander, rungs, end }
     }
 
-    /// Names the node whose commanders are lost. With the first rung their leases end, also if only
-    /// the condition was lost; their claims are refused until the ladder has ended.
+    /// Names the node whose commanders are lost: another one, of the roster where there is one.
+    /// With the first rung their leases end, also if only the condition was lost; their claims are
+    /// refused until the ladder has ended.
     pub fn commander(mut self, node: &str) -> Self {
         self.commander = Some(node.to_owned());
         self
@@ -135,28 +132,42 @@ impl LostCommunicationPolicy {
     /// Sets for how long communication must be back, within its limits, before the ladder ends: 5 s
     /// unless set. A break before that counts from the first loss.
     pub fn until_stable_for(mut self, span: Duration) -> Self {
-        self.end = LostCommunicationEnd::Stable(span);
+        self.end.stable = span;
         self
     }
 
-    /// Keeps the rung until a person ends it by [`Node::acknowledge`], once communication is back.
+    /// Keeps the rung until a person ends it by [`Node::acknowledge`](crate::Node::acknowledge),
+    /// once communication is back.
     pub fn until_acknowledged(mut self) -> Self {
-        self.end = LostCommunicationEnd::Acknowledged;
+        self.end.is_acknowledged = true;
         self
+    }
+
+    /// The actuators that its rungs command.
+    pub(super) fn actuators(&self) -> SortedSet<ActuatorKey> {
+        let commands = self.rungs.iter().flat_map(|(_, rung)| &rung.commands);
+        commands.filter_map(RungCommand::key).collect()
+    }
+
+    /// The components that its rungs run.
+    pub(in crate::node) fn components(&self) -> impl Iterator<Item = &str> {
+        self.rungs.iter().filter_map(|(_, rung)| rung.component.as_deref())
     }
 
     /// Finds what cannot work before anything starts.
-    pub(super) fn check(&self, actuators: &ActuatorTable) -> Result<(), String> {
+    pub(super) fn check(&self, table: &ActuatorTable) -> Result<(), String> {
         let times: Vec<_> = self.rungs.iter().map(|(after, _)| *after).collect();
         if !times.is_sorted_by(|before, after| before < after) {
             return Err("its rungs do not rise in time: write the earlier ones first".to_owned());
         }
-        if times.iter().any(|after| CONDITION_TIMEOUT.check(*after).is_err()) {
-            return Err("a rung begins more than an hour after the loss: write less".to_owned());
+        if let Some(Err(error)) = times.last().map(|after| LAST_RUNG_AFTER.check(*after)) {
+            return Err(format!("{} {}: {}", error.setting, error.value, error.cure));
         }
         match self.rungs.last() {
             None => return Err("it has no rungs: add one by `after`".to_owned()),
-            Some((_, Rung { name, deed: RungDeed::Run(_) })) => {
+            Some((_, Rung { name, commands, component, .. }))
+                if commands.is_empty() || component.is_some() =>
+            {
                 return Err(format!(
                     "its last rung, {name}, runs a component, which may die: let the last one be a \
                      command"
@@ -164,125 +175,88 @@ impl LostCommunicationPolicy {
             }
             Some(_) => {}
         }
-        for (_, rung) in &self.rungs {
-            let RungDeed::Command(commands) = &rung.deed else { continue };
-            for RungCommand { actuator, contract, .. } in commands {
-                let found = ObjectName::new(actuator).is_ok_and(|object| {
-                    actuators
-                        .rows()
-                        .iter()
-                        .any(|row| row.object == object && row.contract == *contract)
-                });
-                if !found {
-                    let rung = &rung.name;
-                    return Err(format!(
-                        "the rung {rung} commands {actuator} by `{contract}`, and the node has no \
-                         such actuator: name one of its own"
-                    ));
-                }
-            }
+        if self.needs.has_commander() {
+            return Err("its condition needs a commander, whose claims are refused until the \
+                        ladder ends: let it need a heartbeat, a session or a node"
+                .to_owned());
         }
-        Ok(())
+        self.rungs.iter().try_for_each(|(_, rung)| rung.check(table))
+    }
+
+    /// Finds what two policies of one node would fight for.
+    pub(super) fn check_beside(&self, other: &LostCommunicationPolicy) -> Result<(), String> {
+        let [own, others] = [self, other].map(LostCommunicationPolicy::actuators);
+        let shared = own.into_iter().find(|key| others.contains(key));
+        let what = match (shared, &self.commander) {
+            _ if self.name == other.name => "its name".to_owned(),
+            (Some((actuator, _)), _) => format!("the actuator {actuator}"),
+            (None, Some(node)) if self.commander == other.commander => format!("commander {node}"),
+            (None, _) => return Ok(()),
+        };
+        let other = &other.name;
+        Err(format!(
+            "it has {what} in common with the policy {other}: make one policy of both, whose \
+             condition needs all that theirs do"
+        ))
     }
 }
 
 impl Rung {
-    /// Commands an actuator of this node, for as long as the rung lasts: again and again where its
-    /// commands count for a while. It is taken from any other commander.
+    /// Commands an actuator of this node until the next rung that commands it, or the end of the
+    /// ladder: again and again where its commands count for a while. It is taken from any other
+    /// commander.
     pub fn command<M: Contract + Clone>(name: &str, actuator: &str, command: M) -> Self {
-        let rung = Rung { name: name.to_owned(), deed: RungDeed::Command(Vec::new()) };
+        let (name, commands) = (name.to_owned(), Vec::new());
+        let rung = Rung { name, commands, component: None, run: None };
         rung.and_command(actuator, command)
     }
 
-    /// Commands one more actuator. A rung that runs a component commands none.
-    ///
-    /// # Panics
-    /// The rung runs a component.
+    /// Commands one more actuator.
     #[must_use]
     pub fn and_command<M: Contract + Clone>(mut self, actuator: &str, command: M) -> Self {
-        let RungDeed::Command(commands) = &mut self.deed else {
-            panic!("the rung {} runs a component, which commands actuators itself", self.name);
-        };
-        let object = actuator.to_owned();
-        let command: CommandFn = Box::new(move |setup: &RungSetup, done| {
-            Box::pin(keep_commanding(setup.clone(), object.clone(), command.clone(), done))
-        });
-        commands.push(RungCommand { actuator: actuator.to_owned(), contract: M::NAME, command });
+        let command = encoded(&command).map(Bytes::from);
+        let (actuator, contract) = (actuator.to_owned(), M::NAME);
+        self.commands.push(RungCommand { actuator, contract, command });
         self
     }
 
     /// Runs a component under the root supervisor for as long as the rung lasts, such as one that
-    /// drives back, or a tree.
-    pub fn run<C: Component>(
-        name: &str,
-        spec: impl Fn() -> ChildSpec<C> + Send + Sync + 'static,
-    ) -> Self {
-        let spec = Arc::new(spec);
-        let add: AddFn = Arc::new(move |node: Node| {
-            let spec = spec.clone();
-            Box::pin(async move {
-                let added = node.add_child(spec()).await;
-                added.map(|actor| actor.name().to_string()).map_err(|error| error.to_string())
-            })
+    /// drives back, or a tree. It may claim the actuators of the ladder that this rung does not
+    /// command. Its ports may be [connected](crate::NodeBuilder::connect) before the node starts.
+    pub fn run<C: Component>(name: &str, spec: impl Fn() -> ChildSpec<C> + Send + 'static) -> Self {
+        let component = Some(spec().name().to_owned());
+        let run: RunFn = Box::new(move |node, ladder, place| {
+            let stands = move |ladder: &LadderStatus| ladder.rung == Some(place);
+            Box::pin(keep_while(node, ladder, stands, (None, spec)))
         });
-        Rung { name: name.to_owned(), deed: RungDeed::Run(add) }
+        Rung { name: name.to_owned(), commands: Vec::new(), component, run: Some(run) }
     }
-}
 
-/// What rungs command with.
-#[derive(Clone)]
-pub(super) struct RungSetup {
-    pub(super) registry: Registry,
-    pub(super) actuators: ActuatorTable,
-    /// The commander's name, which is that of an object of this node.
-    pub(super) own: String,
-    pub(super) incarnation: Incarnation,
-}
-
-/// Claims the actuator and commands it until it is dropped, which gives the lease back.
-async fn keep_commanding<M: Contract + Clone>(
-    setup: RungSetup,
-    actuator: String,
-    message: M,
-    done: Rc<Cell<bool>>,
-) {
-    let RungSetup { registry, actuators, own, incarnation } = setup;
-    let Ok(object) = ObjectName::new(&actuator) else { return };
-    // Three commands in a timeout tolerate two late ones.
-    let repeat = actuators.command_timeout(&object, M::NAME).map(|timeout| timeout / 3);
-    let (commander, renewing): (Commander<M>, _) = loop {
-        match registry.sender::<ActuatorCommand>(&actuator) {
-            Ok(way) => {
-                break actuator::commander(actuator.clone(), way, (own.clone(), incarnation));
+    fn check(&self, table: &ActuatorTable) -> Result<(), String> {
+        let (rung, rows) = (&self.name, table.rows());
+        let mut seen = SortedSet::new();
+        for command in &self.commands {
+            let RungCommand { actuator, contract, command: encoded } = command;
+            let key = command.key();
+            let is_it = |row: &ActuatorRow| key == Some((row.object.clone(), row.contract));
+            if !rows.iter().any(is_it) {
+                let known = rows.iter().filter(|row| row.contract == *contract);
+                let hint = nearest(actuator, known.map(|row| row.object.as_str()));
+                let hint = hint.map(|near| format!("; did you mean {near}?")).unwrap_or_default();
+                return Err(format!(
+                    "the rung {rung} commands {actuator} by `{contract}`, and the node has no \
+                     such actuator: name one of its own{hint}"
+                ));
             }
-            // Its component is not there; the last rung cuts it off.
-            Err(_) => platform::sleep(RETRY_DELAY).await,
-        }
-    };
-    let _renewing = OwnedTask::spawn(renewing);
-    let mut counts = false;
-    loop {
-        if !commander.holds() {
-            counts = false;
-            actuators.seize(&object, M::NAME, &own);
-            if let Err(why) = commander.claim_within(CLAIM_WITHIN).await {
-                info!(actuator, %why, "the policy for lost communication claims again");
-                platform::sleep(RETRY_DELAY).await;
-                continue;
+            if let Err(why) = encoded {
+                return Err(format!("the command of the rung {rung} to {actuator}: {why}"));
+            }
+            if !seen.insert(key) {
+                return Err(format!(
+                    "the rung {rung} has two commands for {actuator}: leave one out"
+                ));
             }
         }
-        if counts && repeat.is_none() {
-            platform::sleep(HELD_INTERVAL).await;
-            continue;
-        }
-        match commander.command_from(platform::now(), message.clone()).await {
-            // A command that counts for ever may take longer than a lease.
-            Ok(_) | Err(DeliveryError::DeadlinePassed) => {
-                done.set(true);
-                counts = true;
-                platform::sleep(repeat.unwrap_or(HELD_INTERVAL)).await;
-            }
-            Err(_) => platform::sleep(RETRY_DELAY).await,
-        }
+        Ok(())
     }
 }

@@ -87,6 +87,7 @@ struct Wheels;
 
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
+        ports.commands::<Drive>("trailer");
         ports.actuator(ActuatorSpec::new(Drive(0.0), Hold).lease(100 * MS));
     }
 }
@@ -220,6 +221,8 @@ async fn a_node_its_session_its_link_and_its_lease_are_lost_with_the_cable_and_c
     robot.operator.shutdown().await;
     robot.after(3 * SECOND).await;
     assert_eq!(conditions.each_ref().map(Condition::state), [Lost; 4], "it has left");
+    let misspelt = robot.rover.condition("misspelt", Connected::link("radoi")).unwrap_err();
+    assert!(misspelt.to_string().ends_with("did you mean radio?"), "{misspelt}");
 }
 
 #[blastema_testkit::test]
@@ -342,20 +345,59 @@ async fn a_guarded_commander_gives_its_lease_back_and_a_guarded_child_runs_while
     planner.command(Drive(1.0)).await.unwrap();
     let runs = || robot.rover.actor::<Wheels>("helper").is_ok();
     assert!(runs());
+    robot.rover.connect("helper#trailer", "wheels#wheels/drive").unwrap();
 
     drop(beats);
     condition.lost().await;
     robot.after(100 * MS).await;
     assert!(!planner.holds() && !runs());
+    assert_eq!(robot.rover.connections(), []);
     assert_eq!(robot.rover.actuators()[0].status, blastema::LeaseStatus::Free);
 
     let _beats = robot.beat();
     condition.connected().await;
     robot.after(100 * MS).await;
     assert!(runs());
+    let connections = robot.rover.connections();
+    assert_eq!(connections.len(), 1, "it is made again: {connections:?}");
     planner.claim().await.unwrap();
     robot.after(SECOND).await;
     assert!(planner.holds());
+}
+
+#[blastema_testkit::test]
+async fn a_commander_has_as_long_to_come_as_others_and_is_no_policy() {
+    let robot = Robot::start().await;
+    let condition = robot.condition("commander", Connected::commander("wheels"));
+    robot.after(SECOND).await;
+    assert_eq!(robot.faults(FaultKind::ConnectionLost, "commander").await, [false; 0]);
+    robot.after(SECOND).await;
+    assert_eq!(robot.faults(FaultKind::ConnectionLost, "commander").await, [false]);
+
+    let commander = robot.operator.commander::<Drive>("rover:wheels", "console").unwrap();
+    commander.claim().await.unwrap();
+    robot.after(10 * SECOND).await;
+    assert_eq!(condition.state(), Well);
+    commander.release().await.unwrap();
+    robot.after(200 * MS).await;
+    assert_eq!(condition.state(), Lost);
+}
+
+#[blastema_testkit::test]
+async fn two_senders_of_one_topic_lose_nothing_and_one_that_leaves_stays_as_slow() {
+    let robot = Robot::start().await;
+    let (first, second) = (robot.beat(), robot.beat());
+    robot.impair(Direction::Incoming, Impairment { delay: 200 * MS, ..Impairment::NONE });
+    let beat = || Connected::heartbeat(BEAT).timeout(10 * SECOND);
+    let loss = robot.condition("loss", beat().max_loss(0.05));
+    let latency = robot.condition("latency", beat().max_latency(150 * MS));
+    robot.after(30 * SECOND).await;
+    assert_eq!((loss.state(), latency.state()), (Well, Degraded), "{}", loss.status().cause);
+
+    drop((first, second));
+    let changes = recorded(&latency);
+    robot.after(5 * SECOND).await;
+    assert_eq!(states(&changes), [], "{}", latency.status().cause);
 }
 
 #[blastema_testkit::test]
@@ -369,17 +411,26 @@ async fn what_is_wrong_with_a_condition_is_said_where_it_is_declared() {
     assert!(node.condition("operator", beat()).is_ok(), "it is the same");
     let taken = node.condition("operator", beat().timeout(SECOND)).unwrap_err();
     assert_eq!(taken, ConditionError::Taken { condition: "operator".into() });
+    assert!(node.condition("operator", Connected::all([beat()])).is_err(), "it has more to say");
     assert!(refused("an operator", beat()).contains("' '"));
     assert!(refused("none", Connected::all([])).contains("0 of 0 channels"));
     assert!(refused("more", Connected::at_least(2, [beat()])).contains("2 of 1 channels"));
     let lossy = refused("lossy", Connected::node("operator").max_jitter(SECOND));
     assert!(lossy.contains("the jitter of node operator is not measured"), "{lossy}");
     let long = refused("long", beat().timeout(Duration::MAX));
-    assert!(long.ends_with("write an hour at most"), "{long}");
+    assert!(long.ends_with("write 10 ms to an hour"), "{long}");
+    assert!(refused("never", beat().timeout(Duration::ZERO)).ends_with("write 10 ms to an hour"));
+    let link = refused("link", Connected::link("radoi"));
+    assert!(link.contains("no link radoi, as it has no networks"), "{link}");
     let seldom = refused("seldom", beat().min_rate(0.5, SECOND));
     assert!(seldom.contains("a longer window"), "{seldom}");
-    let other = Connected::topic::<Other>(BEAT);
-    assert!(refused("other", other).contains("two contracts"));
+    let other = || Connected::topic::<Other>(BEAT);
+    assert!(refused("other", other()).contains("two contracts"));
+    assert!(refused("both", Connected::all([beat(), other()])).contains("two contracts"));
+    assert!(refused("name", Connected::all([beat(), Connected::node("a b")])).contains("' '"));
+    let topics = node.topics();
+    let beats = topics.iter().find(|row| row.topic == BEAT).expect("it is listened to");
+    assert_eq!(beats.listeners.len(), 1, "by what was declared: {:?}", beats.listeners);
     node.shutdown().await;
     assert!(refused("operator", beat()).ends_with("the node has ended"));
 }

@@ -21,6 +21,8 @@ enum Drive {
     Hold,
     Home,
     Stop,
+    /// It is never finished.
+    Hang,
 }
 
 /// What the wheels were told, each once, and when for the first time.
@@ -42,9 +44,14 @@ impl Component for Wheels {
 
 impl Handle<Drive> for Wheels {
     async fn handle(&mut self, drive: Drive, _: &mut Context<Self>) {
-        let mut track = self.0.lock().unwrap();
-        if track.last().is_none_or(|(last, _)| *last != drive) {
-            track.push((drive, now()));
+        {
+            let mut track = self.0.lock().unwrap();
+            if track.last().is_none_or(|(last, _)| *last != drive) {
+                track.push((drive, now()));
+            }
+        }
+        if drive == Drive::Hang {
+            std::future::pending::<()>().await;
         }
     }
 }
@@ -53,8 +60,12 @@ impl Handle<Drive> for Wheels {
 struct Homing;
 
 impl Component for Homing {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.commands::<Drive>("out");
+    }
+
     async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        let wheels = cx.commander::<Drive>("wheels")?;
+        let wheels: Commander<Drive> = cx.port("out")?;
         cx.spawn(async move {
             loop {
                 if wheels.claim().await.is_ok() {
@@ -92,9 +103,15 @@ fn network(medium: &MemoryMedium, own: &str, other: &str) -> NodeBuilder {
 
 impl Robot {
     async fn start(policy: LostCommunicationPolicy) -> Self {
+        let has_homing = format!("{policy:?}").contains("return");
         let (medium, track) = (MemoryMedium::default(), Track::default());
         let kept = track.clone();
-        let rover = network(&medium, "rover", "operator")
+        let rover = network(&medium, "rover", "operator");
+        let rover = match has_homing {
+            true => rover.connect("homing#out", "wheels#wheels/drive"),
+            false => rover,
+        };
+        let rover = rover
             .child(ChildSpec::new("wheels", move || Wheels(kept.clone())))
             .lost_communication(policy);
         let operator = TestNode::start(network(&medium, "operator", "rover")).await;
@@ -138,13 +155,11 @@ async fn a_robot_that_is_cut_off_holds_returns_and_stops_and_is_commanded_again_
     robot.lost_at = now();
     robot.rover.advance(100 * SECOND).await;
 
-    // A second of silence, and then the times of the rungs. Between them the leases end.
+    // A second of silence, and then the times of the rungs. Nothing comes between two of them.
     use Drive::{At, Hold, Home, Safe, Stop};
-    assert_eq!(
-        robot.told(),
-        [(Safe, 0), (Hold, 2), (Safe, 11), (Home, 11), (Safe, 61), (Stop, 61)]
-    );
+    assert_eq!(robot.told(), [(Safe, 0), (Hold, 2), (Home, 11), (Stop, 61)]);
     assert_eq!(robot.rung().as_deref(), Some("stop"));
+    assert_eq!(CUT_OFFS.get(), 1, "the operator's lease was over before the first rung");
     let kind = FaultKind::ConnectionLost;
     let never = robot.rover.await_fault(kind.clone(), "conditions/operator").await;
     assert_eq!(never.detail, "operator/beat: never heard", "before the operator came");
@@ -164,6 +179,30 @@ async fn a_robot_that_is_cut_off_holds_returns_and_stops_and_is_commanded_again_
     commander.claim().await.unwrap();
     commander.command(At(7)).await.unwrap();
     assert_eq!(robot.told().last(), Some(&(At(7), 114)));
+    assert_eq!(CUT_OFFS.get(), 1, "it was given back in order");
+}
+
+#[blastema_testkit::test]
+async fn a_component_of_a_rung_is_connected_again_in_each_ladder_and_ends_without_a_cut_off() {
+    let mut robot = Robot::start(policy()).await;
+    for round in 0..2 {
+        let (beats, commander) = robot.operate().await;
+        let before = CUT_OFFS.get();
+        robot.lost_at = now();
+        drop(beats);
+        robot.rover.advance(12 * SECOND).await;
+        use Drive::{Hold, Home, Safe};
+        assert_eq!(robot.told(), [(Hold, 2), (Home, 11)], "round {round}");
+        assert_eq!(robot.rung().as_deref(), Some("return"));
+
+        let _beats = robot.operator.heartbeat("operator/beat", 100 * MS).unwrap();
+        robot.rover.advance(10 * SECOND).await;
+        assert_eq!((robot.rung(), robot.told().last()), (None, Some(&(Safe, 17))));
+        assert_eq!(CUT_OFFS.get(), before, "its lease was taken in order");
+        assert!(robot.rover.actor::<Homing>("homing").is_err());
+        drop(commander);
+        robot.rover.advance(SECOND).await;
+    }
 }
 
 #[blastema_testkit::test]
@@ -188,6 +227,21 @@ async fn heartbeats_that_cease_take_the_lease_of_a_commander_that_still_renews_i
     robot.rover.advance(SECOND).await;
     assert_eq!(robot.rung(), None);
     commander.claim().await.unwrap();
+    assert_eq!(CUT_OFFS.get(), 0, "its lease was taken by the rung, and given back by it");
+}
+
+#[blastema_testkit::test]
+async fn a_rung_that_is_never_finished_is_followed_by_the_cut_off() {
+    let needs = Connected::heartbeat("operator/beat").timeout(SECOND);
+    let policy = LostCommunicationPolicy::new("operator", needs)
+        .after(SECOND, Rung::command("stop", "wheels", Drive::Hang));
+    let robot = Robot::start(policy).await;
+    let (beats, _commander) = robot.operate().await;
+    drop(beats);
+    robot.rover.advance(2050 * MS).await;
+    assert_eq!((robot.rung().as_deref(), CUT_OFFS.get()), (Some("stop"), 0));
+    robot.rover.advance(SECOND).await;
+    assert!(CUT_OFFS.get() > 0);
 }
 
 #[blastema_testkit::test]
@@ -212,22 +266,52 @@ async fn the_last_rung_cuts_an_actuator_off_whose_component_is_dead() {
 #[blastema_testkit::test]
 async fn a_policy_that_cannot_work_is_refused_at_the_start() {
     let hold = || Rung::command("hold", "wheels", Drive::Hold);
-    let empty = || LostCommunicationPolicy::new("operator", Connected::heartbeat("operator/beat"));
+    let named =
+        |name: &str| LostCommunicationPolicy::new(name, Connected::heartbeat("operator/beat"));
+    let empty = || named("operator");
+    let lease = LostCommunicationPolicy::new("lease", Connected::commander("wheels"));
     let homing = || Rung::run("return", || ChildSpec::new("homing", || Homing));
-    for (policy, expected) in [
-        (empty(), "it has no rungs"),
-        (empty().after(SECOND, hold()).after(SECOND, hold()), "do not rise in time"),
-        (empty().after(SECOND, homing()), "its last rung, return, runs a component"),
+    let stop = |actuator| empty().after(SECOND, Rung::command("stop", actuator, Drive::Stop));
+    let twice = hold().and_command("wheels", Drive::Stop);
+    let brake = || Rung::command("stop", "brake", Drive::Stop);
+    let base = || named("base").after(SECOND, brake()).commander("operator");
+    for (policies, expected) in [
+        (vec![empty()], "it has no rungs"),
+        (vec![empty().after(SECOND, hold()).after(SECOND, hold())], "do not rise in time"),
+        (vec![empty().after(SECOND, homing())], "its last rung, return, runs a component"),
         (
-            empty().after(SECOND, Rung::command("hold", "weels", Drive::Hold)),
-            "commands weels by `wheels/drive`",
+            vec![empty().after(SECOND, homing().and_command("wheels", Drive::Hold))],
+            "its last rung, return, runs a component",
         ),
-        (empty().after(Duration::MAX, hold()), "more than an hour"),
+        (vec![stop("weels")], "commands weels by `wheels/drive`"),
+        (vec![stop("weels")], "did you mean wheels?"),
+        (vec![empty().after(SECOND, twice)], "two commands for wheels"),
+        (vec![empty().after(Duration::MAX, hold())], "write an hour at most"),
+        (vec![lease.after(SECOND, hold())], "its condition needs a commander"),
+        (vec![stop("wheels").commander("rover")], "its commander rover is this node"),
+        (vec![stop("wheels").commander("a b")], "its commander: \"a b\" holds ' '"),
+        (
+            vec![stop("wheels"), named("base").after(SECOND, hold())],
+            "the policy \"base\" for lost communication: it has the actuator wheels in common with \
+             the policy operator",
+        ),
+        (
+            vec![stop("wheels").commander("operator"), base()],
+            "it has commander operator in common with the policy operator",
+        ),
+        (vec![stop("wheels"), empty().after(SECOND, brake())], "it has its name in common"),
     ] {
-        let wheels = ChildSpec::new("wheels", || Wheels(Track::default()));
-        let builder = Node::builder("rover").child(wheels).lost_communication(policy);
+        let wheels = |name| ChildSpec::new(name, || Wheels(Track::default()));
+        let builder = network(&MemoryMedium::default(), "rover", "operator");
+        let builder = builder.child(wheels("wheels")).child(wheels("brake"));
+        let builder = policies.into_iter().fold(builder, NodeBuilder::lost_communication);
         let Err(error) = TestNode::try_start(builder).await else { panic!("{expected}") };
         let error = error.to_string();
         assert!(error.contains(expected), "{error}");
     }
+    let wheels = ChildSpec::new("wheels", || Wheels(Track::default()));
+    let alone =
+        Node::builder("alone").child(wheels).lost_communication(stop("wheels").commander("base"));
+    let Err(error) = TestNode::try_start(alone).await else { panic!("it has no networks") };
+    assert!(error.to_string().contains("which has no networks"), "{error}");
 }
