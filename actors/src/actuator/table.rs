@@ -583,6 +583,7 @@ impl Actuator {
 #[cfg(all(test, feature = "network"))]
 mod tests {
     use super::*;
+    use blastema_core::NodeName;
     use blastema_core::net::NodeId;
     use std::sync::mpsc;
 

@@ -1,7 +1,6 @@
 //! What a condition needs.
 
 use super::heartbeat::Heartbeat;
-use super::table::LOOK_INTERVAL;
 use crate::component::envelope::Times;
 use crate::topic::Topics;
 #[cfg(feature = "network")]
@@ -16,6 +15,9 @@ use std::time::Duration;
 
 /// The timeout of a node without networks, and the default of the source's condition nodes.
 pub(super) const TIMEOUT: Duration = Duration::from_secs(3);
+/// How often conditions are looked at; the end of a timeout is looked at exactly. More often finds
+/// what is restored sooner.
+pub(super) const LOOK_INTERVAL: Duration = Duration::from_millis(50);
 
 /// What must be connected: one channel, or some of several. Given to
 /// [`Node::condition`](crate::Node::condition).

@@ -3,7 +3,7 @@
 #[cfg(feature = "network")]
 use super::echo;
 use super::source::{ChannelSource, ConditionWiring, SharedReadings};
-use super::spec::{ChannelSpec, Connected, ConnectedChannel, TIMEOUT};
+use super::spec::{ChannelSpec, Connected, ConnectedChannel, LOOK_INTERVAL, TIMEOUT};
 use super::{Condition, ConditionError, ConditionStatus, object_of};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::extension::Extension;
@@ -21,9 +21,6 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tracing::info;
 
-/// How often conditions are looked at; the end of a timeout is looked at exactly. More often finds
-/// what is restored sooner.
-pub(super) const LOOK_INTERVAL: Duration = Duration::from_millis(50);
 /// More than a robot has operators, nodes and topics to depend on.
 const CONDITIONS_MAX: usize = 256;
 
