@@ -187,8 +187,8 @@ pub struct Lease {
 #[derive(Debug)]
 struct RungHold {
     policy: CommanderId,
-    /// Commanders may claim the lease, and the policy has it back after them.
-    yields: bool,
+    /// This commander may claim the lease, and the policy has it back after it.
+    yields_to: Option<String>,
     /// When to look whether the command is to be given again.
     again_at: Instant,
 }
@@ -272,8 +272,13 @@ impl Lease {
         match (&self.state, &self.rung) {
             (State::Settling, _) => return Err(DeliveryError::Restarting),
             _ if self.work != Work::Goes => return Err(DeliveryError::Restarting),
-            (_, Some(RungHold { policy, yields: false, .. })) => return held(policy),
-            (State::Free, _) if self.cut_offs > 0 => return Err(DeliveryError::Restarting),
+            (_, Some(rung)) if rung.yields_to.as_ref() != Some(&commander.name) => {
+                return held(&rung.policy);
+            }
+            // The command of the rung comes first.
+            (State::Free, _) if self.cut_offs > 0 || self.apply_by.is_some() => {
+                return Err(DeliveryError::Restarting);
+            }
             (State::Held { .. }, _)
                 if self.commander.name != commander.name
                     || self.commander.incarnation > commander.incarnation =>
@@ -336,19 +341,20 @@ impl Lease {
     }
 
     /// A policy for lost communication takes the lease for its next command, or holds it already:
-    /// no cut-off is called and no safe command given. A rung that `yields` takes it from no
-    /// commander, lets others claim it, and has it back, with the last command, when their lease
-    /// ends.
-    pub fn handle_rung(&mut self, policy: CommanderId, yields: bool, now: Instant) {
-        if let Some(rung) = self.rung.as_mut().filter(|_| yields) {
-            rung.yields = true;
-            return;
-        }
-        if !yields && self.commander().is_some() {
+    /// no cut-off is called and no safe command given. A rung that yields to a commander lets it
+    /// claim the lease, and has it back, with the last command, when that ends.
+    pub fn handle_rung(&mut self, policy: CommanderId, yields_to: Option<String>, now: Instant) {
+        let holder = self.commander().map(|holder| &holder.name);
+        let is_taken = holder.is_some() && holder != yields_to.as_ref();
+        if is_taken {
             self.state = State::Free;
         }
+        if let Some(rung) = self.rung.as_mut().filter(|_| yields_to.is_some() && !is_taken) {
+            rung.yields_to = yields_to;
+            return;
+        }
         self.rungs += 1;
-        self.rung = Some(RungHold { policy, yields, again_at: now + RUNG_INTERVAL });
+        self.rung = Some(RungHold { policy, yields_to, again_at: now + RUNG_INTERVAL });
         if self.give_rung(false) {
             self.apply_by = Some(now + self.rung_within());
         }
@@ -390,15 +396,17 @@ impl Lease {
 
     fn look_at_rung(&mut self, now: Instant) {
         let within = self.rung_within();
+        // Also what an incarnation owes that has failed after it was carried out.
+        let is_owed = self.given.is_some() && !self.is_cut && self.work == Work::Goes;
+        if is_owed && self.rung.is_some() && self.commander().is_none() {
+            self.apply_by.get_or_insert(now + within);
+        }
         if let Some(rung) = self.rung.as_mut().filter(|rung| now >= rung.again_at) {
             let interval = self.rules.command_timeout.map(|timeout| timeout / 3);
             // Three commands in a timeout tolerate two late ones.
             rung.again_at = now + interval.unwrap_or(RUNG_INTERVAL);
             if interval.is_some() && self.given.is_none() {
                 self.give_rung(true);
-            }
-            if matches!(self.given, Some(RestCause::Rung(_))) && !self.is_cut {
-                self.apply_by.get_or_insert(now + within);
             }
         }
         if self.apply_by.is_some_and(|by| now >= by) {
@@ -1007,7 +1015,7 @@ mod tests {
         let (mut lease, _) =
             held_under(LeaseRules { span: SPAN, command_timeout, max_wait, stop_by });
         lease.handle_command(ms(1));
-        lease.handle_rung(who("policy", 1), false, ms(10));
+        lease.handle_rung(who("policy", 1), None, ms(10));
         assert_eq!(outputs(&mut lease), ["rung"]);
         lease
     }
@@ -1018,14 +1026,19 @@ mod tests {
         assert_eq!(lease.handle_claim(who("console", 1), ms(11)), held_by("policy#1"));
         lease.handle_applied(RestCause::Rung(1), true);
 
-        lease.handle_rung(who("policy", 1), true, ms(15));
+        let homing = Some("homing".to_owned());
+        lease.handle_rung(who("policy", 1), homing, ms(15));
+        assert_eq!(lease.handle_claim(who("console", 1), ms(16)), held_by("policy#1"));
         let homing = lease.handle_claim(who("homing", 1), ms(20)).unwrap();
         lease.handle_command(ms(21));
         lease.handle_release(homing.epoch);
         assert_eq!(outputs(&mut lease), ["rung"], "the policy has it back");
+        lease.handle_timeout(ms(22));
+        assert!(lease.handle_claim(who("homing", 2), ms(23)).is_err(), "it is being served");
+        lease.handle_applied(RestCause::Rung(1), true);
         lease.handle_claim(who("homing", 2), ms(30)).unwrap();
         lease.handle_command(ms(31));
-        lease.handle_rung(who("policy", 1), false, ms(40));
+        lease.handle_rung(who("policy", 1), None, ms(40));
         lease.handle_applied(RestCause::Rung(1), true);
         assert_eq!(lease.handle_claim(who("homing", 3), ms(41)), held_by("policy#1"));
         lease.handle_applied(RestCause::Rung(2), true);
@@ -1075,7 +1088,12 @@ mod tests {
         let fails: Step = |lease| lease.handle_applied(RestCause::Rung(1), false);
         let dies: Step = |lease| lease.handle_left(false);
         let ends: Step = |lease| lease.handle_rungs_over(ms(10));
-        for step in [never_begun, fails, dies, ends] {
+        let dies_later: Step = |lease| {
+            lease.handle_applied(RestCause::Rung(1), true);
+            lease.handle_left(false);
+            lease.handle_timeout(ms(10));
+        };
+        for step in [never_begun, fails, dies, ends, dies_later] {
             let mut lease = taken(None);
             step(&mut lease);
             lease.handle_timeout(ms(1009));

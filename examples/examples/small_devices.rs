@@ -79,9 +79,13 @@ impl Handle<Contact> for Reflex {
 
 impl Handle<Grip> for Reflex {
     async fn handle(&mut self, Grip { width, holds }: Grip, _: &mut Context<Self>) {
-        if self.told.send_if_modified(|told| std::mem::replace(told, holds) != holds) {
-            println!("the gripper {} at {width} mm", if holds { "holds" } else { "opens" });
-        }
+        self.told.send_if_modified(|told| {
+            let is_new = std::mem::replace(told, holds) != holds;
+            if is_new {
+                println!("the gripper {} at {width} mm", if holds { "holds" } else { "opens" });
+            }
+            is_new
+        });
     }
 }
 

@@ -88,8 +88,8 @@ struct RungOrder {
     policy: CommanderId,
     /// The command, encoded; the safe one where the policy has given none.
     command: Option<Bytes>,
-    /// Commanders may claim the actuator meanwhile.
-    yields: bool,
+    /// This commander may claim the actuator meanwhile.
+    yields_to: Option<String>,
 }
 
 /// The actuators of a node. Clones share them.
@@ -187,6 +187,7 @@ impl ActuatorTable {
             drop(lease);
             self.carry_out(actuator);
         }
+        self.timekeeper.look();
         settle_within
     }
 
@@ -267,17 +268,23 @@ impl ActuatorTable {
     }
 
     /// Has the actuator carry out this command, encoded, of a policy for lost communication, until
-    /// the next one or the end. Without a command commanders may claim it from the policy.
+    /// the next one or the end. Without a command the one before counts on, and this commander may
+    /// claim the actuator from the policy.
     pub(crate) fn enter_rung(
         &self,
         key: &ActuatorKey,
         policy: &CommanderId,
         command: Option<Bytes>,
+        yields_to: Option<&String>,
     ) {
         let mut rungs = lock(&self.rungs);
-        let yields = command.is_none();
+        let before = rungs.get(key).and_then(|order| order.yields_to.as_ref());
+        if command.is_none() && before == yields_to {
+            return;
+        }
         let command = command.or_else(|| rungs.remove(key)?.command);
-        rungs.insert(key.clone(), RungOrder { policy: policy.clone(), command, yields });
+        let (policy, yields_to) = (policy.clone(), yields_to.cloned());
+        rungs.insert(key.clone(), RungOrder { policy, command, yields_to });
         drop(rungs);
         if let Some(actuator) = self.find(key) {
             self.begin_rung(&actuator);
@@ -301,7 +308,7 @@ impl ActuatorTable {
         if let Some(order) = lock(&self.rungs).get(&actuator.key())
             && !self.rests.load(SeqCst)
         {
-            lease.handle_rung(order.policy.clone(), order.yields, platform::now());
+            lease.handle_rung(order.policy.clone(), order.yields_to.clone(), platform::now());
         }
         drop(lease);
         self.carry_out(actuator);
@@ -439,14 +446,11 @@ impl ActuatorTable {
                 None => return,
                 Some(LeaseOutput::Apply { commander, epoch, cause, again }) => {
                     self.give(actuator, cause);
-                    if again {
+                    // A log may block, and the rung's other actuators wait.
+                    if again || matches!(cause, RestCause::Rung(_)) {
                         continue;
                     }
                     let (who, incarnation) = (&commander.name, commander.incarnation);
-                    if let RestCause::Rung(_) = cause {
-                        info!(%object, who, "a rung commands the actuator");
-                        continue;
-                    }
                     if cause == RestCause::Expired {
                         let detail = format!("its commander {who}{incarnation} has gone");
                         actuator.skeleton.declare(FaultKind::CommanderGone, detail);

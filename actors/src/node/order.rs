@@ -250,8 +250,9 @@ impl Node {
         let table = self.table().await;
         let components = table.into_iter().filter_map(|row| {
             let FaultLocation::Object(address) = &row.location else { return None };
+            // First, for a name that is no object is compared with all that are.
+            let kind = registry.component_type(&address.object)?.split('<').next()?;
             let component = registry.watchable(address.object.as_str()).ok()?;
-            let kind = component.component_type()?.split('<').next()?;
             // The monitor's table follows the component by a message.
             let (incarnation, state) = component.life_cycle()?;
             Some(OrderRow {

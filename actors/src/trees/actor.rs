@@ -300,9 +300,9 @@ impl BehaviorTree {
                 Ok(Ok(())) => break,
                 Ok(Err(error)) => error.to_string(),
                 Err(why) => {
-                    let tree = shared.tree.borrow();
-                    let path = tree.panicked().map(|node| tree.path(node)).unwrap_or_default();
-                    format!("{path}: {why}")
+                    let (tree, node) = (shared.tree.borrow(), shared.tree.borrow().panicked());
+                    self.faulty.extend(node);
+                    format!("{}: {why}", node.map(|node| tree.path(node)).unwrap_or_default())
                 }
             };
             cx.declare_fault(FaultKind::CheckFailed, format!("leaf {why}, when it was halted"));
@@ -418,6 +418,9 @@ impl Component for BehaviorTree {
         self.shared.tree.replace(tree);
         let before = host.environment.trees().show(cx.name().clone(), view.clone());
         if let Some(path) = before.as_ref().and_then(|view| view.called()) {
+            let tree = self.shared.tree.borrow();
+            let node = tree.nodes().map(|node| node.id).find(|node| tree.path(*node) == path);
+            self.faulty.extend(node);
             let detail = format!("leaf {path}: it did not return, and kept the tree's thread");
             cx.declare_fault(FaultKind::CheckFailed, detail);
         }

@@ -94,13 +94,17 @@ async fn by_socket(
         match serde_json::from_slice(&bytes) {
             Ok(reply) => return Ok(reply),
             // A node that the line reaches too late shows itself, and has not read it.
-            Err(_) if bytes.starts_with(b"{") && until > Instant::now() => {}
+            Err(_) if is_snapshot(&bytes) && until > Instant::now() => {}
             Err(_) => {
                 let (path, reason) = (path.to_owned(), "what is no answer to an order".to_owned());
                 return Err(InspectError::NoNode { path, reason }.to_string());
             }
         }
     }
+}
+
+fn is_snapshot(bytes: &[u8]) -> bool {
+    serde_json::from_slice(bytes).is_ok_and(|json: serde_json::Value| json.get("node").is_some())
 }
 
 async fn by_network(

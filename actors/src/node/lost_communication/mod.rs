@@ -141,13 +141,13 @@ impl KeptPolicy {
     fn enter(&self, place: usize, state: ConditionState, cause: &str) {
         let Some(KeptRung { after, name, commands, runs }) = self.rungs.get(place) else { return };
         for (key, command) in commands {
-            self.actuators.enter_rung(key, &self.holder, Some(command.clone()));
+            self.actuators.enter_rung(key, &self.holder, Some(command.clone()), None);
         }
         self.suspend_components();
         runs.iter().for_each(|component| self.actuators.resume_commander(component));
         let is_commanded = |key: &ActuatorKey| commands.iter().any(|(known, _)| known == key);
-        for key in self.keys().filter(|key| runs.is_some() && !is_commanded(key)) {
-            self.actuators.enter_rung(key, &self.holder, None);
+        for key in self.keys().filter(|key| !is_commanded(key)) {
+            self.actuators.enter_rung(key, &self.holder, None, runs.as_ref());
         }
         if let Some(node) = &self.commander {
             self.actuators.suspend(node.as_str());

@@ -187,11 +187,16 @@ impl LostCommunicationPolicy {
     pub(super) fn check_beside(&self, other: &LostCommunicationPolicy) -> Result<(), String> {
         let [own, others] = [self, other].map(LostCommunicationPolicy::actuators);
         let shared = own.into_iter().find(|key| others.contains(key));
+        let mut components = self.components();
+        let component = components.find(|own| other.components().any(|known| known == *own));
         let what = match (shared, &self.commander) {
             _ if self.name == other.name => "its name".to_owned(),
             (Some((actuator, _)), _) => format!("the actuator {actuator}"),
             (None, Some(node)) if self.commander == other.commander => format!("commander {node}"),
-            (None, _) => return Ok(()),
+            (None, _) => match component {
+                Some(component) => format!("the component {component}"),
+                None => return Ok(()),
+            },
         };
         let other = &other.name;
         Err(format!(

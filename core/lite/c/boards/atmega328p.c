@@ -36,9 +36,9 @@ uint16_t board_begin(int count, char **arguments, uint8_t *cause) {
     boots = boots == 0xFFFFu ? 1u : (uint16_t)(boots + 1u);
     eeprom_update_word(cell, boots);
     *cause = (reset_flags & _BV(WDRF)) != 0   ? BL_CAUSE_WATCHDOG
+             : (reset_flags & _BV(PORF)) != 0 ? BL_CAUSE_POWER_ON /* BORF may be set with it. */
              : (reset_flags & _BV(BORF)) != 0 ? BL_CAUSE_BROWN_OUT
-             : (reset_flags & _BV(EXTRF)) != 0 ? BL_CAUSE_EXTERNAL
-             : (reset_flags & _BV(PORF)) != 0 ? BL_CAUSE_POWER_ON : BL_CAUSE_UNKNOWN;
+             : (reset_flags & _BV(EXTRF)) != 0 ? BL_CAUSE_EXTERNAL : BL_CAUSE_UNKNOWN;
     UCSR0A = _BV(U2X0);
     UBRR0 = 16;
     UCSR0B = _BV(RXCIE0) | _BV(RXEN0) | _BV(TXEN0);
