@@ -11,7 +11,7 @@ use crate::robots::requests::requests;
 use crate::robots::run::{Evidence, is_open, leaves};
 use crate::robots::story::{line, story};
 use blastema::core::recovery::{ChildState, GiveUpReason};
-use blastema::detection::FaultEntry;
+use blastema::detection::{FaultEntry, FaultTransition};
 use blastema::recovery::{Restart, Strategy};
 use blastema::{FaultKind, Lifecycle, NodeState, Opinion};
 use std::collections::{BTreeMap, BTreeSet};
@@ -158,11 +158,14 @@ fn missing(
     let escalated = groups.iter().any(|(name, _)| {
         evidence.faults(name).any(|entry| entry.fault.kind == FaultKind::UnexpectedExit)
     });
-    // One that was stopped, for good or until it was restarted, misses what it does not have to
-    // read.
+    // One that was stopped or isolated, for good or until it was restarted, misses what it does not
+    // have to read.
     let stayed = evidence.is_running(listener)
         && !escalated
-        && evidence.record.entries.iter().all(|entry| entry.given_up.is_none())
+        && evidence
+            .events
+            .iter()
+            .all(|event| !matches!(event.turn, FaultTransition::GaveUp { .. }))
         && !evidence.was(listener, Cause::Stop)
         && plan.restart == Restart::Permanent;
     let active = |entry: &Entry| entry.what == What::Hook("on_activated");
