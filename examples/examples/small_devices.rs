@@ -1,9 +1,9 @@
-//! A gripper and a bumper on microcontrollers. When the bumper is touched, the gripper closes. Then the
-//! gripper loses its power, comes back, and closes again, with no line for that on its chip.
+//! A gripper and a bumper on microcontrollers. When the bumper is touched, the gripper closes. Then
+//! the gripper loses its power, comes back, and closes again, with no line for that on its chip.
 //!
-//! Each chip is a process of this computer on a pty here, and its firmware is compiled first, which needs
-//! a C compiler, `cc`. On chips of your own: `small_devices /dev/ttyUSB0 /dev/ttyUSB1`; the firmware is
-//! in `examples/firmware`, and `small_devices headers DIR` writes its headers.
+//! Each chip is a process of this computer on a pty here, and its firmware is compiled first, which
+//! needs a C compiler, `cc`. On chips of your own: `small_devices /dev/ttyUSB0 /dev/ttyUSB1`; the
+//! firmware is in `examples/firmware`, and `small_devices headers DIR` writes its headers.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;

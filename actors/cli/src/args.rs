@@ -107,11 +107,12 @@ pub(crate) enum Subcommand {
     /// Show the state of a running node
     ///
     /// Its objects with what the monitor thinks of each, the threads that components live on,
-    /// links, sessions with other nodes, behaviour trees, global names, services and who serves them, actuators and
-    /// who commands them, and faults, as they are now. A node is shown if its program opens an
-    /// inspection socket, by `NodeBuilder::inspection_socket`, to the user who runs it and no
-    /// other. A value that is not known is a dash; a table that is left out is empty, and one whose
-    /// part of the node has not answered says so. Nothing can be changed from here.
+    /// links, sessions with other nodes, behaviour trees, global names, services and who serves
+    /// them, actuators and who commands them, and faults, as they are now. A node is shown if its
+    /// program opens an inspection socket, by `NodeBuilder::inspection_socket`, to the user who
+    /// runs it and no other. A value that is not known is a dash; a table that is left out is
+    /// empty, and one whose part of the node has not answered says so. Nothing can be changed from
+    /// here.
     #[command(after_help = MONITOR_HELP)]
     Monitor(MonitorOptions),
     /// Print what editors of behaviour trees need
@@ -138,8 +139,8 @@ pub(crate) enum Subcommand {
     Component(ComponentJob),
     /// Let others command again after communication was lost, once it is back
     ///
-    /// A policy for lost communication that waits for a person goes on with its last step until then:
-    /// look at the robot first.
+    /// A policy for lost communication that waits for a person goes on with its last step until
+    /// then: look at the robot first.
     #[command(after_help = ORDER_HELP)]
     Acknowledge {
         /// The policy; by default each that waits

@@ -3,9 +3,9 @@
 //! `blastema monitor` shows the state of a running node, `blastema fault list` its faults, also
 //! those of earlier runs. `blastema tree model` prints what editors of behaviour trees load,
 //! `blastema keys` makes the keys of a robot's nodes, `blastema node` gives them orders, and
-//! `blastema component` their components. `blastema check`, `graph` and `run` start the program of a
-//! robot file, and `blastema new` writes a robot. Exit status: 0 it was done, 1 only a part of it, 2
-//! it could not be done.
+//! `blastema component` their components. `blastema check`, `graph` and `run` start the program of
+//! a robot file, and `blastema new` writes a robot. Exit status: 0 it was done, 1 only a part of
+//! it, 2 it could not be done.
 
 mod args;
 mod fault;

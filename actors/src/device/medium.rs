@@ -104,8 +104,8 @@ pub(super) enum OpenLine {
 }
 
 impl OpenLine {
-    /// Sends the frame that is unsent, and waits for bytes; 0 when all is sent. Nothing is lost when
-    /// the future is dropped.
+    /// Sends the frame that is unsent, and waits for bytes; 0 when all is sent. Nothing is lost
+    /// when the future is dropped.
     pub(super) async fn exchange(
         &mut self,
         unsent: &mut Vec<u8>,

@@ -378,9 +378,9 @@ impl Node {
         self.0.environment.arbiters.abandoned()
     }
 
-    /// Everything that the node knows of itself now: table, threads, links, routes, sessions, claims,
-    /// actuators, topics, dead letters, faults. It can be read at any time; a part that does not come within a second is
-    /// `None`.
+    /// Everything that the node knows of itself now: table, threads, links, routes, sessions,
+    /// claims, actuators, topics, dead letters, faults. It can be read at any time; a part that
+    /// does not come within a second is `None`.
     pub async fn snapshot(&self) -> NodeSnapshot {
         NodeSnapshot::of(self).await
     }

@@ -41,8 +41,8 @@ const RECORD_LOOK: Duration = Duration::from_millis(100);
 /// A behaviour tree as a component: a child of a supervisor, with a life cycle, faults and a plan.
 ///
 /// It ticks its tree ten times a second, unless [`rate_hz`](ChildSpec::rate_hz) is set, and at once
-/// when a leaf's future has ended, a condition of a leaf has changed, or a timer of the tree is due.
-/// A tree that has ended begins again with the next round. When the component leaves work, all
+/// when a leaf's future has ended, a condition of a leaf has changed, or a timer of the tree is
+/// due. A tree that has ended begins again with the next round. When the component leaves work, all
 /// nodes are halted, and all leases given back.
 ///
 /// ```
@@ -120,8 +120,8 @@ impl BehaviorTree {
     /// same folder. All are read now, and not again.
     ///
     /// # Errors
-    /// The file cannot be read, or, as [`io::ErrorKind::InvalidData`], it has mistakes: all of them,
-    /// with their places.
+    /// The file cannot be read, or, as [`io::ErrorKind::InvalidData`], it has mistakes: all of
+    /// them, with their places.
     pub fn of_file(
         name: &str,
         leaves: &TreeLeaves,

@@ -26,8 +26,8 @@ pub enum LeafFault {
     Retry(u32),
     /// All nodes are halted, and the tree begins again in its next round.
     RestartTree,
-    /// All nodes are halted and the component is in error, so that the [plan](crate::recovery::Plan)
-    /// decides.
+    /// All nodes are halted and the component is in error, so that the
+    /// [plan](crate::recovery::Plan) decides.
     Plan,
 }
 
@@ -169,8 +169,8 @@ impl TreeLeaves {
     }
 
     /// Adds an action that sends this request to the component that a port names, and is RUNNING
-    /// until the reply. Each field of the request is a port, and each field of the reply one that is
-    /// written. A request that fails, or whose reply is an `Err`, is a FAILURE.
+    /// until the reply. Each field of the request is a port, and each field of the reply one that
+    /// is written. A request that fails, or whose reply is an `Err`, is a FAILURE.
     #[must_use]
     pub fn request<M: Request>(self, name: &str) -> Self {
         let deadline = Port::input::<f64>("deadline_sec").optional().about("by default 5 s");

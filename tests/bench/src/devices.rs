@@ -1,5 +1,6 @@
-//! Devices as processes on ptys: silence until the device is lost, a request and its reply, and the share of
-//! a core that 32 of them take. A pty has no baud rate: the time of a request is beside that of its bytes.
+//! Devices as processes on ptys: silence until the device is lost, a request and its reply, and the
+//! share of a core that 32 of them take. A pty has no baud rate: the time of a request is beside
+//! that of its bytes.
 
 use crate::measure::Quantiles;
 use blastema::prelude::*;
@@ -24,7 +25,8 @@ struct Sample {
 }
 
 const INTERVAL: Duration = Duration::from_millis(10);
-/// Framing, header, commands, status and checksum of a request and its reply, and eight bytes in each.
+/// Framing, header, commands, status and checksum of a request and its reply, and eight bytes in
+/// each.
 const BYTES: u32 = 15 + 16;
 
 fn spec(name: &str, port: &Path) -> DeviceSpec {

@@ -1,8 +1,8 @@
 //! Microcontrollers as components: real firmware in C, as processes on ptys and on UDP.
 //!
-//! With `BLASTEMA_CHIP=cortex-m3` the firmware on ptys runs on that chip, in QEMU; `tests/devices/run`
-//! does that. With `atmega328p` it runs in simavr, which answers too late for these tests on a busy
-//! computer.
+//! With `BLASTEMA_CHIP=cortex-m3` the firmware on ptys runs on that chip, in QEMU;
+//! `tests/devices/run` does that. With `atmega328p` it runs in simavr, where no device has become
+//! active in these tests so far.
 
 use blastema::prelude::*;
 use blastema::{

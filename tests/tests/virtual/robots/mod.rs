@@ -46,6 +46,7 @@ use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex};
 use std::thread;
+use std::time::Duration;
 
 /// What is wrong with the run of this plan.
 fn breaches(robot: &Arc<Robot>) -> Vec<String> {
@@ -173,9 +174,12 @@ mod real {
 
     #[test]
     fn robots_by_chance_keep_their_promises_on_real_threads() {
-        let _turn = blastema_doubles::turn();
+        let (count, default) = ("BLASTEMA_REAL_SEEDS", 10);
+        // Each robot lives for some seconds.
+        let longest = Duration::from_secs(300 + 10 * number(count, default));
+        let _turn = blastema_doubles::turn_within(longest);
         let test = "robots_by_chance_keep_their_promises_on_real_threads";
         let clock = |seed| Clock::Real { threads: 1 + u8::try_from(seed % 3).expect("below 3") };
-        run_seeds(test, "BLASTEMA_REAL_SEEDS", 10, 1, clock);
+        run_seeds(test, count, default, 1, clock);
     }
 }
