@@ -172,14 +172,15 @@ fn robots_that_have_shown_defects_keep_their_promises() {
 mod real {
     use super::*;
 
+    const COUNT: &str = "BLASTEMA_REAL_SEEDS";
+
     #[test]
     fn robots_by_chance_keep_their_promises_on_real_threads() {
-        let (count, default) = ("BLASTEMA_REAL_SEEDS", 10);
         // Each robot lives for some seconds.
-        let longest = Duration::from_secs(300 + 10 * number(count, default));
-        let _turn = blastema_doubles::turn_within(longest);
+        let _turn =
+            blastema_doubles::turn_within(Duration::from_secs(300 + 10 * number(COUNT, 10)));
         let test = "robots_by_chance_keep_their_promises_on_real_threads";
         let clock = |seed| Clock::Real { threads: 1 + u8::try_from(seed % 3).expect("below 3") };
-        run_seeds(test, count, default, 1, clock);
+        run_seeds(test, COUNT, 10, 1, clock);
     }
 }
