@@ -85,11 +85,14 @@ impl NodeBuilder {
         start(self, std::future::pending()).await
     }
 
-    /// Returns what [`start`](Self::start) would refuse in the description: all components and
-    /// supervisors that are wrong, else the first other error. No component is made, and no medium,
-    /// file of variables or journal is opened; keys and files of parameters are read.
+    /// Returns what [`start`](Self::start) would refuse in the description: everything that is wrong
+    /// with the node, its components and its supervisors, else the first other error. No component
+    /// is made, and no medium, file of variables or journal is opened; keys and files of parameters
+    /// are read.
     pub fn check(self) -> Vec<StartError> {
-        refused(self).unwrap_or_else(|error| vec![error])
+        let mut refused = check_settings(&self);
+        refused.extend(check(self).unwrap_or_else(|error| vec![error]));
+        refused
     }
 
     /// Finds what can be known to be wrong before anything is made.
@@ -99,15 +102,14 @@ impl NodeBuilder {
         }
         let node =
             NodeName::new(&self.name).map_err(StartError::name_of("the name of the node"))?;
-        check_settings(self)?;
         #[cfg(feature = "network")]
         self.networks.check(&node)?;
         Ok(node)
     }
 }
 
-/// What is wrong with the tree, or with the rest of the description.
-fn refused(mut builder: NodeBuilder) -> Result<Vec<StartError>, StartError> {
+/// Finds what is wrong with the tree, or else with the rest of the description.
+fn check(mut builder: NodeBuilder) -> Result<Vec<StartError>, StartError> {
     let node = builder.checked_name()?;
     // The chain is made for the names of its objects alone.
     builder.placement = ActorPlacement::Here;
@@ -126,6 +128,7 @@ pub(super) async fn start(
 ) -> Result<Node, StartError> {
     panics::install_hook();
     let node = builder.checked_name()?;
+    check_settings(&builder).into_iter().next().map_or(Ok(()), Err)?;
     #[cfg(feature = "network")]
     let incarnation = builder.networks.begin_incarnation();
     #[cfg(not(feature = "network"))]
