@@ -8,7 +8,7 @@ use crate::component::cell::ComponentCell;
 use crate::component::context::Context;
 use crate::component::environment::ComponentEnvironment;
 use crate::component::extension::Extension;
-use crate::component::ports::Ports;
+use crate::component::ports::{ParameterValues, ParametersType, Ports};
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
 use crate::variable::ports::VariablePorts;
@@ -20,8 +20,14 @@ use blastema_core::{DeliveryError, ObjectName, suggestion};
 use std::sync::{Arc, Mutex, PoisonError};
 use toml::{Table, Value};
 
-/// The values that one component is given.
-type Values = SortedMap<String, ParameterValue>;
+/// Returns the values that the parameters `P` do not take, each by itself.
+fn refused_by<P: Parameters>(values: &ParameterValues) -> Vec<ParameterError> {
+    let refused = |(key, value): (&String, _)| P::from_values([(key.as_str(), value)]).err();
+    let mut refused: Vec<_> = values.iter().filter_map(refused).collect();
+    // A default that is wrong is so for each of them.
+    refused.dedup();
+    refused
+}
 
 /// The values that the robot's configuration gives to the components of a node. Clones share them.
 #[derive(Clone, Default)]
@@ -29,7 +35,7 @@ pub(crate) struct Configured(Arc<Mutex<Inner>>);
 
 #[derive(Default)]
 struct Inner {
-    given: SortedMap<String, Values>,
+    given: SortedMap<String, ParameterValues>,
     /// Components that have parameters.
     takers: SortedSet<String>,
 }
@@ -52,7 +58,7 @@ impl Configured {
                     Err(format!("{component}: `{key}` is {what}, which no parameter takes"))
                 }
             });
-            let values: Result<Values, String> = values.collect();
+            let values: Result<ParameterValues, String> = values.collect();
             inner.given.entry(component).or_default().extend(values?);
         }
         Ok(())
@@ -70,16 +76,24 @@ impl Configured {
         }
     }
 
-    /// Refuses values for a component that has been declared, and takes none.
-    pub(crate) fn check_taken(&self, component: &ObjectName) -> Result<(), SpecError> {
+    /// Returns all values of a component that its parameters do not take; it may have none.
+    pub(crate) fn refused(
+        &self,
+        component: &ObjectName,
+        takes: Option<ParametersType>,
+    ) -> Vec<SpecError> {
         let inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let given = inner.given.get(component.as_str());
-        let Some(key) = given.and_then(|values| values.keys().next()) else { return Ok(()) };
-        if inner.takers.contains(component.as_str()) {
-            return Ok(());
-        }
-        let error = ParameterError::Unknown { key: key.clone(), nearest: None, known: Vec::new() };
-        Err(SpecError::Parameters { name: component.clone(), error })
+        let Some(given) = inner.given.get(component.as_str()) else { return Vec::new() };
+        let unknown = |key: &String| {
+            let (key, known) = (key.clone(), Vec::new());
+            ParameterError::Unknown { key, nearest: None, known }
+        };
+        let errors = match takes {
+            Some(ParametersType { refused, .. }) => refused(given),
+            None => given.keys().map(unknown).collect(),
+        };
+        let refused = |error| SpecError::Parameters { name: component.clone(), error };
+        errors.into_iter().map(refused).collect()
     }
 
     /// The parameters of this component, which has some.
@@ -193,7 +207,7 @@ impl<C: Component> Ports<C> {
             let name = cell.record.name.clone();
             declared.map_err(|error| SpecError::Parameters { name, error })
         };
-        self.parameters = Some(P::describe);
+        self.parameters = Some(ParametersType { describe: P::describe, refused: refused_by::<P> });
         self.feature::<VariablePorts<C>>().declare_parameters(P::NAME, Box::new(declare));
         self
     }

@@ -3,8 +3,10 @@
 #![allow(clippy::print_stdout, reason = "the tests read what it prints")]
 
 use blastema::prelude::*;
+use blastema::{ActuatorSpec, Commander, Hold};
 use blastema_robot::Types;
 use std::process::ExitCode;
+use std::time::Duration;
 
 /// The number of a round.
 #[derive(Clone, Debug, Event)]
@@ -143,11 +145,59 @@ impl Component for Broken {
     }
 }
 
+/// Turns the wheels.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "test/drive", reply = ())]
+struct Drive(f32);
+
+/// Prints its commands.
+#[derive(Default)]
+struct Wheels;
+
+impl Component for Wheels {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold));
+    }
+
+    async fn on_finalize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        println!("{} ends", cx.name());
+        Ok(())
+    }
+}
+
+impl Handle<Drive> for Wheels {
+    async fn handle(&mut self, Drive(speed): Drive, _: &mut Context<Self>) {
+        println!("drive {speed}");
+    }
+}
+
+/// Turns the wheels while it is initialized, which takes long.
+#[derive(Default)]
+struct Driver(Option<Commander<Drive>>);
+
+impl Component for Driver {
+    async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let wheels = self.0.insert(cx.commander("wheels")?);
+        wheels.claim().await?;
+        wheels.command(Drive(1.0)).await?;
+        blastema::sleep(Duration::from_secs(3)).await;
+        println!("{} is initialized", cx.name());
+        Ok(())
+    }
+
+    async fn on_finalize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        println!("{} ends", cx.name());
+        Ok(())
+    }
+}
+
 fn main() -> ExitCode {
     Types::new()
         .component::<Counter>("Counter")
         .component::<Display>("Display")
         .component::<Part>("Part")
         .component::<Broken>("Broken")
+        .component::<Wheels>("Wheels")
+        .component::<Driver>("Driver")
         .main()
 }

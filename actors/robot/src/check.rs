@@ -1,14 +1,13 @@
 //! The rules of a robot: names, references, order, types, and what a node's start would refuse.
 //!
 //! Rules about one object are those of [`NodeBuilder::check`](blastema::NodeBuilder::check), which
-//! a start applies too; this file adds the place. What is wrong is left out of the next trial, so
-//! that all mistakes are found.
+//! a start applies too; this file adds the place.
 
 use crate::description::{
     AnswerDescription, ChildDescription, ComponentDescription, ConnectionDescription,
     ElementOrigin, EndpointDescription, NodeDescription, RobotDescription,
 };
-use crate::finding::{ElementPart, ElementPlaces, FINDINGS_MAX, RobotFinding, RobotSources};
+use crate::finding::{ElementPart, ElementPlaces, RobotFinding, RobotSources};
 use crate::types::{Types, UnknownPort, network_of};
 use crate::value::{fault_word, hint};
 use blastema::core::port::{ConnectionRole, resolve};
@@ -125,13 +124,11 @@ impl<'a> RobotChecker<'a> {
         node.root.visit(&mut |child| objects.push(child.identity()));
         self.names("object", &format!("node {}", node.name), objects.iter().copied());
         self.answers(&node.plan);
-        let mut trial = node.clone();
         if let Some(name) = node.safe_outputs.as_deref().filter(|name| !safe_outputs.contains(name))
         {
             let sentence = format!("no safe outputs `{name}` are registered");
             let help = hint(name, safe_outputs);
             self.find("robot::type", sentence, (node.origin, "safe-outputs"), help, "unknown");
-            trial.safe_outputs = None;
         }
         for component in node.components() {
             let name = component.type_name.as_str();
@@ -142,46 +139,23 @@ impl<'a> RobotChecker<'a> {
             }
             self.answers(&component.plan);
         }
-        // Dependencies and plans have rules of their own here, and names that two have were found.
-        trial.plan.clear();
+        // Dependencies have rules of their own here, and names that two have were found.
+        let mut trial = node.clone();
         let mut names = BTreeSet::from([String::new()]);
         trial.root.retain(&mut |child| {
             let is_new = names.insert(child.identity().0.to_owned());
             let ChildDescription::Component(component) = child else { return is_new };
             component.depends_on.clear();
-            component.plan.clear();
             is_new && types.contains(&component.type_name.as_str())
         });
-        self.trials(node, trial);
-    }
-
-    /// Checks a node again and again, each time without what was found before.
-    fn trials(&mut self, node: &'a NodeDescription, mut trial: NodeDescription) {
-        let robot = RobotDescription::default();
-        while self.findings.len() < FINDINGS_MAX {
-            let builder = match self.types.composed(&robot, &trial) {
-                Ok(builder) => builder,
-                Err(error) => {
-                    return self.find("robot::node", error, (node.origin, "name"), "", "");
-                }
-            };
-            let refused = builder.check();
-            let is_right = refused.is_empty();
-            let removed = refused.into_iter().all(|error| self.refused(node, &mut trial, error));
-            if is_right || !removed {
-                return;
-            }
+        match self.types.composed(&trial) {
+            Ok(builder) => builder.check().into_iter().for_each(|error| self.refused(node, error)),
+            Err(error) => self.find("robot::node", error, (node.origin, "name"), "", ""),
         }
     }
 
-    /// Shows what a start would refuse, and takes it out of the trial. False: nothing was taken
-    /// out.
-    fn refused(
-        &mut self,
-        node: &'a NodeDescription,
-        trial: &mut NodeDescription,
-        error: StartError,
-    ) -> bool {
+    /// Shows what a start would refuse.
+    fn refused(&mut self, node: &'a NodeDescription, error: StartError) {
         let text = error.to_string();
         let sentence = text.lines().next().unwrap_or_default().to_owned();
         let (object, sentence, part, help) = match error {
@@ -210,14 +184,12 @@ impl<'a> RobotChecker<'a> {
             StartError::Setting { setting, value, cure } => {
                 let part = ElementPart::of_setting(setting);
                 let sentence = format!("`{}` of node {} is {value}", part.attribute, node.name);
-                self.find("robot::setting", sentence, (node.origin, part), cure, "here");
-                (trial.work_threads, trial.grace) = (None, None);
-                return setting == "work_threads" || setting == "grace";
+                return self.find("robot::setting", sentence, (node.origin, part), cure, "here");
             }
             _ => {
                 let help = "change the description of the node";
-                self.find("robot::node", sentence, (node.origin, "name"), help, "this node");
-                return false;
+                let at = (node.origin, "name");
+                return self.find("robot::node", sentence, at, help, "this node");
             }
         };
         let code = match part.below.as_ref().map_or("", |(element, _)| element) {
@@ -231,20 +203,7 @@ impl<'a> RobotChecker<'a> {
                 found.get_or_insert(child.identity().1);
             }
         });
-        self.find(code, sentence, (found.unwrap_or(node.origin), part.clone()), help, "here");
-        // The root has no name of its own.
-        let mut changed = object == "root" && trial.root.without_intensity();
-        trial.root.retain(&mut |child| {
-            if child.identity().0 != object {
-                return true;
-            }
-            changed = true;
-            match child {
-                ChildDescription::Component(component) => without(component, &part),
-                ChildDescription::Supervisor(supervisor) => supervisor.without_intensity(),
-            }
-        });
-        changed
+        self.find(code, sentence, (found.unwrap_or(node.origin), part), help, "here");
     }
 
     fn parameter_help(&self, node: &NodeDescription, name: &str, error: &ParameterError) -> String {
@@ -566,31 +525,4 @@ fn path(
         }
     }
     None
-}
-
-/// Takes what is wrong out of a component. False: nothing in it is, so its type is wrong.
-fn without(component: &mut ComponentDescription, part: &ElementPart) -> bool {
-    let before = component.clone();
-    let (element, key) = match &part.below {
-        Some((element, key)) => (element.as_str(), key.as_ref().map_or("", |(_, value)| value)),
-        None => ("", ""),
-    };
-    match (element, part.attribute.as_str()) {
-        ("", "queue") => component.queue = None,
-        ("", "rate") => component.rate_hz = None,
-        ("", "max-block") => component.max_block = None,
-        ("", "max-wait") => component.max_wait = None,
-        ("", "max-delay") => component.max_delay = None,
-        ("", "ready-within") => component.ready_within = None,
-        ("", "shutdown-within") => component.shutdown_within = None,
-        ("liveness", _) => component.liveness = None,
-        ("param", _) => component.parameters.retain(|(name, _)| name != key),
-        ("field", _) => {
-            let settings = component.actuators.iter_mut();
-            settings.for_each(|(_, of)| of.safe.retain(|(name, _)| name != key));
-        }
-        ("actuator", _) => component.actuators.retain(|(name, _)| name != key && !key.is_empty()),
-        _ => {}
-    }
-    *component != before
 }

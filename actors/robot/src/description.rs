@@ -242,11 +242,6 @@ impl NodeDescription {
 }
 
 impl SupervisorDescription {
-    /// Takes its intensity and period away. False: it has none.
-    pub(crate) fn without_intensity(&mut self) -> bool {
-        self.intensity.take().is_some() | self.period.take().is_some()
-    }
-
     /// Visits everything below it, in the order in which it starts.
     pub(crate) fn visit<'a>(&'a self, visit: &mut impl FnMut(&'a ChildDescription)) {
         for child in &self.children {

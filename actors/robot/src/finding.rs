@@ -10,7 +10,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 /// A user corrects these first.
-pub(crate) const FINDINGS_MAX: usize = 100;
+const FINDINGS_MAX: usize = 100;
 /// The columns of a report.
 const WIDTH: usize = 120;
 

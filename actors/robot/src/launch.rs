@@ -4,7 +4,7 @@ use blastema::core::recovery::{Backoff, RestartWindow};
 use blastema::{platform, sleep};
 use std::ffi::OsString;
 use std::io::Write;
-use std::process::Stdio;
+use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, BufReader};
 use tokio::process::{Child, Command};
@@ -14,7 +14,7 @@ use tokio::task::{JoinHandle, spawn_local};
 
 /// The file has a mistake, or the robot did not run to its end.
 pub(crate) const FAILED: u8 = 1;
-/// The first start of a node was undone.
+/// The first start of a node failed or was interrupted, and was undone.
 pub(crate) const NOT_UP: u8 = 3;
 
 /// Tells a node to end in order when its standard input does: then it outlives no launcher.
@@ -118,7 +118,13 @@ async fn keep(
         let Some(status) = status else {
             drop(stdin);
             let stopped = tokio::select! {
-                _ = process.wait() => Ok(()),
+                ended = process.wait() => match ended.is_ok_and(is_not_up) {
+                    true if attempt == 1 => Err(LaunchFailure {
+                        status: NOT_UP,
+                        reason: "its start is undone".to_owned(),
+                    }),
+                    _ => Ok(()),
+                },
                 () = sleep(STOP_WITHIN) => {
                     let _ = process.kill().await;
                     Err(failed(format!("it did not stop within {STOP_WITHIN:?}, and was killed")))
@@ -131,7 +137,7 @@ async fn keep(
         if status.success() {
             return Ok(());
         }
-        if attempt == 1 && status.code() == Some(i32::from(NOT_UP)) {
+        if attempt == 1 && is_not_up(status) {
             let reason = "it did not come up, and the start of the robot is undone".to_owned();
             return Err(LaunchFailure { status: NOT_UP, reason });
         }
@@ -149,6 +155,10 @@ async fn keep(
             _ = &mut stopped => return Ok(()),
         }
     }
+}
+
+fn is_not_up(status: ExitStatus) -> bool {
+    status.code() == Some(i32::from(NOT_UP))
 }
 
 fn start(name: &str, arguments: &[OsString]) -> Result<Child, LaunchFailure> {

@@ -167,8 +167,8 @@ impl Types {
     /// | `describe` | prints the types as JSON |
     ///
     /// It returns 0, 1 where the file has a mistake or the robot did not run to its end, 2 where
-    /// the command line is wrong or the file cannot be read, and 3 where a node did not come up, so
-    /// that the start of the robot was undone.
+    /// the command line is wrong or the file cannot be read, and 3 where a node did not come up, as
+    /// after a signal during its start, so that the start of the robot was undone.
     pub fn main(self) -> ExitCode {
         match RobotArguments::parse().command {
             RobotCommand::Run { file, node, until_stdin_ends } => {
@@ -242,21 +242,21 @@ impl Types {
     fn run_node(&self, robot: &RobotDescription, name: &str, until_stdin_ends: bool) -> ExitCode {
         let ran: Result<(), (u8, String)> = blastema::run(async {
             let builder = self.node(robot, name).map_err(|error| (FAILED, error))?;
-            let node = builder.start().await.map_err(|error| (NOT_UP, error.to_string()))?;
+            let (ended, stdin_ended) = tokio::sync::oneshot::channel();
             if until_stdin_ends {
-                let (ended, stdin_ended) = tokio::sync::oneshot::channel();
                 std::thread::spawn(move || {
                     // What is written there is of no interest.
                     let _ = io::copy(&mut io::stdin().lock().take(u64::MAX), &mut io::sink());
                     let _ = ended.send(());
                 });
-                let node = node.clone();
-                tokio::task::spawn_local(async move {
-                    let _ = stdin_ended.await;
-                    node.shutdown().await;
-                });
             }
-            node.run_until_signal().await.map_err(|error| (FAILED, error.to_string()))
+            let end = async {
+                // Without the thread the sender is gone.
+                if stdin_ended.await.is_err() {
+                    std::future::pending().await
+                }
+            };
+            builder.run_until(end).await.map_err(|error| (NOT_UP, error.to_string()))
         });
         match ran {
             Ok(()) => ExitCode::SUCCESS,

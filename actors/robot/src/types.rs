@@ -169,7 +169,13 @@ impl Types {
             let nodes: Vec<&str> = robot.nodes.iter().map(|node| node.name.as_str()).collect();
             format!("{} has no node `{name}`: its nodes are {}", robot.name, nodes.join(", "))
         })?;
-        let mut builder = self.composed(robot, node)?;
+        let mut builder = self.composed(node)?.plan(plan_of(robot, node));
+        builder = self.strategies.values().fold(builder, |builder, add| add(builder));
+        if let Some(name) = &node.safe_outputs {
+            let unknown = || format!("no safe outputs `{name}` are registered");
+            let apply = self.safe_outputs.get(name).ok_or_else(unknown)?.clone();
+            builder = builder.safe_outputs(move |fault| apply(fault));
+        }
         for endpoint in &node.endpoints {
             builder = builder.network(network_of(robot, node, endpoint)?);
         }
@@ -182,24 +188,14 @@ impl Types {
         Ok(builder)
     }
 
-    /// A node without its networks, keys and connections.
-    pub(crate) fn composed(
-        &self,
-        robot: &RobotDescription,
-        node: &NodeDescription,
-    ) -> Result<NodeBuilder, String> {
+    /// A node with its own settings and its tree alone.
+    pub(crate) fn composed(&self, node: &NodeDescription) -> Result<NodeBuilder, String> {
         let mut builder = Node::builder(&node.name);
         builder = node.work_threads.into_iter().fold(builder, NodeBuilder::work_threads);
         builder = node.grace.into_iter().fold(builder, NodeBuilder::grace);
         builder = node.shown_at.iter().fold(builder, NodeBuilder::inspection_socket);
         builder = node.keep_variables.iter().fold(builder, NodeBuilder::keep_variables);
-        if let Some(name) = &node.safe_outputs {
-            let unknown = || format!("no safe outputs `{name}` are registered");
-            let apply = self.safe_outputs.get(name).ok_or_else(unknown)?.clone();
-            builder = builder.safe_outputs(move |fault| apply(fault));
-        }
-        builder = self.strategies.values().fold(builder, |builder, add| add(builder));
-        Ok(builder.plan(plan_of(robot, node)).root(self.supervisor(&node.root)?))
+        Ok(builder.root(self.supervisor(&node.root)?))
     }
 
     fn supervisor(&self, supervisor: &SupervisorDescription) -> Result<SupervisorSpec, String> {

@@ -12,6 +12,7 @@ use crate::component::ports::{PortConstructor, Ports};
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
 use crate::host::spec::ChildSpec;
+use crate::liveness::limits::ComponentLimits;
 use crate::registry::ContractPort;
 use crate::settings::{COMMAND_TIMEOUT, LEASE, SHUTDOWN_WITHIN};
 use blastema_core::lease::Lease;
@@ -37,18 +38,18 @@ type ActuatorPort<C> = (Result<DeclaredActuator, DeliveryError>, PortConstructor
 /// The actuators that a component declares.
 struct ActuatorPorts<C: Component> {
     declared: Vec<ActuatorPort<C>>,
-    /// The contract of settings that do not apply, and why.
-    refused: Option<(String, String)>,
+    /// The contracts of settings that do not apply, and why.
+    refused: Vec<(String, String)>,
 }
 
 impl<C: Component> Default for ActuatorPorts<C> {
     fn default() -> Self {
-        ActuatorPorts { declared: Vec::new(), refused: None }
+        ActuatorPorts { declared: Vec::new(), refused: Vec::new() }
     }
 }
 
 impl<C: Component> ActuatorPorts<C> {
-    fn apply(&mut self, contract: &str, settings: &ActuatorSettings) -> Result<(), String> {
+    fn apply(&mut self, contract: &str, settings: &ActuatorSettings) -> Result<(), Vec<String>> {
         let mut known = Vec::new();
         for (actuator, _, apply) in &mut self.declared {
             let Ok(actuator) = actuator else { continue };
@@ -57,17 +58,18 @@ impl<C: Component> ActuatorPorts<C> {
             }
             known.push(actuator.identity.name);
         }
-        Err(match (nearest(contract, known.iter().copied()), known.is_empty()) {
+        Err(vec![match (nearest(contract, known.iter().copied()), known.is_empty()) {
             (Some(nearest), _) => format!("there is none: did you mean `{nearest}`?"),
             (None, true) => "there is none, as the component has no actuator".to_owned(),
             (None, false) => format!("there is none: there are `{}`", known.join("`, `")),
-        })
+        }])
     }
 
-    /// The shortest command timeout.
+    /// The shortest command timeout that can be.
     fn shortest_timeout(&self) -> Option<Duration> {
         let declared = self.declared.iter().filter_map(|(actuator, ..)| actuator.as_ref().ok());
-        declared.filter_map(|actuator| actuator.rules.command_timeout).min()
+        let timeouts = declared.filter_map(|actuator| actuator.rules.command_timeout);
+        timeouts.filter(|span| COMMAND_TIMEOUT.check(*span).is_ok()).min()
     }
 }
 
@@ -112,20 +114,12 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
         let twice = |contract, ports| {
             Err(SpecError::PortTwice { name: component.clone(), contract, ports })
         };
-        if let Some((contract, why)) = &self.refused {
-            let (name, contract, why) = (component.clone(), contract.clone(), why.clone());
-            return Err(SpecError::ActuatorSettings { name, contract, why });
-        }
         let mut commanded = SortedSet::new();
         for (actuator, ..) in &self.declared {
             let actuator = actuator
                 .as_ref()
                 .map_err(|why| SpecError::Actuator { name: component.clone(), why: why.clone() })?;
             let contract = actuator.identity.name;
-            let refused = |error| SpecError::setting(component.as_str(), error);
-            LEASE.check(actuator.rules.span).map_err(refused)?;
-            let timeout = actuator.rules.command_timeout;
-            timeout.map_or(Ok(()), |span| COMMAND_TIMEOUT.check(span)).map_err(refused)?;
             // A message that needs no lease would move the actuator.
             if served.contains(contract) {
                 return twice(contract, "one for every sender and one for the commander");
@@ -135,6 +129,27 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
             }
         }
         Ok(())
+    }
+
+    fn refused(&self, name: &ObjectName, limits: &ComponentLimits) -> Vec<SpecError> {
+        let unknown = self.refused.iter().map(|(contract, why)| {
+            let (name, contract, why) = (name.clone(), contract.clone(), why.clone());
+            SpecError::ActuatorSettings { name, contract, why }
+        });
+        let declared = || self.declared.iter().filter_map(|(actuator, ..)| actuator.as_ref().ok());
+        let settings = declared().flat_map(|actuator| {
+            let timeout = actuator.rules.command_timeout;
+            let timeout = timeout.and_then(|span| COMMAND_TIMEOUT.check(span).err());
+            LEASE.check(actuator.rules.span).err().into_iter().chain(timeout)
+        });
+        let within = limits.shutdown_within;
+        let settle_within = declared().map(|actuator| actuator.settle_within).max();
+        let longer = settle_within.filter(|span| *span > within).map(|longer| {
+            let value = format!("{within:?} with a settle_within of {longer:?}");
+            SHUTDOWN_WITHIN.refuse(value, "write at least the settle_within")
+        });
+        let settings = settings.chain(longer);
+        unknown.chain(settings.map(|error| SpecError::setting(name.as_str(), error))).collect()
     }
 
     fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
@@ -150,13 +165,6 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
                 (declared, open(cell).into_skeleton())
             })
             .collect();
-        let within = cell.record.limits.shutdown_within;
-        let settle_within = declared.iter().map(|(actuator, _)| actuator.settle_within).max();
-        if let Some(longer) = settle_within.filter(|span| *span > within) {
-            let value = format!("{within:?} with a settle_within of {longer:?}");
-            let error = SHUTDOWN_WITHIN.refuse(value, "write at least the settle_within");
-            return Err(SpecError::setting(name.as_str(), error));
-        }
         cell.record.listen(Withdrawal { table: table.clone(), owner: name.clone() });
         let port = table.declare(name, declared, environment.registry.access());
         environment.registry.open(name, port);
@@ -181,8 +189,8 @@ impl<C: Component> Ports<C> {
     /// Changes an actuator that is declared.
     fn change_actuator(&mut self, contract: &str, settings: &ActuatorSettings) {
         let actuators = self.feature::<ActuatorPorts<C>>();
-        if let Err(why) = actuators.apply(contract, settings) {
-            actuators.refused = Some((contract.to_owned(), why));
+        if let Err(refused) = actuators.apply(contract, settings) {
+            actuators.refused.extend(refused.into_iter().map(|why| (contract.to_owned(), why)));
         }
         self.max_wait = self.feature::<ActuatorPorts<C>>().shortest_timeout();
     }

@@ -24,14 +24,16 @@ pub struct ActuatorSettings {
     pub safe: Vec<(String, String)>,
 }
 
-/// Applies settings to an actuator whose commands are of one contract.
-pub(super) type ApplySettings = fn(&mut DeclaredActuator, &ActuatorSettings) -> Result<(), String>;
+/// Applies settings to an actuator whose commands are of one contract. The errors say why settings
+/// do not apply.
+pub(super) type ApplySettings =
+    fn(&mut DeclaredActuator, &ActuatorSettings) -> Result<(), Vec<String>>;
 
 /// Applies settings to an actuator with commands of type `M`.
 pub(super) fn apply<M: Contract>(
     actuator: &mut DeclaredActuator,
     settings: &ActuatorSettings,
-) -> Result<(), String> {
+) -> Result<(), Vec<String>> {
     if let Some(span) = settings.lease {
         actuator.rules.span = span;
     }
@@ -41,11 +43,13 @@ pub(super) fn apply<M: Contract>(
     if settings.safe.is_empty() {
         return Ok(());
     }
-    let unreadable = |error: &dyn std::fmt::Display| format!("its safe command: {error}");
+    let unreadable = |error: &dyn std::fmt::Display| vec![format!("its safe command: {error}")];
     let safe = codec::decode::<M>(&actuator.safe).map_err(|error| unreadable(&error))?;
     let mut fields = serde_json::to_value(&safe).map_err(|error| unreadable(&error))?;
-    for (name, text) in &settings.safe {
-        set_field::<M>(&mut fields, name, text)?;
+    let set = |(name, text): &(String, String)| set_field::<M>(&mut fields, name, text).err();
+    let refused: Vec<String> = settings.safe.iter().filter_map(set).collect();
+    if !refused.is_empty() {
+        return Err(refused);
     }
     let safe: M = serde_json::from_value(fields).map_err(|error| unreadable(&error))?;
     actuator.safe = encoded(&safe).map_err(|error| unreadable(&error))?.into();

@@ -4,6 +4,7 @@
 use crate::component::Component;
 use crate::component::cell::ComponentCell;
 use crate::component::spec_error::SpecError;
+use crate::liveness::limits::ComponentLimits;
 use blastema_core::ObjectName;
 use blastema_core::sorted::SortedSet;
 use std::any::Any;
@@ -18,6 +19,11 @@ pub(crate) trait Declarations<C: Component>: Any {
         component: &ObjectName,
         served: &SortedSet<&'static str>,
     ) -> Result<(), SpecError>;
+
+    /// All settings of a description that do not suit it.
+    fn refused(&self, _component: &ObjectName, _limits: &ComponentLimits) -> Vec<SpecError> {
+        Vec::new()
+    }
 
     /// Makes it so. The component is registered already.
     fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError>;

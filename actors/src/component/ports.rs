@@ -4,11 +4,12 @@ use crate::component::cell::ComponentCell;
 use crate::component::declaration::Declarations;
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
+use crate::liveness::limits::ComponentLimits;
 use crate::messaging::queue::WhenFull;
 use crate::platform::panics;
 use crate::registry::ContractPort;
 use crate::registry::ports::DeclaredPort;
-use blastema_core::parameters::ParameterDescription;
+use blastema_core::parameters::{ParameterDescription, ParameterError, ParameterValue};
 use blastema_core::port::{ConnectionRole, PortDescription, TypeDescription};
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{Contract, ContractIdentity, Event, NameError, ObjectName, Request};
@@ -23,13 +24,24 @@ pub(crate) type PortConstructor<C> = fn(&Arc<ComponentCell<C>>) -> ContractPort;
 /// What waits in a queue of its own: the messages of a contract, or of one of its topics.
 pub(crate) type QueuePort = (TypeId, String);
 
+/// The values that one component is given.
+pub(crate) type ParameterValues = SortedMap<String, ParameterValue>;
+
+/// What is known of the parameters of a type of components.
+#[derive(Clone, Copy)]
+pub(crate) struct ParametersType {
+    pub(crate) describe: fn() -> Vec<ParameterDescription>,
+    /// Returns an error for each value that they do not take.
+    pub(crate) refused: fn(&ParameterValues) -> Vec<ParameterError>,
+}
+
 /// The ports of one component: filled in `Component::ports`.
 pub struct Ports<C: Component> {
     open: Vec<PortConstructor<C>>,
     /// All that can be connected.
     declared: Vec<DeclaredPort>,
-    /// Describes its parameters.
-    pub(crate) parameters: Option<fn() -> Vec<ParameterDescription>>,
+    /// Its parameters.
+    pub(crate) parameters: Option<ParametersType>,
     /// The contracts that have a queue of their own.
     queues: SortedMap<TypeId, (usize, WhenFull)>,
     /// The topics of latched contracts that it listens to.
@@ -184,6 +196,11 @@ impl<C: Component> Ports<C> {
         self.features.iter().try_for_each(|feature| feature.check(component, &served))
     }
 
+    /// Returns all settings of a description that features refuse.
+    pub(crate) fn refused(&self, name: &ObjectName, limits: &ComponentLimits) -> Vec<SpecError> {
+        self.features.iter().flat_map(|feature| feature.refused(name, limits)).collect()
+    }
+
     /// Makes what features add. The component is registered already.
     pub(crate) fn bind(self, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
         let name = cell.record.name.clone();
@@ -233,7 +250,7 @@ pub fn describe<C: Component>() -> Result<TypeDescription, String> {
     let (gives, takes): (Vec<PortDescription>, Vec<_>) =
         described.partition(|port| port.role.is_out());
     Ok(TypeDescription {
-        parameters: ports.parameters.map(|describe| describe()).unwrap_or_default(),
+        parameters: ports.parameters.map(|of| (of.describe)()).unwrap_or_default(),
         takes,
         gives: (!gives.is_empty()).then_some(gives),
     })

@@ -153,6 +153,12 @@ pub enum SpecError {
     },
 }
 
+impl From<SpecError> for Vec<SpecError> {
+    fn from(error: SpecError) -> Self {
+        vec![error]
+    }
+}
+
 /// What the names of the middleware's own objects begin with, wherever more of them may come.
 const RESERVED: [&str; 2] = ["chain", "net"];
 

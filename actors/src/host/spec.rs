@@ -194,17 +194,16 @@ impl<C: Component> ChildSpec<C> {
     }
 
     /// Gives the component its name and its ports. It lives when its supervisor starts it.
+    ///
+    /// # Errors
+    /// Everything in the description that is wrong, else the first other error.
     pub(crate) fn into_child(
         self,
         environment: &Arc<ComponentEnvironment>,
-    ) -> Result<(Box<dyn Child>, ActorRef<C>), SpecError> {
+    ) -> Result<(Box<dyn Child>, ActorRef<C>), Vec<SpecError>> {
         let mut limits = self.limits.clone();
-        let refused = |error| SpecError::setting(&self.name, error);
-        if let Some(interval) = self.interval().map_err(refused)? {
-            limits.interval = Some(interval);
-        }
-        QUEUE.check(self.queue.0).map_err(refused)?;
-        let name = SpecError::check_name(ObjectName::new(&self.name)?)?;
+        let name = ObjectName::new(&self.name).map_err(SpecError::from)?;
+        let name = SpecError::check_name(name)?;
         let more_ports = self.more_ports;
         let is_written = !self.parameters.is_empty();
         environment.configured().write(&name, self.parameters);
@@ -217,35 +216,48 @@ impl<C: Component> ChildSpec<C> {
         environment.watch_list.declare(None);
         let ports =
             declared.map_err(|panicked| SpecError::Ports { name: name.clone(), panicked })?;
-        ports.check(&name)?;
+        let interval = interval(self.rate_hz);
+        if let Ok(Some(interval)) = interval {
+            limits.interval = Some(interval);
+        }
         if let Some(span) = self.max_wait.or(ports.max_wait) {
             limits.hang().max_wait = span;
         }
-        limits.check().map_err(|error| SpecError::setting(&self.name, error))?;
+        let own = [interval.err(), QUEUE.check(self.queue.0).err()];
+        let settings = own.into_iter().flatten().chain(limits.check());
+        let setting = |error| SpecError::setting(&self.name, error);
+        let mut refused: Vec<SpecError> = settings.map(setting).collect();
+        refused.extend(ports.check(&name).err());
+        refused.extend(ports.refused(&name, &limits));
+        if is_written || ports.parameters.is_some() {
+            refused.extend(environment.configured().refused(&name, ports.parameters));
+        }
+        if !refused.is_empty() {
+            return Err(refused);
+        }
         let longest = u64::try_from(limits.shutdown_within.as_millis()).unwrap_or(u64::MAX);
         environment.longest_stop_ms.fetch_max(longest, Relaxed);
         let record = CellCore::new(name.clone(), limits, environment.clone());
         let queues = ports.queues(self.queue.0);
         for (capacity, _) in queues.values() {
-            QUEUE.check(*capacity).map_err(refused)?;
+            QUEUE.check(*capacity).map_err(setting)?;
         }
         let cell = Arc::new(ComponentCell::new(record, self.queue, queues, self.factory));
-        environment.registry.register(&name, ports.skeletons(&cell), cell.clone())?;
+        let registered = environment.registry.register(&name, ports.skeletons(&cell), cell.clone());
+        registered.map_err(SpecError::from)?;
         // From here on the child gives the name back when it is dropped.
         let child = ComponentChild::new(cell.clone());
         ports.bind(&cell)?;
-        if is_written {
-            environment.configured().check_taken(&name)?;
-        }
         Ok((Box::new(child), ActorRef(cell)))
     }
+}
 
-    fn interval(&self) -> Result<Option<Duration>, SettingError> {
-        let Some(rate_hz) = self.rate_hz else { return Ok(None) };
-        RATE_HZ.check(rate_hz)?;
-        let interval = Duration::try_from_secs_f64(1.0 / rate_hz);
-        interval.map(Some).map_err(|_| {
-            RATE_HZ.refuse(format!("{rate_hz:?}"), "an interval that long cannot be kept")
-        })
-    }
+/// The time between two rounds.
+fn interval(rate_hz: Option<f64>) -> Result<Option<Duration>, SettingError> {
+    let Some(rate_hz) = rate_hz else { return Ok(None) };
+    RATE_HZ.check(rate_hz)?;
+    let interval = Duration::try_from_secs_f64(1.0 / rate_hz);
+    interval
+        .map(Some)
+        .map_err(|_| RATE_HZ.refuse(format!("{rate_hz:?}"), "an interval that long cannot be kept"))
 }

@@ -96,28 +96,31 @@ impl ComponentLimits {
 
     /// Finds what would never, or always, be so. [`Duration::MAX`] is for ever, where that makes
     /// sense.
-    pub(crate) fn check(&self) -> Result<(), SettingError> {
+    pub(crate) fn check(&self) -> Vec<SettingError> {
         let HangLimits { max_block, max_wait, max_delay, max_missed_percent, .. } = *self.hang;
-        MAX_BLOCK.check(max_block)?;
-        MAX_WAIT.check(max_wait)?;
-        MAX_DELAY.check(max_delay)?;
-        MAX_MISSED_ROUNDS.check(max_missed_percent)?;
-        READY_WITHIN.check(self.ready_within)?;
-        SHUTDOWN_WITHIN.check(self.shutdown_within)?;
+        let mut checks = vec![
+            MAX_BLOCK.check(max_block),
+            MAX_WAIT.check(max_wait),
+            MAX_DELAY.check(max_delay),
+            MAX_MISSED_ROUNDS.check(max_missed_percent),
+            READY_WITHIN.check(self.ready_within),
+            SHUTDOWN_WITHIN.check(self.shutdown_within),
+        ];
         match self.watch {
-            Liveness::Push(Push { interval, tolerance, start_up }) => {
-                WATCH_INTERVAL.check(interval)?;
-                WATCH_TOLERANCE.check(tolerance)?;
-                WATCH_START_UP.check(start_up)?;
-                self.check_rounds(interval, tolerance)
-            }
-            Liveness::Pull(Pull { interval, within, tolerance, .. }) => {
-                WATCH_INTERVAL.check(interval)?;
-                WATCH_TOLERANCE.check(tolerance)?;
-                WATCH_WITHIN.check(within)
-            }
-            _ => Ok(()),
+            Liveness::Push(Push { interval, tolerance, start_up }) => checks.extend([
+                WATCH_INTERVAL.check(interval),
+                WATCH_TOLERANCE.check(tolerance),
+                WATCH_START_UP.check(start_up),
+                self.check_rounds(interval, tolerance),
+            ]),
+            Liveness::Pull(Pull { interval, within, tolerance, .. }) => checks.extend([
+                WATCH_INTERVAL.check(interval),
+                WATCH_TOLERANCE.check(tolerance),
+                WATCH_WITHIN.check(within),
+            ]),
+            _ => {}
         }
+        checks.into_iter().filter_map(Result::err).collect()
     }
 
     /// The rounds of a component come within the silence that its watch permits.

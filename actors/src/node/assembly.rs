@@ -20,6 +20,7 @@ use super::inspection::InspectionActor;
 #[cfg(feature = "unix")]
 use super::inspection::StartInspection;
 use super::lost_communication::{KeptPolicy, LostCommunicationPolicy};
+use super::safety::EndCause;
 use super::tree::{PreparedTree, SupervisorSpec, TreeEnvironment};
 use super::watchdogs::ProcessWatchdogs;
 use super::{Node, Root, Shared};
@@ -62,6 +63,7 @@ use blastema_core::{
     Fault, FaultKind, Incarnation, NameError, NodeName, ObjectAddress, ObjectName,
 };
 use std::fs;
+use std::future::Future;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::SeqCst;
@@ -80,14 +82,17 @@ impl NodeBuilder {
     /// all components have ended. A component that does not end within its `shutdown_within` is
     /// abandoned.
     pub async fn start(self) -> Result<Node, StartError> {
-        start(self).await
+        start(self, std::future::pending()).await
     }
 
-    /// Returns what [`start`](Self::start) would refuse in the description: all components and
-    /// supervisors that are wrong, else the first other error. No component is made, and no medium,
-    /// file of variables or journal is opened; keys and files of parameters are read.
+    /// Returns what [`start`](Self::start) would refuse in the description: everything that is wrong
+    /// with the node, its components and its supervisors, else the first other error. No component
+    /// is made, and no medium, file of variables or journal is opened; keys and files of parameters
+    /// are read.
     pub fn check(self) -> Vec<StartError> {
-        refused(self).unwrap_or_else(|error| vec![error])
+        let mut refused = check_settings(&self);
+        refused.extend(check(self).unwrap_or_else(|error| vec![error]));
+        refused
     }
 
     /// Finds what can be known to be wrong before anything is made.
@@ -97,15 +102,14 @@ impl NodeBuilder {
         }
         let node =
             NodeName::new(&self.name).map_err(StartError::name_of("the name of the node"))?;
-        check_settings(self)?;
         #[cfg(feature = "network")]
         self.networks.check(&node)?;
         Ok(node)
     }
 }
 
-/// What is wrong with the tree, or with the rest of the description.
-fn refused(mut builder: NodeBuilder) -> Result<Vec<StartError>, StartError> {
+/// Finds what is wrong with the tree, or else with the rest of the description.
+fn check(mut builder: NodeBuilder) -> Result<Vec<StartError>, StartError> {
     let node = builder.checked_name()?;
     // The chain is made for the names of its objects alone.
     builder.placement = ActorPlacement::Here;
@@ -117,10 +121,14 @@ fn refused(mut builder: NodeBuilder) -> Result<Vec<StartError>, StartError> {
     }
 }
 
-/// Puts a node together, and starts it.
-async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
+/// Puts a node together, and starts it; undoes that if `end` resolves meanwhile.
+pub(super) async fn start(
+    mut builder: NodeBuilder,
+    end: impl Future<Output = EndCause>,
+) -> Result<Node, StartError> {
     panics::install_hook();
     let node = builder.checked_name()?;
+    check_settings(&builder).into_iter().next().map_or(Ok(()), Err)?;
     #[cfg(feature = "network")]
     let incarnation = builder.networks.begin_incarnation();
     #[cfg(not(feature = "network"))]
@@ -161,7 +169,7 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     if builder.handles_signals {
         node.node.apply_safe_outputs_on_signals()?;
     }
-    node.start_root(preparation.root).await
+    node.start_root(preparation.root, end).await
 }
 
 /// What there is of a node so far. Where it does not come to be, its threads end.
@@ -501,9 +509,22 @@ impl StartingNode {
     }
 
     /// Nothing refuses the start any more.
-    async fn start_root(self, root: SupervisorChild) -> Result<Node, StartError> {
+    async fn start_root(
+        self,
+        root: SupervisorChild,
+        end: impl Future<Output = EndCause>,
+    ) -> Result<Node, StartError> {
         self.node.0.begun.store(true, SeqCst);
-        match self.controller.send(StartRoot(Box::new(root))).await {
+        let started = async { self.controller.send(StartRoot(Box::new(root))).await };
+        let started = tokio::select! {
+            biased;
+            cause = end => {
+                self.node.end_for(cause).await;
+                return Err(StartError::Interrupted { by: cause.to_string() });
+            }
+            started = started => started,
+        };
+        match started {
             Ok(Ok(())) => {
                 self.node.0.tell_systemd("READY=1");
                 Ok(self.node)

@@ -20,25 +20,30 @@ pub(super) fn dependencies(node: &NodeName, tree: &PreparedTree) -> Dependencies
     objects
 }
 
-/// Every number and name that is the node's own makes sense.
-pub(super) fn check_settings(builder: &NodeBuilder) -> Result<(), StartError> {
-    if let ActorPlacement::Threads { shared } = builder.placement {
-        WORK_THREADS.check(shared)?;
-    }
-    GRACE.check(builder.grace)?;
-    CALLBACK_LIMIT.check(builder.callback_limit)?;
-    check_watchdogs(builder)?;
-    if let Some(name) = &builder.strategy_twice {
+/// Finds every number and name of the node's own that makes no sense.
+pub(super) fn check_settings(builder: &NodeBuilder) -> Vec<StartError> {
+    let threads = match builder.placement {
+        ActorPlacement::Threads { shared } => WORK_THREADS.check(shared),
+        ActorPlacement::ComponentsHere | ActorPlacement::Here => Ok(()),
+    };
+    let strategies = builder.strategy_twice.as_ref().map_or(Ok(()), |name| {
         let (value, cure) = (format!("{name:?} twice"), "hand over one strategy of a name");
-        return Err(StartError::Setting { setting: "recovery", value, cure });
-    }
-    builder.kept_in.as_deref().map_or(Ok(()), check_kept_file)?;
-    builder.parameters.iter().try_for_each(check_configuration)?;
+        Err(StartError::Setting { setting: "recovery", value, cure })
+    });
+    let mut checks = vec![
+        threads.map_err(StartError::from),
+        GRACE.check(builder.grace).map_err(StartError::from),
+        CALLBACK_LIMIT.check(builder.callback_limit).map_err(StartError::from),
+        check_watchdogs(builder),
+        strategies,
+        builder.kept_in.as_deref().map_or(Ok(()), check_kept_file),
+    ];
+    checks.extend(builder.parameters.iter().map(check_configuration));
     #[cfg(feature = "journal")]
-    builder.journal.as_deref().map_or(Ok(()), check_journal)?;
+    checks.extend(builder.journal.as_deref().map(check_journal));
     #[cfg(feature = "unix")]
-    builder.shown_at.as_deref().map_or(Ok(()), check_socket)?;
-    Ok(())
+    checks.extend(builder.shown_at.as_deref().map(check_socket));
+    checks.into_iter().filter_map(Result::err).collect()
 }
 
 /// The watchdogs of the process can depend on the fault chain, and lie where they are said to lie.

@@ -168,6 +168,14 @@ pub enum StartError {
         /// Which component, and what it said.
         reason: String,
     },
+    /// The node was to end while it started:
+    /// [`NodeBuilder::run_until`](crate::NodeBuilder::run_until). All components that had started
+    /// ended in reverse order.
+    #[error("{by} ended the node while it started: the start is undone")]
+    Interrupted {
+        /// The signal, or the program.
+        by: String,
+    },
 }
 
 /// Prints the text of `Display`: a `main` that returns this error, and `unwrap`, print by `Debug`.

@@ -402,7 +402,8 @@ impl Node {
         &self,
         spec: ChildSpec<C>,
     ) -> Result<ActorRef<C>, SpecError> {
-        let prepared = tree::erase(spec).prepare(&self.0.environment)?;
+        let prepared = tree::erase(spec).prepare(&self.0.environment);
+        let prepared = prepared.map_err(|mut refused| refused.swap_remove(0))?;
         let name = prepared.child.name().clone();
         self.0.dependencies().add(name.clone(), &prepared.depends_on)?;
         self.0.chain.enrol(&self.0.name, &prepared).await;

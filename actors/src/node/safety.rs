@@ -5,17 +5,20 @@
 //! put into the queues of actuators; for as long as a call may take, the thread that ends the
 //! program waits for them.
 
-use super::{Node, NodeState, Shared};
+use super::assembly::start;
+use super::{Node, NodeBuilder, NodeState, Shared, StartError};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::fault_chain::strategy::NOT_RETURNED;
 use crate::platform;
 use crate::platform::signals::{Termination, Terminations, on_termination};
 use blastema_core::{Fault, FaultKind};
-use std::io;
+use std::future::{Future, pending};
+use std::pin::pin;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::Duration;
+use std::{fmt, io};
 use tokio::sync::oneshot::error::TryRecvError;
 use tracing::{info, warn};
 
@@ -28,7 +31,7 @@ static NODES: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 /// the calls that make its outputs safe. With the usual limit of a call that is a second in all.
 const LAST_STEPS: Duration = Duration::from_millis(250);
 
-/// Who waits in [`Node::run_until_signal`] for the first signal.
+/// The callers of [`Node::run_until_signal`] and [`NodeBuilder::run_until`].
 static WAITING: AtomicUsize = AtomicUsize::new(0);
 
 fn nodes() -> MutexGuard<'static, Vec<Weak<Shared>>> {
@@ -172,6 +175,74 @@ fn handle_signals() -> io::Result<()> {
     Ok(())
 }
 
+/// What ends a node that runs to its end: a signal, or else the program.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct EndCause(Option<Termination>);
+
+impl fmt::Display for EndCause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.0.map_or("the program", Termination::name))
+    }
+}
+
+/// While it is there, the first signal shuts a node down and does not end the process.
+struct SignalWait(Terminations);
+
+impl SignalWait {
+    fn begin() -> io::Result<Self> {
+        let terminations = Terminations::listen()?;
+        WAITING.fetch_add(1, SeqCst);
+        let wait = SignalWait(terminations);
+        handle_signals()?;
+        Ok(wait)
+    }
+
+    /// Resolves at the first signal, or with `end`.
+    async fn cause(&mut self, end: impl Future<Output = ()>) -> EndCause {
+        tokio::select! {
+            signal = self.0.next() => EndCause(Some(signal)),
+            () = end => EndCause(None),
+        }
+    }
+}
+
+impl Drop for SignalWait {
+    fn drop(&mut self) {
+        WAITING.fetch_sub(1, SeqCst);
+    }
+}
+
+impl NodeBuilder {
+    /// Starts the node, and runs it until a signal comes as for [`Node::run_until_signal`], or
+    /// until `end` resolves; then it is shut down in order. The signal may also come while the node
+    /// starts, from its first component on: then all components that have started end in reverse
+    /// order, and none after them is started. A component that is being initialized has its
+    /// [`shutdown_within`](crate::ChildSpec::shutdown_within) to finish that hook.
+    ///
+    /// ```
+    /// use blastema::prelude::*;
+    /// # struct Lamp;
+    /// # impl Component for Lamp {}
+    ///
+    /// blastema::run(async {
+    ///     let node = Node::builder("module1").child(ChildSpec::new("lamp", || Lamp));
+    ///     node.run_until(blastema::sleep(std::time::Duration::from_millis(20))).await
+    /// })?;
+    /// # Ok::<(), StartError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`start`](NodeBuilder::start); [`StartError::Interrupted`] if the start was undone
+    /// because of the signal, or of `end`.
+    pub async fn run_until(self, end: impl Future<Output = ()>) -> Result<(), StartError> {
+        let mut wait = SignalWait::begin()?;
+        let mut cause = pin!(wait.cause(end));
+        let node = start(self, cause.as_mut()).await?;
+        node.run_to(cause).await;
+        Ok(())
+    }
+}
+
 impl Node {
     /// Has SIGTERM, SIGINT and SIGHUP apply the safe outputs and close the journal, if this node
     /// has any.
@@ -216,28 +287,29 @@ impl Node {
     /// # Errors
     /// The operating system does not tell of signals.
     pub async fn run_until_signal(&self) -> io::Result<()> {
-        struct Waits;
-        impl Drop for Waits {
-            fn drop(&mut self) {
-                WAITING.fetch_sub(1, SeqCst);
-            }
-        }
-        let mut terminations = Terminations::listen()?;
-        WAITING.fetch_add(1, SeqCst);
-        let _waits = Waits;
-        handle_signals()?;
+        let mut wait = SignalWait::begin()?;
+        self.run_to(wait.cause(pending())).await;
+        Ok(())
+    }
+
+    /// Shuts down for the first of these causes, unless the node has been shut down before.
+    async fn run_to(&self, cause: impl Future<Output = EndCause>) {
         let mut state = self.0.state.clone();
         tokio::select! {
-            signal = terminations.next() => {
-                info!(node = %self.0.name, signal = signal.name(), "the node is shut down");
-                self.shut_down_because(&format!("{} shut it down", signal.name())).await;
-                if self.0.is_safe() {
-                    platform::end_process(signal.exit_code());
-                }
-            }
+            cause = cause => self.end_for(cause).await,
             // Also if the sender of the state was dropped.
             _ = state.wait_for(|state| *state == NodeState::Stopped) => {}
         }
-        Ok(())
+    }
+
+    /// Shuts down in order. Where that was not possible after a signal, the process ends.
+    pub(super) async fn end_for(&self, cause: EndCause) {
+        info!(node = %self.0.name, %cause, "the node is shut down");
+        self.shut_down_because(&format!("{cause} shut it down")).await;
+        if let EndCause(Some(signal)) = cause
+            && self.0.is_safe()
+        {
+            platform::end_process(signal.exit_code());
+        }
     }
 }

@@ -163,7 +163,7 @@ pub(super) trait ErasedChildSpec: Send {
     fn prepare(
         self: Box<Self>,
         environment: &Arc<ComponentEnvironment>,
-    ) -> Result<PreparedComponent, SpecError>;
+    ) -> Result<PreparedComponent, Vec<SpecError>>;
 }
 
 /// A component that waits to be started.
@@ -195,7 +195,7 @@ impl<C: Component> ErasedChildSpec for ChildSpec<C> {
     fn prepare(
         self: Box<Self>,
         environment: &Arc<ComponentEnvironment>,
-    ) -> Result<PreparedComponent, SpecError> {
+    ) -> Result<PreparedComponent, Vec<SpecError>> {
         let depends_on = self.dependencies().to_vec();
         let (ready_within, shutdown_within) = self.deadlines();
         let essential = self.is_essential();
@@ -257,15 +257,16 @@ impl SupervisorSpec {
         }
         let name = ObjectName::new(&self.name).map_err(SpecError::Supervisor)?;
         let name = SpecError::check_name(name)?;
-        self.check_intensity().map_err(|error| SpecError::setting(&self.name, error))?;
+        let refused = self.check_intensity().err();
+        tree.refused.extend(refused.map(|error| SpecError::setting(&self.name, error)));
         let mut children: Vec<(Box<dyn Child>, ChildRules)> = Vec::new();
         for entry in self.children {
             match entry {
                 Entry::Component(spec, restart) => {
                     let prepared = match spec.prepare(tree_environment.environment) {
                         Ok(prepared) => PreparedComponent { restart, ..prepared },
-                        Err(error) => {
-                            tree.refused.push(error);
+                        Err(refused) => {
+                            tree.refused.extend(refused);
                             continue;
                         }
                     };

@@ -77,8 +77,12 @@ impl RunningRobot {
     }
 
     fn interrupt(&self) {
+        self.signal("-INT");
+    }
+
+    fn signal(&self, signal: &str) {
         let id = self.process.id().to_string();
-        let status = Command::new("kill").args(["-INT", &id]).status();
+        let status = Command::new("kill").args([signal, &id]).status();
         assert!(status.expect("there is kill").success());
     }
 
@@ -305,6 +309,51 @@ fn a_robot_whose_first_start_fails_is_undone_with_the_reason() {
     assert!(why.len() == 1 && why[0].ends_with("it is broken"), "{:#?}", robot.seen);
     assert_eq!(robot.lines_with("is started again"), [""; 0]);
     assert_eq!(robot.lines_with("node base: it did not come up, and the start of").len(), 1);
+}
+
+#[test]
+fn a_signal_during_the_start_undoes_it_in_reverse_order() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("slow.robot.xml");
+    let node = |name: &str, parts: &str| format!("<node name=\"{name}\">{parts}</node>");
+    let parts = r#"<component name="map" type="Part"/><component name="wheels" type="Wheels"/>
+      <component name="driver" type="Driver"/><component name="late" type="Part"/>"#;
+    let base = node("base", parts);
+    let both = base.clone() + &node("arm", r#"<component name="gripper" type="Part"/>"#);
+    // A node that runs alone, and one that is started by the process that has the signal.
+    for (signal, by, nodes, at) in [
+        ("-INT", "SIGINT", &base, ""),
+        ("-TERM", "SIGTERM", &base, ""),
+        ("-INT", "the program", &both, "[base] "),
+    ] {
+        let text = format!("<robot schema=\"1\" name=\"ranger\">{nodes}</robot>");
+        fs::write(&file, text).expect("it can be written");
+
+        let mut robot = RunningRobot::start(&file, &[]);
+        robot.until("drive 1");
+        robot.signal(signal);
+
+        assert_eq!(robot.status(), 3, "{:#?}", robot.seen);
+        let parts = ["map is ", "drive", "wheels", "late"];
+        let steps = robot.seen.iter().filter_map(|line| line.strip_prefix(at));
+        let steps: Vec<_> =
+            steps.filter(|line| parts.iter().any(|part| line.starts_with(part))).collect();
+        let expected = [
+            "map is initialized with 1 kg",
+            "map is active",
+            "drive 1",
+            "driver is initialized",
+            "driver ends",
+            "drive 0",
+            "wheels ends",
+            "map is inactive",
+            "map is finalized",
+        ];
+        assert_eq!(steps, expected, "{signal} {at}");
+        let why = format!("{at}node base: {by} ended the node while it started");
+        assert_eq!(robot.lines_with(&why).len(), 1, "{:#?}", robot.seen);
+    }
 }
 
 #[test]

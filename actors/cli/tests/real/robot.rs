@@ -3,6 +3,10 @@
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
+use std::time::Duration;
+
+/// The product is compiled for minutes, on a busy computer for many.
+const COMPILED_WITHIN: Duration = Duration::from_secs(3600);
 
 fn blastema(folder: &Path, arguments: &[&str]) -> (Output, String) {
     let mut program = Command::new(env!("CARGO_BIN_EXE_blastema"));
@@ -57,4 +61,41 @@ fn a_new_robot_is_written_once_with_a_file_and_a_test() {
     assert_eq!(output.status.code(), Some(2), "{text}");
     let (_, text) = blastema(folder.path(), &["new", "Rover 2"]);
     assert!(text.contains("small letters"), "{text}");
+}
+
+/// At night: it compiles the product with the features of a user's package.
+#[test]
+fn a_new_robot_builds_and_passes_its_test() {
+    if !blastema_doubles::long() {
+        return;
+    }
+    let _turn = blastema_doubles::turn_within(COMPILED_WITHIN);
+    let folder = tempfile::tempdir().expect("a folder");
+    let (output, text) = blastema(folder.path(), &["new", "rover"]);
+    assert!(output.status.success(), "{text}");
+    let rover = folder.path().join("rover");
+    // The versions that are here already: the test needs no network.
+    let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    fs::copy(sources.join("Cargo.lock"), rover.join("Cargo.lock")).expect("it can be copied");
+    let cargo = |arguments: &[&str]| {
+        let mut cargo = Command::new(env!("CARGO"));
+        cargo.args(arguments).arg("--offline").current_dir(&rover);
+        // What is compiled lies beside what this test is from, and is there the next time.
+        let output = cargo.env("CARGO_TARGET_DIR", sources.join("target")).output();
+        let output = output.expect("there is a cargo");
+        let text = [output.stdout, output.stderr].concat();
+        (output.status.success(), String::from_utf8_lossy(&text).into_owned())
+    };
+
+    let (passed, text) = cargo(&["test"]);
+    assert!(
+        passed && text.contains("the_wheels_turn_again_after_the_laser_has_died ... ok"),
+        "{text}"
+    );
+    fs::create_dir_all(rover.join("target/debug")).expect("a folder");
+    let program = sources.join("target/debug/rover");
+    fs::copy(program, rover.join("target/debug/rover")).expect("it was built");
+    let (output, text) = blastema(&rover, &["check", "rover.robot.xml"]);
+    assert!(output.status.success(), "{text}");
+    assert!(text.contains("rover: 1 nodes, 2 components, no mistake"), "{text}");
 }

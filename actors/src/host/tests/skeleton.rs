@@ -124,11 +124,11 @@ fn a_name_is_given_once_and_freed_with_its_holder() {
         let stage = Stage::new();
         let (first, _) = stage.add(acc("acc").0);
         let taken = acc("acc").0.into_child(&stage.environment).err().unwrap();
-        assert!(matches!(taken, SpecError::Taken(_)), "{taken}");
+        assert!(matches!(taken[..], [SpecError::Taken(_)]), "{taken:?}");
         let wrong = acc("no name").0.into_child(&stage.environment).err().unwrap();
-        assert!(matches!(wrong, SpecError::Name(_)), "{wrong}");
+        assert!(matches!(wrong[..], [SpecError::Name(_)]), "{wrong:?}");
         let wrong = acc("other").0.rate_hz(0.0).into_child(&stage.environment).err().unwrap();
-        assert!(wrong.to_string().contains("rate_hz of other is 0"), "{wrong}");
+        assert!(wrong[0].to_string().contains("rate_hz of other is 0"), "{wrong:?}");
 
         drop(first);
 
