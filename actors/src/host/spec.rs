@@ -39,6 +39,9 @@ pub struct ChildSpec<C: Component> {
 /// Declares ports that depend on more than the component's type.
 type MorePorts<C> = Box<dyn FnOnce(&mut Ports<C>) + Send>;
 
+/// A component for its supervisor, and a reference to it.
+type NamedChild<C> = (Box<dyn Child>, ActorRef<C>);
+
 impl<C: Component> fmt::Debug for ChildSpec<C> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("ChildSpec").field("name", &self.name).finish_non_exhaustive()
@@ -200,7 +203,7 @@ impl<C: Component> ChildSpec<C> {
     pub(crate) fn into_child(
         self,
         environment: &Arc<ComponentEnvironment>,
-    ) -> Result<(Box<dyn Child>, ActorRef<C>), Vec<SpecError>> {
+    ) -> Result<NamedChild<C>, Vec<SpecError>> {
         let mut limits = self.limits.clone();
         let name = ObjectName::new(&self.name).map_err(SpecError::from)?;
         let name = SpecError::check_name(name)?;

@@ -20,7 +20,7 @@ use super::inspection::InspectionActor;
 #[cfg(feature = "unix")]
 use super::inspection::StartInspection;
 use super::lost_communication::{KeptPolicy, LostCommunicationPolicy};
-use super::safety::EndCause;
+use super::safety::{EndCause, SignalWait};
 use super::tree::{PreparedTree, SupervisorSpec, TreeEnvironment};
 use super::watchdogs::ProcessWatchdogs;
 use super::{Node, Root, Shared};
@@ -65,6 +65,7 @@ use blastema_core::{
 use std::fs;
 use std::future::Future;
 use std::path::PathBuf;
+use std::pin::pin;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, OnceLock};
@@ -83,6 +84,35 @@ impl NodeBuilder {
     /// abandoned.
     pub async fn start(self) -> Result<Node, StartError> {
         start(self, std::future::pending()).await
+    }
+
+    /// Starts the node, and runs it until a signal comes as for [`Node::run_until_signal`], or
+    /// until `end` resolves; then it is shut down in order. The signal may also come while the node
+    /// starts, from its first component on: then all components that have started end in reverse
+    /// order, and none after them is started. A component that is being initialized has its
+    /// [`shutdown_within`](crate::ChildSpec::shutdown_within) to finish that hook.
+    ///
+    /// ```
+    /// use blastema::prelude::*;
+    /// # struct Lamp;
+    /// # impl Component for Lamp {}
+    ///
+    /// blastema::run(async {
+    ///     let node = Node::builder("module1").child(ChildSpec::new("lamp", || Lamp));
+    ///     node.run_until(blastema::sleep(std::time::Duration::from_millis(20))).await
+    /// })?;
+    /// # Ok::<(), StartError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Those of [`start`](NodeBuilder::start); [`StartError::Interrupted`] if the start was undone
+    /// because of the signal, or of `end`.
+    pub async fn run_until(self, end: impl Future<Output = ()>) -> Result<(), StartError> {
+        let mut wait = SignalWait::begin()?;
+        let mut cause = pin!(wait.cause(end));
+        let node = start(self, cause.as_mut()).await?;
+        node.run_to(cause).await;
+        Ok(())
     }
 
     /// Returns what [`start`](Self::start) would refuse in the description: everything that is wrong
@@ -122,7 +152,7 @@ fn check(mut builder: NodeBuilder) -> Result<Vec<StartError>, StartError> {
 }
 
 /// Puts a node together, and starts it; undoes that if `end` resolves meanwhile.
-pub(super) async fn start(
+async fn start(
     mut builder: NodeBuilder,
     end: impl Future<Output = EndCause>,
 ) -> Result<Node, StartError> {

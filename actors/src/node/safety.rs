@@ -5,15 +5,13 @@
 //! put into the queues of actuators; for as long as a call may take, the thread that ends the
 //! program waits for them.
 
-use super::assembly::start;
-use super::{Node, NodeBuilder, NodeState, Shared, StartError};
+use super::{Node, NodeState, Shared};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::fault_chain::strategy::NOT_RETURNED;
 use crate::platform;
 use crate::platform::signals::{Termination, Terminations, on_termination};
 use blastema_core::{Fault, FaultKind};
 use std::future::{Future, pending};
-use std::pin::pin;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
@@ -31,7 +29,7 @@ static NODES: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 /// the calls that make its outputs safe. With the usual limit of a call that is a second in all.
 const LAST_STEPS: Duration = Duration::from_millis(250);
 
-/// The callers of [`Node::run_until_signal`] and [`NodeBuilder::run_until`].
+/// The callers of [`Node::run_until_signal`] and [`NodeBuilder::run_until`](super::NodeBuilder::run_until).
 static WAITING: AtomicUsize = AtomicUsize::new(0);
 
 fn nodes() -> MutexGuard<'static, Vec<Weak<Shared>>> {
@@ -186,10 +184,10 @@ impl fmt::Display for EndCause {
 }
 
 /// While it is there, the first signal shuts a node down and does not end the process.
-struct SignalWait(Terminations);
+pub(super) struct SignalWait(Terminations);
 
 impl SignalWait {
-    fn begin() -> io::Result<Self> {
+    pub(super) fn begin() -> io::Result<Self> {
         let terminations = Terminations::listen()?;
         WAITING.fetch_add(1, SeqCst);
         let wait = SignalWait(terminations);
@@ -198,7 +196,7 @@ impl SignalWait {
     }
 
     /// Resolves at the first signal, or with `end`.
-    async fn cause(&mut self, end: impl Future<Output = ()>) -> EndCause {
+    pub(super) async fn cause(&mut self, end: impl Future<Output = ()>) -> EndCause {
         tokio::select! {
             signal = self.0.next() => EndCause(Some(signal)),
             () = end => EndCause(None),
@@ -209,37 +207,6 @@ impl SignalWait {
 impl Drop for SignalWait {
     fn drop(&mut self) {
         WAITING.fetch_sub(1, SeqCst);
-    }
-}
-
-impl NodeBuilder {
-    /// Starts the node, and runs it until a signal comes as for [`Node::run_until_signal`], or
-    /// until `end` resolves; then it is shut down in order. The signal may also come while the node
-    /// starts, from its first component on: then all components that have started end in reverse
-    /// order, and none after them is started. A component that is being initialized has its
-    /// [`shutdown_within`](crate::ChildSpec::shutdown_within) to finish that hook.
-    ///
-    /// ```
-    /// use blastema::prelude::*;
-    /// # struct Lamp;
-    /// # impl Component for Lamp {}
-    ///
-    /// blastema::run(async {
-    ///     let node = Node::builder("module1").child(ChildSpec::new("lamp", || Lamp));
-    ///     node.run_until(blastema::sleep(std::time::Duration::from_millis(20))).await
-    /// })?;
-    /// # Ok::<(), StartError>(())
-    /// ```
-    ///
-    /// # Errors
-    /// Those of [`start`](NodeBuilder::start); [`StartError::Interrupted`] if the start was undone
-    /// because of the signal, or of `end`.
-    pub async fn run_until(self, end: impl Future<Output = ()>) -> Result<(), StartError> {
-        let mut wait = SignalWait::begin()?;
-        let mut cause = pin!(wait.cause(end));
-        let node = start(self, cause.as_mut()).await?;
-        node.run_to(cause).await;
-        Ok(())
     }
 }
 
@@ -293,7 +260,7 @@ impl Node {
     }
 
     /// Shuts down for the first of these causes, unless the node has been shut down before.
-    async fn run_to(&self, cause: impl Future<Output = EndCause>) {
+    pub(super) async fn run_to(&self, cause: impl Future<Output = EndCause>) {
         let mut state = self.0.state.clone();
         tokio::select! {
             cause = cause => self.end_for(cause).await,
