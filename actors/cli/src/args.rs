@@ -148,6 +148,9 @@ pub(crate) enum Subcommand {
         #[command(flatten)]
         to: OrderOptions,
     },
+    /// Write C for the firmware of a microcontroller
+    #[command(subcommand)]
+    Device(DeviceJob),
     /// Find all mistakes in a robot file, by the robot's program
     #[command(after_help = ROBOT_HELP)]
     Check(RobotOptions),
@@ -333,6 +336,23 @@ pub(crate) enum NodeJob {
     /// Admit an isolated node again
     #[command(after_help = OPERATOR_HELP)]
     Admit(NodeOrderOptions),
+}
+
+/// What can be written for a device.
+#[derive(Clone, Debug, PartialEq, clap::Subcommand)]
+pub(crate) enum DeviceJob {
+    /// Print the C header of a device's firmware: structs, port numbers, fingerprints
+    ///
+    /// The file is the JSON of `DeviceSpec::describe` in the robot's program.
+    Header {
+        /// The description of the device
+        file: PathBuf,
+    },
+    /// Print an example of a device's firmware, which compiles and does nothing yet
+    Firmware {
+        /// The description of the device
+        file: PathBuf,
+    },
 }
 
 /// What can be ordered of components.

@@ -14,6 +14,7 @@ mod medium;
 mod port;
 mod proxy;
 
+pub use header::DeviceDescription;
 pub use proxy::DeviceProxy;
 
 use crate::actuator::ActuatorSpec;
