@@ -168,7 +168,9 @@ fn for_each_key(
 
 fn misplaced(key: &str, derive: Derive) -> Option<String> {
     match (key, derive) {
-        ("unit" | "frame" | "at_most", _) => Some(format!("`{key}` belongs to a field, not above the type")),
+        ("unit" | "frame" | "at_most", _) => {
+            Some(format!("`{key}` belongs to a field, not above the type"))
+        }
         ("crate", _) => None,
         ("reply", Derive::Event) => {
             Some("an event has no reply: derive `Request` instead, or remove `reply`".into())

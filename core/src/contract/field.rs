@@ -127,24 +127,24 @@ pub mod bytes {
     message = "`at_most` bounds a `String`, a `Vec` or a `BTreeSet`, and no `{Self}`",
     label = "this field has no bound"
 )]
-pub trait Counted: Described {
+pub trait Boundable: Described {
     /// The bytes of a text, the elements of a vector or a set.
     fn count(&self) -> usize;
 }
 
-impl Counted for String {
+impl Boundable for String {
     fn count(&self) -> usize {
         self.len()
     }
 }
 
-impl<T: Described> Counted for Vec<T> {
+impl<T: Described> Boundable for Vec<T> {
     fn count(&self) -> usize {
         self.len()
     }
 }
 
-impl<T: Described + Ord> Counted for BTreeSet<T> {
+impl<T: Described + Ord> Boundable for BTreeSet<T> {
     fn count(&self) -> usize {
         self.len()
     }
@@ -154,7 +154,7 @@ impl<T: Described + Ord> Counted for BTreeSet<T> {
 #[derive(Debug)]
 pub struct AtMost<T, const N: u32>(PhantomData<T>);
 
-impl<T: Counted, const N: u32> AtMost<T, N> {
+impl<T: Boundable, const N: u32> AtMost<T, N> {
     fn check(value: &T) -> Result<(), String> {
         match value.count() {
             count if count > N as usize => {
