@@ -342,17 +342,19 @@ pub(crate) enum NodeJob {
 #[derive(Clone, Debug, PartialEq, clap::Subcommand)]
 pub(crate) enum DeviceJob {
     /// Print the C header of a device's firmware: structs, port numbers, fingerprints
-    ///
-    /// The file is the JSON of `DeviceSpec::describe` in the robot's program.
-    Header {
-        /// The description of the device
-        file: PathBuf,
-    },
+    Header(DescribedDevice),
     /// Print an example of a device's firmware, which compiles and does nothing yet
-    Firmware {
-        /// The description of the device
-        file: PathBuf,
-    },
+    Firmware(DescribedDevice),
+}
+
+/// A device as data.
+#[derive(Clone, Debug, PartialEq, clap::Args)]
+pub(crate) struct DescribedDevice {
+    /// The JSON of `DeviceSpec::describe`; with `--type`, of `describe` of the robot's program
+    pub(crate) file: PathBuf,
+    /// The type of devices in a robot file
+    #[arg(long = "type", value_name = "TYPE")]
+    pub(crate) of_type: Option<String>,
 }
 
 /// What can be ordered of components.

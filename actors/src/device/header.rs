@@ -50,7 +50,7 @@ pub struct DeviceDescription {
 #[serde(deny_unknown_fields)]
 struct DescribedPort {
     contract: String,
-    direction: Direction,
+    direction: DevicePortKind,
     object: u8,
     number: u8,
     size: u8,
@@ -62,37 +62,37 @@ struct DescribedPort {
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-enum Direction {
+enum DevicePortKind {
     In,
     Out,
     Call,
     Variable,
 }
 
-impl Direction {
+impl DevicePortKind {
     /// As names of ports and of the library's constants end, and the first identifier on the wire.
-    fn of(kind: PortKind) -> (Direction, u8) {
+    fn of(kind: PortKind) -> (DevicePortKind, u8) {
         match kind {
-            PortKind::In => (Direction::In, 0x40),
-            PortKind::Out => (Direction::Out, 0x60),
-            PortKind::Call => (Direction::Call, 0x80),
-            PortKind::Variable => (Direction::Variable, 0xc0),
+            PortKind::In => (DevicePortKind::In, 0x40),
+            PortKind::Out => (DevicePortKind::Out, 0x60),
+            PortKind::Call => (DevicePortKind::Call, 0x80),
+            PortKind::Variable => (DevicePortKind::Variable, 0xc0),
         }
     }
 
     fn text(self) -> &'static str {
         match self {
-            Direction::In => "IN",
-            Direction::Out => "OUT",
-            Direction::Call => "CALL",
-            Direction::Variable => "VARIABLE",
+            DevicePortKind::In => "IN",
+            DevicePortKind::Out => "OUT",
+            DevicePortKind::Call => "CALL",
+            DevicePortKind::Variable => "VARIABLE",
         }
     }
 }
 
 impl DescribedPort {
     fn of(port: &DevicePort<DeviceProxy>) -> Self {
-        let (direction, first) = Direction::of(port.port.kind());
+        let (direction, first) = DevicePortKind::of(port.port.kind());
         DescribedPort {
             contract: port.contract.to_owned(),
             direction,
@@ -123,7 +123,8 @@ impl DeviceSpec {
     /// # Errors
     /// The spec is wrong; the text says how.
     pub fn describe(&self) -> Result<DeviceDescription, String> {
-        if let Some(problem) = self.problem.as_ref().or(self.medium.as_ref().err()) {
+        let problem = self.problem.as_ref().map(|(_, why)| why).or(self.medium.as_ref().err());
+        if let Some(problem) = problem {
             return Err(problem.clone());
         }
         let (name, device_type) = (self.name.clone(), self.host.device_type);
@@ -219,30 +220,31 @@ impl DeviceDescription {
     pub fn firmware(&self) -> String {
         let device = identifier(&self.name);
         let mut text = format!(
-            "/* A firmware of the device `{}`. It is compiled with -DBL_CONFIG='\"{device}.h\"', with\n \
-             * blastema_lite.c and with one of the boards. */\n#include \"board.h\"\n\n",
+            "/* A firmware of the device `{}`. Compile it with -DBL_CONFIG='\"{device}.h\"',\n \
+             * blastema_lite.c and one of the boards. */\n#include \"board.h\"\n\n",
             self.name
         );
         let data = |port: &DescribedPort| port.name().to_lowercase();
-        let has_data = |port: &&DescribedPort| port.direction != Direction::Call && port.size > 0;
+        let has_data =
+            |port: &&DescribedPort| port.direction != DevicePortKind::Call && port.size > 0;
         for port in self.ports.iter().filter(has_data) {
             let _ = writeln!(text, "static {} {};", identifier(&port.contract), data(port));
         }
         for object in 1..=self.objects() {
             let _ = write!(
                 text,
-                "\nstatic uint8_t work{object}(uint8_t why) {{\n    (void)why;\n    /* What it does at its \
-                 rate. */\n"
+                "\nstatic uint8_t work{object}(uint8_t why) {{\n    (void)why;\n    \
+                 /* What it does at its rate. */\n"
             );
-            let outs = self.ports.iter().filter(|port| port.direction == Direction::Out);
+            let outs = self.ports.iter().filter(|port| port.direction == DevicePortKind::Out);
             for port in outs.filter(|port| port.object == object) {
                 let _ = writeln!(text, "    bl_publish({});", port.name());
             }
             let _ = write!(
                 text,
                 "    return 0; /* or the code of a fault, 1 to 239 */\n}}\n\
-                 static uint8_t rest{object}(uint8_t why) {{\n    (void)why;\n    /* Safe outputs, also \
-                 when the node is silent. */\n    return 0;\n}}\n"
+                 static uint8_t rest{object}(uint8_t why) {{\n    (void)why;\n    \
+                 /* Safe outputs, also when the node is silent. */\n    return 0;\n}}\n"
             );
         }
         let guard = device.to_uppercase();
@@ -254,8 +256,8 @@ impl DeviceDescription {
         for object in 1..=self.objects() {
             let _ = writeln!(
                 text,
-                "    {{.hook = {{[BL_ON_EXECUTE] = work{object}, [BL_ON_DEACTIVATED] = rest{object},\n              \
-                 [BL_ON_ABORTING] = rest{object}}}}},"
+                "    {{.hook = {{[BL_ON_EXECUTE] = work{object},\n              \
+                 [BL_ON_DEACTIVATED] = rest{object}, [BL_ON_ABORTING] = rest{object}}}}},"
             );
         }
         text.push_str("};\nconst bl_port bl_ports[BL_PORTS] BL_ROM = {\n");
@@ -265,12 +267,11 @@ impl DeviceDescription {
         }
         text.push_str(concat!(
             "};\n\nuint8_t bl_call(uint8_t port, uint8_t *data) {\n",
-            "    (void)port, (void)data;\n    return 1; /* refused; 0 when the result is in data */\n}\n",
+            "    (void)port, (void)data;\n",
+            "    return 1; /* refused; 0 when the result is in data */\n}\n",
             "uint8_t bl_text(uint8_t object, uint8_t code, uint8_t *text, uint8_t room) {\n",
             "    (void)object, (void)code, (void)text, (void)room;\n    return 0;\n}\n\n",
-            "int main(int count, char **arguments) {\n    uint8_t cause;\n",
-            "    uint16_t boot = board_begin(count, arguments, &cause);\n    bl_begin(boot, cause);\n",
-            "    for (;;) {\n        board_receive();\n        bl_poll();\n    }\n}\n"
+            "int main(int count, char **arguments) { board_run(count, arguments); }\n"
         ));
         text
     }

@@ -1,8 +1,7 @@
 //! Microcontrollers as components: real firmware in C, as processes on ptys and on UDP.
 //!
-//! With `BLASTEMA_CHIP=cortex-m3` the firmware on ptys runs on that chip, in QEMU;
-//! `tests/devices/run` does that. With `atmega328p` it runs in simavr, where no device has become
-//! active in these tests so far.
+//! With `BLASTEMA_CHIP=cortex-m3` the firmware on ptys runs on that chip, in QEMU, and with
+//! `atmega328p` in simavr; `tests/devices/run` does both.
 
 use blastema::prelude::*;
 use blastema::{
@@ -696,14 +695,17 @@ fn a_device_that_is_declared_wrongly_keeps_the_node_from_starting() {
         "is declared twice",
     );
     refused(device("serial:///dev/x").address(248), "1 to 247");
+    // One that is not started takes no address.
+    let _other = device("serial:///dev/x").child();
     let pair = |own: [Option<u8>; 2], text: &str| {
         blastema::run(async {
-            let [a, b] = own.map(|address| {
-                let name = format!("d{}", address.unwrap_or(0));
-                let device = DeviceSpec::new(&name, "serial:///dev/x", A);
+            let of = |name: &str, address: Option<u8>| {
+                let device = DeviceSpec::new(name, "serial:///dev/x", A);
                 address.into_iter().fold(device, DeviceSpec::address).child()
-            });
-            let error = Node::builder("robot").child(a).child(b).start().await;
+            };
+            let node = || Node::builder("robot").child(of("a", own[0])).child(of("b", own[1]));
+            assert!(node().check()[0].to_string().contains(text));
+            let error = node().start().await;
             let error = error.expect_err("it is wrong").to_string();
             assert!(error.contains(text), "{error}");
         });

@@ -45,7 +45,9 @@ async fn a_person_acknowledges_that_communication_is_back_and_others_command_aga
     node.advance(5 * SECOND).await;
 
     let early = order(&node, OrderVerb::Acknowledge, None).await;
-    assert!(early.refused.is_some_and(|why| why.contains("no policy for lost communication holds")));
+    assert!(
+        early.refused.is_some_and(|why| why.contains("no policy for lost communication holds"))
+    );
     let _beats = node.heartbeat("orders/beat", SECOND / 10).unwrap();
     node.advance(5 * SECOND).await;
     let rows = order(&node, OrderVerb::List, None).await.rows;
