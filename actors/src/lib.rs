@@ -211,7 +211,7 @@ pub use node::{AcknowledgeError, Heartbeats, LostCommunicationPolicy, LostCommun
 
 // Microcontrollers.
 #[cfg(feature = "device")]
-pub use crate::device::{DeviceProxy, DeviceSpec};
+pub use crate::device::{DeviceDescription, DeviceProxy, DeviceSpec};
 
 // Names of the whole robot.
 #[cfg(feature = "network")]

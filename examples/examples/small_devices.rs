@@ -1,5 +1,6 @@
 //! A gripper and a bumper on microcontrollers. When the bumper is touched, the gripper closes. Then
 //! the gripper loses its power, comes back, and closes again, with no line for that on its chip.
+//! `examples/robots/devices.robot.xml` is the robot.
 //!
 //! Each chip is a process of this computer on a pty here, and its firmware is compiled first, which
 //! needs a C compiler, `cc`. On chips of your own: `small_devices /dev/ttyUSB0 /dev/ttyUSB1`; the
@@ -9,10 +10,10 @@
 use blastema::prelude::*;
 use blastema::{DeviceSpec, FaultLocation};
 use blastema_ptys::Cable;
+use blastema_robot::Types;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
-use std::time::Duration;
 use tempfile::TempDir;
 use tokio::sync::watch;
 
@@ -37,16 +38,16 @@ struct Contact {
     pressed: bool,
 }
 
-fn gripper(endpoint: &str) -> DeviceSpec {
-    let period = Duration::from_millis(20);
-    let gripper = DeviceSpec::new("gripper", endpoint, 0x6772_6970).period(period);
-    gripper.accepts::<Close>(0).publishes::<Grip>(0, "hand/grip")
+/// What each type of devices has in its firmware.
+const GRIPPER: u32 = 0x6772_6970;
+const BUMPER: u32 = 0x6275_6d70;
+
+fn gripper(device: DeviceSpec) -> DeviceSpec {
+    device.accepts::<Close>(0).publishes::<Grip>(0, "hand/grip")
 }
 
-fn bumper(endpoint: &str) -> DeviceSpec {
-    let period = Duration::from_millis(20);
-    let bumper = DeviceSpec::new("bumper", endpoint, 0x6275_6d70).period(period);
-    bumper.publishes::<Contact>(0, "bumper/contact")
+fn bumper(device: DeviceSpec) -> DeviceSpec {
+    device.publishes::<Contact>(0, "bumper/contact")
 }
 
 /// Closes the gripper while the bumper is touched.
@@ -125,14 +126,15 @@ fn compile(device: &DeviceSpec, name: &str, folder: &Path) -> Result<PathBuf, Bo
 
 /// Runs the robot until the gripper was lost and has closed again.
 async fn run(ports: [&Path; 2], mut power: impl FnMut(bool)) -> Result<(), Box<dyn Error>> {
-    let [hand, front] = ports.map(|port| format!("serial://{}?baud=115200", port.display()));
+    let [hand, front] = ports.map(|port| port.display().to_string());
     let (told, mut holds) = watch::channel(false);
-    let node = Node::builder("robot")
-        .child(gripper(&hand).child())
-        .child(bumper(&front).child())
-        .child(ChildSpec::new("reflex", move || Reflex { gripper: None, told: told.clone() }))
-        .start()
-        .await?;
+    let types = Types::new()
+        .device("Gripper", GRIPPER, gripper)
+        .device("Bumper", BUMPER, bumper)
+        .component_with("Reflex", move || Reflex { gripper: None, told: told.clone() });
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/devices.robot.xml");
+    let robot = types.load(&file, &[("hand", &hand), ("front", &front)])?;
+    let node = types.node(&robot, "robot")?.start().await?;
     let mut faults = node.fault_events();
     holds.wait_for(|holds| *holds).await?;
 
@@ -155,8 +157,9 @@ async fn run(ports: [&Path; 2], mut power: impl FnMut(bool)) -> Result<(), Box<d
 #[blastema::main]
 async fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let any = "serial:///dev/null";
-    let devices = [("gripper", gripper(any)), ("bumper", bumper(any))];
+    let any = |name, device_type| DeviceSpec::new(name, "serial:///dev/null", device_type);
+    let devices =
+        [("gripper", gripper(any("gripper", GRIPPER))), ("bumper", bumper(any("bumper", BUMPER)))];
     match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         ["headers", folder] => {
             for (name, device) in devices {

@@ -21,12 +21,4 @@ uint8_t bl_text(uint8_t object, uint8_t code, uint8_t *text, uint8_t room) {
     return 0;
 }
 
-int main(int count, char **arguments) {
-    uint8_t cause;
-    uint16_t boot = board_begin(count, arguments, &cause);
-    bl_begin(boot, cause);
-    for (;;) {
-        board_receive();
-        bl_poll();
-    }
-}
+int main(int count, char **arguments) { board_run(count, arguments); }

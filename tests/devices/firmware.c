@@ -1,5 +1,5 @@
 /* A device for the tests. It adds numbers, and publishes each value that it is given with one more in
- * trace[0]. */
+ * trace. */
 #include "board.h"
 
 #include <string.h>
@@ -15,7 +15,7 @@ static uint8_t work(uint8_t why) {
     if (memcmp(&in, &taken, sizeof in) != 0) {
         taken = in;
         out = in;
-        out.trace[0]++;
+        out.trace.item[0]++;
         bl_publish(DEVICES_VALUE_OUT0);
     }
     return 0;

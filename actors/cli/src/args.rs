@@ -148,6 +148,9 @@ pub(crate) enum Subcommand {
         #[command(flatten)]
         to: OrderOptions,
     },
+    /// Write C for the firmware of a microcontroller
+    #[command(subcommand)]
+    Device(DeviceJob),
     /// Find all mistakes in a robot file, by the robot's program
     #[command(after_help = ROBOT_HELP)]
     Check(RobotOptions),
@@ -333,6 +336,25 @@ pub(crate) enum NodeJob {
     /// Admit an isolated node again
     #[command(after_help = OPERATOR_HELP)]
     Admit(NodeOrderOptions),
+}
+
+/// What can be written for a device.
+#[derive(Clone, Debug, PartialEq, clap::Subcommand)]
+pub(crate) enum DeviceJob {
+    /// Print the C header of a device's firmware: structs, port numbers, fingerprints
+    Header(DescribedDevice),
+    /// Print an example of a device's firmware, which compiles and does nothing yet
+    Firmware(DescribedDevice),
+}
+
+/// A device as data.
+#[derive(Clone, Debug, PartialEq, clap::Args)]
+pub(crate) struct DescribedDevice {
+    /// The JSON of `DeviceSpec::describe`; with `--type`, of `describe` of the robot's program
+    pub(crate) file: PathBuf,
+    /// The type of devices in a robot file
+    #[arg(long = "type", value_name = "TYPE")]
+    pub(crate) of_type: Option<String>,
 }
 
 /// What can be ordered of components.

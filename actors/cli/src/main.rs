@@ -8,6 +8,7 @@
 //! it, 2 it could not be done.
 
 mod args;
+mod device;
 mod fault;
 mod keys;
 mod monitor;
@@ -41,6 +42,7 @@ fn main() -> ExitCode {
         }
         Subcommand::Keys(job) => keys::run(&job),
         Subcommand::Node(job) => operator::run(&job),
+        Subcommand::Device(job) => device::run(&job).map(|()| true),
         Subcommand::Component(job) => operator::component::run(&job).map(|()| true),
         Subcommand::Acknowledge { policy, to } => {
             operator::component::acknowledge(policy.as_deref(), &to).map(|()| true)

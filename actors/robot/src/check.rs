@@ -119,7 +119,9 @@ impl<'a> RobotChecker<'a> {
     }
 
     fn node(&mut self, node: &'a NodeDescription) {
-        let [types, _, safe_outputs] = self.types.names();
+        let [_, _, safe_outputs] = self.types.names();
+        let types = self.types;
+        let known = |component: &ComponentDescription| types.kinds(component.device.is_some());
         let mut objects = Vec::new();
         node.root.visit(&mut |child| objects.push(child.identity()));
         self.names("object", &format!("node {}", node.name), objects.iter().copied());
@@ -132,9 +134,10 @@ impl<'a> RobotChecker<'a> {
         }
         for component in node.components() {
             let name = component.type_name.as_str();
-            if !name.is_empty() && !types.contains(&name) {
-                let sentence = format!("no type `{name}` is registered");
-                let help = hint(name, types.clone());
+            if !name.is_empty() && !known(component).contains(&name) {
+                let what = if component.device.is_some() { "type of devices" } else { "type" };
+                let sentence = format!("no {what} `{name}` is registered");
+                let help = hint(name, known(component));
                 self.find("robot::type", sentence, (component.origin, "type"), help, "unknown");
             }
             self.answers(&component.plan);
@@ -146,7 +149,8 @@ impl<'a> RobotChecker<'a> {
             let is_new = names.insert(child.identity().0.to_owned());
             let ChildDescription::Component(component) = child else { return is_new };
             component.depends_on.clear();
-            is_new && types.contains(&component.type_name.as_str())
+            let has_endpoint = component.device.as_ref().is_none_or(|device| !device.at.is_empty());
+            is_new && has_endpoint && known(component).contains(&component.type_name.as_str())
         });
         match self.types.composed(&trial) {
             Ok(builder) => builder.check().into_iter().for_each(|error| self.refused(node, error)),
@@ -174,6 +178,16 @@ impl<'a> RobotChecker<'a> {
                     error => (format!("of {name}, {error}"), "value"),
                 };
                 (name, sentence, ElementPart::below("param", "name", &key, attribute), help)
+            }
+            StartError::Spec(SpecError::Device { name, setting, why }) => {
+                let part = match setting {
+                    "endpoint" => "at",
+                    "period" => "rate",
+                    "ports" => "type",
+                    other => other,
+                };
+                let help = "correct it; see the manual's page on small devices".to_owned();
+                (name.to_string(), format!("of {name}, {why}"), part.into(), help)
             }
             StartError::Spec(SpecError::ActuatorSettings { name, contract, why }) => {
                 self.actuator(node, name.to_string(), &contract, &why)

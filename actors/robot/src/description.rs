@@ -167,7 +167,8 @@ pub struct ComponentDescription {
     pub type_name: String,
     /// Which of its ends are followed by a restart.
     pub restart: Restart,
-    /// See [`ChildSpec::rate_hz`](blastema::ChildSpec::rate_hz).
+    /// See [`ChildSpec::rate_hz`](blastema::ChildSpec::rate_hz), and
+    /// [`DeviceSpec::period`](blastema::DeviceSpec::period) of a device.
     pub rate_hz: Option<f64>,
     /// See [`ChildSpec::queue`](blastema::ChildSpec::queue).
     pub queue: Option<usize>,
@@ -199,9 +200,29 @@ pub struct ComponentDescription {
     pub claims: Vec<(String, ClaimPolicy)>,
     /// The answers to faults of this component.
     pub plan: Vec<AnswerDescription>,
+    /// Where the device is that the component stands for.
+    pub device: Option<DeviceSettings>,
     #[doc(hidden)]
     #[serde(skip)]
     pub origin: ElementOrigin,
+}
+
+/// Where a device is, and how it is asked for signs of life.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DeviceSettings {
+    /// The endpoint, as in [`DeviceSpec::new`](blastema::DeviceSpec::new).
+    pub at: String,
+    /// See [`DeviceSpec::address`](blastema::DeviceSpec::address).
+    pub address: Option<u8>,
+    /// See [`DeviceSpec::interval`](blastema::DeviceSpec::interval).
+    pub interval: Option<Duration>,
+    /// See [`DeviceSpec::tries`](blastema::DeviceSpec::tries).
+    pub tries: Option<u8>,
+    /// See [`DeviceSpec::deadman`](blastema::DeviceSpec::deadman).
+    pub deadman: Option<Duration>,
+    /// See [`DeviceSpec::turnaround`](blastema::DeviceSpec::turnaround).
+    pub turnaround: Option<Duration>,
 }
 
 /// A connection between an out port and an in port, both with their nodes.

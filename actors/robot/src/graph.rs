@@ -73,9 +73,12 @@ impl GraphText {
         for child in &supervisor.children {
             match child {
                 ChildDescription::Component(component) => {
-                    let ComponentDescription { name, type_name, rate_hz, .. } = &**component;
+                    let ComponentDescription { name, type_name, rate_hz, device, .. } =
+                        &**component;
                     let rate = rate_hz.map(|rate| format!(", {rate} Hz")).unwrap_or_default();
-                    let (about, id) = (format!("{type_name}{rate}"), format!("{node}:{name}"));
+                    let at = device.as_ref().map(|device| format!(", device at {}", device.at));
+                    let about = format!("{type_name}{rate}{}", at.unwrap_or_default());
+                    let id = format!("{node}:{name}");
                     self.line([
                         format!("{name}: {about}"),
                         format!("\"{id}\" [label=\"{name}\\n{about}\"];"),

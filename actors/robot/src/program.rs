@@ -284,7 +284,7 @@ impl Types {
     fn describe(&self) -> String {
         let [types, strategies, safe_outputs] = self.names();
         let described = types.iter().map(|name| {
-            let description = match self.description(name) {
+            let mut description = match self.description(name) {
                 Some(of) if of.gives.is_none() => {
                     let mut value = json!(of);
                     value["gives"] = json!("not declared");
@@ -293,6 +293,12 @@ impl Types {
                 Some(of) => json!(of),
                 None => json!("its `ports` panicked"),
             };
+            if let Some(device) = self.device_description(name) {
+                description["device"] = match device {
+                    Ok(device) => json!(device),
+                    Err(why) => json!(why),
+                };
+            }
             ((*name).to_owned(), description)
         });
         let types: serde_json::Map<_, _> = described.collect();

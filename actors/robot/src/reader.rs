@@ -2,7 +2,8 @@
 
 use crate::description::{
     AnswerDescription, ChildDescription, ComponentDescription, ConnectionDescription,
-    EndpointDescription, NodeDescription, RobotDescription, RobotNetwork, SupervisorDescription,
+    DeviceSettings, EndpointDescription, NodeDescription, RobotDescription, RobotNetwork,
+    SupervisorDescription,
 };
 use crate::element::{ArgumentValues, FileReading, RobotElement};
 use crate::finding::{FilePlace, RobotFinding, RobotSources};
@@ -227,7 +228,8 @@ impl RobotReader<'_> {
             name,
             ..NodeDescription::default()
         };
-        for element in element.children(&["endpoint", "plan", "connect", "component", "supervisor"])
+        for element in
+            element.children(&["endpoint", "plan", "connect", "component", "device", "supervisor"])
         {
             match element.name() {
                 "endpoint" => node.endpoints.push(endpoint(&element)),
@@ -385,9 +387,9 @@ fn rules(element: &RobotElement<'_>) -> SupervisorDescription {
     }
 }
 
-/// A component, once for each copy, or a supervisor with what is below it.
+/// A component or device, once for each copy, or a supervisor with what is below it.
 fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
-    if element.name() == "component" {
+    if element.name() != "supervisor" {
         // The attribute is the same for each copy, and is read before there is one.
         let copies = element.take("copies", value::copies);
         if !element.count_components(copies.as_ref().map_or(1, Vec::len), COMPONENTS_MAX) {
@@ -414,7 +416,7 @@ fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
         origin: element.origin(),
         ..rules(element)
     };
-    for element in element.children(&["component", "supervisor"]) {
+    for element in element.children(&["component", "device", "supervisor"]) {
         child(&element, &mut supervisor.children);
     }
     children.push(ChildDescription::Supervisor(supervisor));
@@ -425,7 +427,12 @@ fn component(element: &RobotElement<'_>) -> ChildDescription {
     let restart = element.take("restart", |text| value::word("a restart type", &RESTARTS, text));
     let when_full = element.take("when-full", |text| value::word("a policy", &WHEN_FULL, text));
     let thread = element.take("thread", |text| value::word("a kind of thread", &threads, text));
-    let parameters = element.distinct("param", "name").into_iter().filter_map(|param| {
+    let is_device = element.name() == "device";
+    let parameters = match is_device {
+        true => Vec::new(),
+        false => element.distinct("param", "name"),
+    };
+    let parameters = parameters.into_iter().filter_map(|param| {
         Some((param.need("name", value::text)?, param.need("value", value::text)?))
     });
     let parameters = parameters.collect();
@@ -458,8 +465,21 @@ fn component(element: &RobotElement<'_>) -> ChildDescription {
         actuators,
         claims,
         plan: answers(element),
+        device: is_device.then(|| device(element)),
         origin: element.origin(),
     }))
+}
+
+/// What a device has beside what it has as a component.
+fn device(element: &RobotElement<'_>) -> DeviceSettings {
+    DeviceSettings {
+        at: element.need("at", value::text).unwrap_or_default(),
+        address: element.take("address", value::count),
+        interval: element.take("interval", value::duration),
+        tries: element.take("tries", value::count),
+        deadman: element.take("deadman", value::duration),
+        turnaround: element.take("turnaround", value::duration),
+    }
 }
 
 /// The signs of life of a component. Each model has attributes of its own.

@@ -2,9 +2,9 @@
 
 use crate::description::{ComponentDescription, RobotNetwork, SupervisorDescription};
 use crate::reader::{AskedNames, EXCEEDED, RESTARTS, STRATEGIES, WHEN_FULL, read};
-use blastema::NodeBuilder;
 use blastema::core::recovery::{Backoff, SupervisorRules};
 use blastema::prelude::*;
+use blastema::{DeviceSpec, NodeBuilder};
 use roxmltree::Document;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -105,6 +105,9 @@ fn the_schema_has_the_defaults_of_the_code() {
         ("component max-delay", span(Spec::MAX_DELAY)),
         ("component ready-within", span(Spec::READY_WITHIN)),
         ("component shutdown-within", span(Spec::SHUTDOWN_WITHIN)),
+        ("device interval", span(DeviceSpec::INTERVAL)),
+        ("device deadman", span(DeviceSpec::DEADMAN)),
+        ("device turnaround", span(DeviceSpec::TURNAROUND)),
         ("supervisor essential", SupervisorDescription::default().essential.to_string()),
         ("network insecure", network.insecure.to_string()),
         ("node grace", span(NodeBuilder::GRACE)),

@@ -10,11 +10,14 @@ use blastema::core::port::{
 };
 use blastema::core::recovery::SupervisorRules;
 use blastema::prelude::*;
-use blastema::{Fault, Link, Network, NodeBuilder, RecoveryStrategy};
+use blastema::{
+    DeviceDescription, DeviceSpec, Fault, Link, Network, NodeBuilder, RecoveryStrategy,
+};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// The component types, recovery strategies and safe outputs of a program, by the names that robot
 /// files use.
@@ -56,6 +59,8 @@ type AddComponent = Box<dyn Fn(SupervisorSpec, &ComponentDescription) -> Supervi
 struct RegisteredComponent {
     add: AddComponent,
     description: Result<TypeDescription, String>,
+    /// The contract of a type of devices.
+    device: Option<Result<DeviceDescription, String>>,
 }
 
 impl fmt::Debug for Types {
@@ -81,15 +86,77 @@ impl Types {
     /// device: `on_initialize` does.
     #[must_use]
     pub fn component_with<C: Component>(
-        mut self,
+        self,
         name: &str,
         make: impl Fn() -> C + Send + Sync + 'static,
     ) -> Self {
-        let (make, description) = (Arc::new(make), blastema::describe::<C>());
+        let make = Arc::new(make);
+        let spec = move |component: &ComponentDescription| {
+            let make = make.clone();
+            let spec = ChildSpec::new(&component.name, move || make());
+            component.rate_hz.into_iter().fold(spec, ChildSpec::rate_hz)
+        };
+        self.register(name, blastema::describe::<C>(), None, spec)
+    }
+
+    /// Registers a type of devices: its number, which the firmware has too, and its ports. The
+    /// file says where a device is. A topic that each device of the type has to itself begins with
+    /// its [`name`](DeviceSpec::name).
+    ///
+    /// ```no_run
+    /// use blastema::prelude::*;
+    ///
+    /// #[derive(Clone, Debug, Event)]
+    /// #[contract(name = "bumper/contact")]
+    /// struct Contact {
+    ///     pressed: bool,
+    /// }
+    ///
+    /// fn main() -> std::process::ExitCode {
+    ///     // <device name="bumper" type="Bumper" at="serial:///dev/ttyUSB0?baud=115200"/>
+    ///     blastema_robot::Types::new()
+    ///         .device("Bumper", 0x6275_6d70, |bumper| {
+    ///             bumper.publishes::<Contact>(0, "bumper/contact")
+    ///         })
+    ///         .main()
+    /// }
+    /// ```
+    #[must_use]
+    pub fn device(
+        self,
+        name: &str,
+        device_type: u32,
+        ports: impl Fn(DeviceSpec) -> DeviceSpec + 'static,
+    ) -> Self {
+        let some = || ports(DeviceSpec::new(name, "serial:///dev/null", device_type));
+        let (description, device) = (some().describe_component(), some().describe());
+        let spec = move |component: &ComponentDescription| {
+            let settings = component.device.clone().unwrap_or_default();
+            let mut spec = DeviceSpec::new(&component.name, &settings.at, device_type);
+            spec = settings.address.into_iter().fold(spec, DeviceSpec::address);
+            spec = settings.interval.into_iter().fold(spec, DeviceSpec::interval);
+            spec = settings.tries.into_iter().fold(spec, DeviceSpec::tries);
+            spec = settings.deadman.into_iter().fold(spec, DeviceSpec::deadman);
+            spec = settings.turnaround.into_iter().fold(spec, DeviceSpec::turnaround);
+            if let Some(rate_hz) = component.rate_hz {
+                let period = Duration::try_from_secs_f64(1.0 / rate_hz);
+                spec = spec.period(period.unwrap_or(Duration::MAX));
+            }
+            ports(spec).child()
+        };
+        self.register(name, Ok(description), Some(device), spec)
+    }
+
+    fn register<C: Component>(
+        mut self,
+        name: &str,
+        description: Result<TypeDescription, String>,
+        device: Option<Result<DeviceDescription, String>>,
+        spec: impl Fn(&ComponentDescription) -> ChildSpec<C> + 'static,
+    ) -> Self {
         let ports = description.clone().map(|description| description.takes).unwrap_or_default();
         let add = move |supervisor: SupervisorSpec, component: &ComponentDescription| {
-            let make = make.clone();
-            let mut spec = configured(ChildSpec::new(&component.name, move || make()), component);
+            let mut spec = configured(spec(component), component);
             for (port, settings) in &component.actuators {
                 // A port is called by its contract's name unless it has one of its own.
                 let named = ports.iter().find(|known| known.name == *port);
@@ -98,7 +165,7 @@ impl Types {
             }
             supervisor.child_with(spec, component.restart)
         };
-        let registered = RegisteredComponent { add: Box::new(add), description };
+        let registered = RegisteredComponent { add: Box::new(add), description, device };
         if self.components.insert(name.to_owned(), registered).is_some() {
             self.twice.push(name.to_owned());
         }
@@ -269,6 +336,20 @@ impl Types {
         self.components.get(name)?.description.as_ref().ok()
     }
 
+    /// The registered types: those of devices, or the others.
+    pub(crate) fn kinds(&self, devices: bool) -> Vec<&str> {
+        let kinds = self.components.iter().filter(|(_, of)| of.device.is_some() == devices);
+        kinds.map(|(name, _)| name.as_str()).collect()
+    }
+
+    /// The contract of a type of devices.
+    pub(crate) fn device_description(
+        &self,
+        name: &str,
+    ) -> Option<&Result<DeviceDescription, String>> {
+        self.components.get(name)?.device.as_ref()
+    }
+
     /// The registered names: of component types, strategies and safe outputs.
     pub(crate) fn names(&self) -> [Vec<&str>; 3] {
         [
@@ -304,7 +385,6 @@ fn configured<C: Component>(spec: ChildSpec<C>, component: &ComponentDescription
         let capacity = component.queue.unwrap_or(ChildSpec::<C>::QUEUE);
         spec = spec.queue(capacity, component.when_full);
     }
-    spec = component.rate_hz.into_iter().fold(spec, ChildSpec::rate_hz);
     spec = component.max_block.into_iter().fold(spec, ChildSpec::max_block);
     spec = component.max_wait.into_iter().fold(spec, ChildSpec::max_wait);
     spec = component.max_delay.into_iter().fold(spec, ChildSpec::max_delay);

@@ -65,6 +65,7 @@ pub(super) fn check_layout(layout: &LayoutDescription) -> Result<(), String> {
                 | Shape::Sequence(_)
                 | Shape::Set(_)
                 | Shape::Map(..)
+                | Shape::AtMost(..)
                 | Shape::Array(..)
                 | Shape::Tuple(_)
                 | Shape::Struct(..)
@@ -107,6 +108,8 @@ impl Walk<'_> {
             Shape::Leaf(leaf) => self.leaf(value, *leaf),
             Shape::Optional(of) if !value.is_null() => self.value(value, *of),
             Shape::Optional(_) => Ok(()),
+            // The receiver checks the bound.
+            Shape::AtMost(of, _) => self.value(value, *of),
             Shape::Sequence(of) | Shape::Set(of) => {
                 let all = array(value, None)?;
                 all.iter().enumerate().try_for_each(|(at, one)| self.element(one, at, *of))

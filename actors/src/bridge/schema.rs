@@ -65,6 +65,15 @@ fn whole(shape: &Shape<u32>, types: &[Shape<u32>]) -> Map<String, Value> {
         Shape::Set(of) => {
             json!({ "type": "array", "items": held(*of, types), "uniqueItems": true })
         }
+        Shape::AtMost(of, bound) => match held(*of, types) {
+            // A text is bounded in bytes, and JSON Schema counts characters.
+            Value::Object(of) if of.contains_key("items") => {
+                let mut of = of;
+                of.insert("maxItems".to_owned(), json!(bound));
+                Value::Object(of)
+            }
+            of => of,
+        },
         Shape::Map(_, of) => {
             json!({ "type": "object", "additionalProperties": held(*of, types) })
         }

@@ -162,6 +162,18 @@ impl<C: Component> Ports<C> {
         self.open.iter().map(|open| open(cell)).map(|port| (port.identity.name, port)).collect()
     }
 
+    /// What was declared, for display.
+    pub(crate) fn describe(&self) -> TypeDescription {
+        let described = self.declared.iter().map(DeclaredPort::describe);
+        let (gives, takes): (Vec<PortDescription>, Vec<_>) =
+            described.partition(|port| port.role.is_out());
+        TypeDescription {
+            parameters: self.parameters.map(|of| (of.describe)()).unwrap_or_default(),
+            takes,
+            gives: (!gives.is_empty()).then_some(gives),
+        }
+    }
+
     /// What the component declares of one feature.
     pub(crate) fn feature<T: Declarations<C> + Default>(&mut self) -> &mut T {
         let is_wanted = |known: &dyn Declarations<C>| (known as &dyn Any).is::<T>();
@@ -245,13 +257,5 @@ impl<C: Component> Ports<C> {
 /// # Ok::<(), String>(())
 /// ```
 pub fn describe<C: Component>() -> Result<TypeDescription, String> {
-    let ports = panics::caught(Ports::<C>::of)?;
-    let described = ports.declared.iter().map(DeclaredPort::describe);
-    let (gives, takes): (Vec<PortDescription>, Vec<_>) =
-        described.partition(|port| port.role.is_out());
-    Ok(TypeDescription {
-        parameters: ports.parameters.map(|of| (of.describe)()).unwrap_or_default(),
-        takes,
-        gives: (!gives.is_empty()).then_some(gives),
-    })
+    panics::caught(Ports::<C>::of).map(|ports| ports.describe())
 }

@@ -96,6 +96,8 @@ pub enum SpecError {
     Device {
         /// The device.
         name: ObjectName,
+        /// The setting of its [`DeviceSpec`](crate::DeviceSpec) that is wrong.
+        setting: &'static str,
         /// What is wrong, and what to write.
         why: String,
     },

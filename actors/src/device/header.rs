@@ -1,10 +1,15 @@
 //! The C header of a device's firmware.
 
-use super::port::{DevicePort, PortUse};
+use super::port::DevicePort;
 use super::{DeviceProxy, DeviceSpec};
-use blastema_core::contract::layout::{Fields, LayoutOf, Primitive, Shape};
+use blastema_core::LayoutDescription;
+use blastema_core::contract::layout::{Fields, Primitive, Shape};
 use blastema_lite::PortKind;
+use serde::{Deserialize, Serialize};
 use std::fmt::Write;
+
+/// No packed type is nested deeper.
+const DEPTH_MAX: usize = 32;
 
 /// Names that C has taken, of those that a field may have in Rust.
 const KEYWORDS: [&str; 16] = [
@@ -12,39 +17,158 @@ const KEYWORDS: [&str; 16] = [
     "short", "signed", "sizeof", "switch", "unsigned", "void",
 ];
 
+/// A device as data: what the C header of its firmware is generated from. From
+/// [`DeviceSpec::describe`], or a file.
+///
+/// ```
+/// use blastema::prelude::*;
+/// use blastema::{DeviceDescription, DeviceSpec};
+///
+/// #[derive(Clone, Debug, Event)]
+/// #[contract(name = "gripper/close")]
+/// struct Close {
+///     #[contract(unit = "N")]
+///     force: f32,
+/// }
+///
+/// let gripper = DeviceSpec::new("gripper", "serial:///dev/ttyUSB0", 0x6772_6970);
+/// let json = gripper.accepts::<Close>(0).describe().expect("the spec is right").to_json();
+/// // `blastema device header FILE` does the same.
+/// let header = DeviceDescription::from_json(&json).expect("a description").header();
+/// assert!(header.contains("    float force; /* N */"));
+/// assert!(header.contains("#define GRIPPER_CLOSE_IN0(data_) {.object = 1, .id = BL_IN + 0"));
+/// ```
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DeviceDescription {
+    name: String,
+    device_type: u32,
+    ports: Vec<DescribedPort>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DescribedPort {
+    contract: String,
+    direction: DevicePortKind,
+    object: u8,
+    number: u8,
+    size: u8,
+    reply_size: u8,
+    fingerprint: u32,
+    message: LayoutDescription,
+    reply: LayoutDescription,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum DevicePortKind {
+    In,
+    Out,
+    Call,
+    Variable,
+}
+
+impl DevicePortKind {
+    /// As names of ports and of the library's constants end, and the first identifier on the wire.
+    fn of(kind: PortKind) -> (DevicePortKind, u8) {
+        match kind {
+            PortKind::In => (DevicePortKind::In, 0x40),
+            PortKind::Out => (DevicePortKind::Out, 0x60),
+            PortKind::Call => (DevicePortKind::Call, 0x80),
+            PortKind::Variable => (DevicePortKind::Variable, 0xc0),
+        }
+    }
+
+    fn text(self) -> &'static str {
+        match self {
+            DevicePortKind::In => "IN",
+            DevicePortKind::Out => "OUT",
+            DevicePortKind::Call => "CALL",
+            DevicePortKind::Variable => "VARIABLE",
+        }
+    }
+}
+
+impl DescribedPort {
+    fn of(port: &DevicePort<DeviceProxy>) -> Self {
+        let (direction, first) = DevicePortKind::of(port.port.kind());
+        DescribedPort {
+            contract: port.contract.to_owned(),
+            direction,
+            object: port.port.object(),
+            number: port.port.id() - first,
+            size: port.port.size(),
+            reply_size: port.port.reply(),
+            fingerprint: port.port.fingerprint(),
+            message: LayoutDescription::of((port.message)()),
+            reply: LayoutDescription::of((port.reply)()),
+        }
+    }
+
+    /// `GRIPPER_CLOSE_IN0`: the contract, the direction and the number.
+    fn name(&self) -> String {
+        let object = match self.object {
+            1 => String::new(),
+            object => format!("{object}_"),
+        };
+        let contract = identifier(&self.contract).to_uppercase();
+        format!("{contract}_{object}{}{}", self.direction.text(), self.number)
+    }
+}
+
 impl DeviceSpec {
-    /// The C header of the firmware: sizes for the library in `core/lite/c`, structs, fingerprints.
-    /// The firmware is compiled with `-DBL_CONFIG='"gripper.h"'`, and lists `GRIPPER_PORTS` of its
-    /// ports in the order in which they were declared here.
+    /// The device as data, for tools.
     ///
     /// # Errors
     /// The spec is wrong; the text says how.
-    ///
-    /// ```
-    /// use blastema::prelude::*;
-    /// use blastema::DeviceSpec;
-    ///
-    /// #[derive(Clone, Debug, Event)]
-    /// #[contract(name = "gripper/close")]
-    /// struct Close {
-    ///     #[contract(unit = "N")]
-    ///     force: f32,
-    /// }
-    ///
-    /// let gripper = DeviceSpec::new("gripper", "serial:///dev/ttyUSB0", 0x6772_6970);
-    /// let header = gripper.accepts::<Close>(0).header().expect("it has a header");
-    /// assert!(header.contains("    float force; /* N */"));
-    /// assert!(header.contains("#define GRIPPER_CLOSE_IN0(data_) {.object = 1, .id = BL_IN + 0"));
-    /// ```
-    pub fn header(&self) -> Result<String, String> {
-        if let Some(problem) = self.problem.as_ref().or(self.medium.as_ref().err()) {
+    pub fn describe(&self) -> Result<DeviceDescription, String> {
+        let problem = self.problem.as_ref().map(|(_, why)| why).or(self.medium.as_ref().err());
+        if let Some(problem) = problem {
             return Err(problem.clone());
         }
-        let (device, ports) = (identifier(&self.name), &self.ports);
-        let guard = device.to_uppercase();
-        let objects = ports.iter().map(|port| port.port.object()).max().unwrap_or(1);
-        let largest = ports.iter().map(|port| port.port.size().max(port.port.reply())).max();
-        let data = (largest.unwrap_or(0) + 1).max(objects + 10).max(24);
+        let (name, device_type) = (self.name.clone(), self.host.device_type);
+        let ports = self.ports.iter().map(DescribedPort::of).collect();
+        Ok(DeviceDescription { name, device_type, ports })
+    }
+
+    /// The C header of the firmware; see [`DeviceDescription::header`].
+    ///
+    /// # Errors
+    /// The spec is wrong; the text says how.
+    pub fn header(&self) -> Result<String, String> {
+        Ok(self.describe()?.header())
+    }
+}
+
+impl DeviceDescription {
+    /// Reads a description.
+    ///
+    /// # Errors
+    /// The text is no description of a device.
+    pub fn from_json(text: &str) -> Result<Self, String> {
+        serde_json::from_str(text).map_err(|error| {
+            format!("{error}: write the file by `DeviceSpec::describe` and `to_json`")
+        })
+    }
+
+    /// The description as one JSON document.
+    pub fn to_json(&self) -> String {
+        serde_json::to_string(self).expect("names, numbers and lists are JSON")
+    }
+
+    fn objects(&self) -> u8 {
+        self.ports.iter().map(|port| port.object).max().unwrap_or(1)
+    }
+
+    /// The C header of the firmware: sizes for the library in `core/lite/c`, structs, fingerprints.
+    /// The firmware is compiled with `-DBL_CONFIG='"gripper.h"'`, and lists `GRIPPER_PORTS` of its
+    /// ports in the order in which they were declared here.
+    pub fn header(&self) -> String {
+        let guard = identifier(&self.name).to_uppercase();
+        let (ports, objects) = (&self.ports, self.objects());
+        let largest = ports.iter().map(|port| port.size.max(port.reply_size)).max();
+        let data = largest.unwrap_or(0).saturating_add(1).max(objects.saturating_add(10)).max(24);
         let mut text = format!(
             "/* The device `{}`: generated from the contracts of the robot. */\n\
              #ifndef {guard}_H\n#define {guard}_H\n\n#include <stdint.h>\n\n\
@@ -52,64 +176,105 @@ impl DeviceSpec {
              #define {guard}_TYPE {:#010x}u\n\n#pragma pack(push, 1)\n",
             self.name,
             ports.len(),
-            self.host.device_type
+            self.device_type
         );
         let mut known = Vec::new();
         for port in ports {
-            let mut of_type = |suffix: &str, of: LayoutOf, size: u8| {
-                let name = identifier(port.contract) + suffix;
+            let mut of_type = |suffix: &str, of: &LayoutDescription, size: u8| {
+                let name = identifier(&port.contract) + suffix;
                 // C has no struct without members.
                 if size > 0 && !known.contains(&name) {
-                    let _ = writeln!(text, "{};", declared("typedef ", of, &name, 0));
+                    let _ =
+                        writeln!(text, "{};", CType(of.types()).declared("typedef ", 0, &name, 0));
                     known.push(name);
                 }
             };
-            of_type("", port.message, port.port.size());
-            of_type("_reply", port.reply, port.port.reply());
+            of_type("", &port.message, port.size);
+            of_type("_reply", &port.reply, port.reply_size);
         }
         text.push_str("#pragma pack(pop)\n\n/* Indices, for bl_publish and bl_call. */\nenum {\n");
         for port in ports {
-            let _ = writeln!(text, "    {},", port_name(port));
+            let _ = writeln!(text, "    {},", port.name());
         }
         text.push_str("    PORT_COUNT\n};\n\n/* Records of bl_ports, in this order. */\n");
         for port in ports {
-            let (of, name) = (&port.port, port_name(port));
-            let (base, first) = match of.kind() {
-                PortKind::In => ("BL_IN", 0x40),
-                PortKind::Out => ("BL_OUT", 0x60),
-                PortKind::Call => ("BL_CALL", 0x80),
-                PortKind::Variable => ("BL_VARIABLE", 0xc0),
-            };
             let _ = writeln!(
                 text,
-                "#define {name}(data_) {{.object = {}, .id = {base} + {}, .data = (data_), \\\n    \
+                "#define {}(data_) {{.object = {}, .id = BL_{} + {}, .data = (data_), \\\n    \
                  .size = {}, .reply = {}, .fingerprint = {:#010x}u}}",
-                of.object(),
-                of.id() - first,
-                of.size(),
-                of.reply(),
-                of.fingerprint()
+                port.name(),
+                port.object,
+                port.direction.text(),
+                port.number,
+                port.size,
+                port.reply_size,
+                port.fingerprint
             );
         }
         text.push_str("\n#endif\n");
-        Ok(text)
+        text
     }
-}
 
-/// `GRIPPER_CLOSE_IN0`: the contract, the direction and the number.
-fn port_name(port: &DevicePort<DeviceProxy>) -> String {
-    let (direction, first) = match port.used {
-        PortUse::In { .. } => ("IN", 0x40),
-        PortUse::Out { .. } => ("OUT", 0x60),
-        PortUse::Call => ("CALL", 0x80),
-        PortUse::Variable { .. } => ("VARIABLE", 0xc0),
-    };
-    let object = match port.port.object() {
-        1 => String::new(),
-        object => format!("{object}_"),
-    };
-    let contract = identifier(port.contract).to_uppercase();
-    format!("{contract}_{object}{direction}{}", port.port.id() - first)
+    /// An example of the firmware, for the boards in `core/lite/c/boards`: it compiles, takes part,
+    /// and does nothing yet.
+    pub fn firmware(&self) -> String {
+        let device = identifier(&self.name);
+        let mut text = format!(
+            "/* A firmware of the device `{}`. Compile it with -DBL_CONFIG='\"{device}.h\"',\n \
+             * blastema_lite.c and one of the boards. */\n#include \"board.h\"\n\n",
+            self.name
+        );
+        let data = |port: &DescribedPort| port.name().to_lowercase();
+        let has_data =
+            |port: &&DescribedPort| port.direction != DevicePortKind::Call && port.size > 0;
+        for port in self.ports.iter().filter(has_data) {
+            let _ = writeln!(text, "static {} {};", identifier(&port.contract), data(port));
+        }
+        for object in 1..=self.objects() {
+            let _ = write!(
+                text,
+                "\nstatic uint8_t work{object}(uint8_t why) {{\n    (void)why;\n    \
+                 /* What it does at its rate. */\n"
+            );
+            let outs = self.ports.iter().filter(|port| port.direction == DevicePortKind::Out);
+            for port in outs.filter(|port| port.object == object) {
+                let _ = writeln!(text, "    bl_publish({});", port.name());
+            }
+            let _ = write!(
+                text,
+                "    return 0; /* or the code of a fault, 1 to 239 */\n}}\n\
+                 static uint8_t rest{object}(uint8_t why) {{\n    (void)why;\n    \
+                 /* Safe outputs, also when the node is silent. */\n    return 0;\n}}\n"
+            );
+        }
+        let guard = device.to_uppercase();
+        let _ = write!(
+            text,
+            "\nconst uint32_t bl_device_type BL_ROM = {guard}_TYPE;\n\
+             const bl_object bl_objects[BL_OBJECTS] BL_ROM = {{\n"
+        );
+        for object in 1..=self.objects() {
+            let _ = writeln!(
+                text,
+                "    {{.hook = {{[BL_ON_EXECUTE] = work{object},\n              \
+                 [BL_ON_DEACTIVATED] = rest{object}, [BL_ON_ABORTING] = rest{object}}}}},"
+            );
+        }
+        text.push_str("};\nconst bl_port bl_ports[BL_PORTS] BL_ROM = {\n");
+        for port in &self.ports {
+            let at = if has_data(&port) { format!("&{}", data(port)) } else { "0".to_owned() };
+            let _ = writeln!(text, "    {}({at}),", port.name());
+        }
+        text.push_str(concat!(
+            "};\n\nuint8_t bl_call(uint8_t port, uint8_t *data) {\n",
+            "    (void)port, (void)data;\n",
+            "    return 1; /* refused; 0 when the result is in data */\n}\n",
+            "uint8_t bl_text(uint8_t object, uint8_t code, uint8_t *text, uint8_t room) {\n",
+            "    (void)object, (void)code, (void)text, (void)room;\n    return 0;\n}\n\n",
+            "int main(int count, char **arguments) { board_run(count, arguments); }\n"
+        ));
+        text
+    }
 }
 
 fn identifier(name: &str) -> String {
@@ -122,67 +287,95 @@ fn identifier(name: &str) -> String {
     }
 }
 
-/// The declaration of a member, or a type, of this name; without the semicolon.
-fn declared(before: &str, of: LayoutOf, name: &str, depth: usize) -> String {
-    let indent = "    ".repeat(depth);
-    match &of().shape {
-        Shape::Leaf(leaf) => format!("{indent}{before}{}", leaf_declared(*leaf, name)),
-        Shape::Array(of, length) => declared(before, *of, &format!("{name}[{length}]"), depth),
-        Shape::Optional(of) => {
-            let value = declared("", *of, "value", depth + 1);
-            format!(
-                "{indent}{before}struct {{\n{indent}    uint8_t some;\n{value};\n{indent}}} {name}"
-            )
-        }
-        Shape::Tuple(parts) => {
-            let members = parts.iter().enumerate();
-            let members: String = members
-                .map(|(at, of)| declared("", *of, &format!("_{at}"), depth + 1) + ";\n")
-                .collect();
-            format!("{indent}{before}struct {{\n{members}{indent}}} {name}")
-        }
-        Shape::Struct(_, fields) => {
-            format!("{indent}{before}struct {{\n{}{indent}}} {name}", members(fields, depth))
-        }
-        Shape::Enum(_, variants) => {
-            let names: Vec<_> = variants.iter().map(|variant| &*variant.name).collect();
-            let numbers = names.iter().enumerate().map(|(at, name)| format!("{at} {name}"));
-            let listed = format!("/* {} */", numbers.collect::<Vec<_>>().join(", "));
-            let is_plain = |fields: &Fields<LayoutOf>| fields.as_slice().is_empty();
-            if variants.iter().all(|variant| is_plain(&variant.fields)) {
-                return format!("{indent}{before}uint8_t {name} {listed}");
-            }
-            let cases = variants.iter().filter(|variant| !is_plain(&variant.fields));
-            let cases: String = cases
-                .map(|variant| {
-                    let members = members(&variant.fields, depth + 2);
-                    let name = identifier(&variant.name);
-                    format!("{indent}        struct {{\n{members}{indent}        }} {name};\n")
-                })
-                .collect();
-            format!(
-                "{indent}{before}struct {{\n{indent}    uint8_t tag; {listed}\n\
-                 {indent}    union {{\n{cases}{indent}    }} as;\n{indent}}} {name}"
-            )
-        }
-        // They have no packed form, and no port has them.
-        _ => format!("{indent}{before}uint8_t {name}"),
-    }
-}
+/// A table of types, for C.
+struct CType<'a>(&'a [Shape<u32>]);
 
-fn members(fields: &Fields<LayoutOf>, depth: usize) -> String {
-    let mut text = String::new();
-    for field in fields.as_slice() {
-        let digit = field.name.starts_with(|c: char| c.is_ascii_digit());
-        let name = if digit { format!("_{}", field.name) } else { identifier(&field.name) };
-        let _ = write!(text, "{};", declared("", field.of, &name, depth + 1));
-        let notes: Vec<_> = field.unit.iter().chain(&field.frame).map(|note| &**note).collect();
-        match notes.is_empty() {
-            true => text.push('\n'),
-            false => drop(writeln!(text, " /* {} */", notes.join(", in frame "))),
+impl CType<'_> {
+    /// The type; one nested so deep that it may contain itself is shown as a byte.
+    fn shape(&self, of: u32, depth: usize) -> &Shape<u32> {
+        const BYTE: &Shape<u32> = &Shape::Leaf(Primitive::U8);
+        if depth > DEPTH_MAX { BYTE } else { &self.0[of as usize] }
+    }
+
+    /// The declaration of a member, or a type, of this name; without the semicolon.
+    fn declared(&self, before: &str, of: u32, name: &str, depth: usize) -> String {
+        let indent = "    ".repeat(depth);
+        match self.shape(of, depth) {
+            Shape::Leaf(leaf) => format!("{indent}{before}{}", leaf_declared(*leaf, name)),
+            Shape::Array(of, length) => {
+                self.declared(before, *of, &format!("{name}[{length}]"), depth)
+            }
+            Shape::AtMost(of, bound) => {
+                let item = format!("item[{bound}]");
+                let items = match self.shape(*of, depth) {
+                    Shape::Sequence(of) | Shape::Set(of) => {
+                        self.declared("", *of, &item, depth + 1)
+                    }
+                    _ => format!("{indent}    uint8_t {item}"),
+                };
+                format!(
+                    "{indent}{before}struct {{\n{indent}    uint8_t len;\n{items};\n{indent}}} {name}"
+                )
+            }
+            Shape::Optional(of) => {
+                let value = self.declared("", *of, "value", depth + 1);
+                format!(
+                    "{indent}{before}struct {{\n{indent}    uint8_t some;\n{value};\n{indent}}} {name}"
+                )
+            }
+            Shape::Tuple(parts) => {
+                let members = parts.iter().enumerate();
+                let members: String = members
+                    .map(|(at, of)| self.declared("", *of, &format!("_{at}"), depth + 1) + ";\n")
+                    .collect();
+                format!("{indent}{before}struct {{\n{members}{indent}}} {name}")
+            }
+            Shape::Struct(_, fields) => {
+                format!(
+                    "{indent}{before}struct {{\n{}{indent}}} {name}",
+                    self.members(fields, depth)
+                )
+            }
+            Shape::Enum(_, variants) => {
+                let names: Vec<_> = variants.iter().map(|variant| &*variant.name).collect();
+                let numbers = names.iter().enumerate().map(|(at, name)| format!("{at} {name}"));
+                let listed = format!("/* {} */", numbers.collect::<Vec<_>>().join(", "));
+                let is_plain = |fields: &Fields<u32>| fields.as_slice().is_empty();
+                if variants.iter().all(|variant| is_plain(&variant.fields)) {
+                    return format!("{indent}{before}uint8_t {name} {listed}");
+                }
+                let cases = variants.iter().filter(|variant| !is_plain(&variant.fields));
+                let cases: String = cases
+                    .map(|variant| {
+                        let members = self.members(&variant.fields, depth + 2);
+                        let name = identifier(&variant.name);
+                        format!("{indent}        struct {{\n{members}{indent}        }} {name};\n")
+                    })
+                    .collect();
+                format!(
+                    "{indent}{before}struct {{\n{indent}    uint8_t tag; {listed}\n\
+                     {indent}    union {{\n{cases}{indent}    }} as;\n{indent}}} {name}"
+                )
+            }
+            // They have no packed form, and no port has them.
+            _ => format!("{indent}{before}uint8_t {name}"),
         }
     }
-    text
+
+    fn members(&self, fields: &Fields<u32>, depth: usize) -> String {
+        let mut text = String::new();
+        for field in fields.as_slice() {
+            let digit = field.name.starts_with(|c: char| c.is_ascii_digit());
+            let name = if digit { format!("_{}", field.name) } else { identifier(&field.name) };
+            let _ = write!(text, "{};", self.declared("", field.of, &name, depth + 1));
+            let notes: Vec<_> = field.unit.iter().chain(&field.frame).map(|note| &**note).collect();
+            match notes.is_empty() {
+                true => text.push('\n'),
+                false => drop(writeln!(text, " /* {} */", notes.join(", in frame "))),
+            }
+        }
+        text
+    }
 }
 
 fn leaf_declared(leaf: Primitive, name: &str) -> String {

@@ -20,8 +20,6 @@ use blastema_lite::{
 use std::collections::BTreeMap;
 use std::future::pending;
 use std::io;
-use std::sync::atomic::AtomicBool;
-use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 use tokio::sync::{Notify, oneshot};
@@ -54,14 +52,35 @@ pub(super) struct DeviceLine {
     medium: DeviceMedium,
     pub(super) changed: Arc<Notify>,
     attached: Arc<Mutex<Attached>>,
-    claims: Mutex<Vec<Weak<LineClaim>>>,
+    /// By the node that has declared the device.
+    claims: Mutex<Vec<(usize, Weak<LineClaim>)>>,
 }
 
 /// A device's right to its address on a line.
 pub(super) struct LineClaim {
     address: Option<u8>,
-    /// Its component has ended: another device may have the address.
-    pub(super) has_ended: AtomicBool,
+    state: Mutex<AddressHold>,
+}
+
+/// Which other devices may have the address.
+#[derive(Clone, Copy)]
+enum AddressHold {
+    /// None of the same node.
+    Declared,
+    /// None: the component works.
+    Held,
+    /// Any: the component has ended.
+    Released,
+}
+
+impl LineClaim {
+    pub(super) fn new(address: Option<u8>) -> Arc<Self> {
+        Arc::new(LineClaim { address, state: Mutex::new(AddressHold::Declared) })
+    }
+
+    pub(super) fn release(&self) {
+        *lock(&self.state) = AddressHold::Released;
+    }
 }
 
 #[derive(Default)]
@@ -101,16 +120,22 @@ impl DeviceLine {
         Ok(line)
     }
 
-    /// Claims an address for a device.
+    /// Claims an address for a device of a node, which has this number.
     ///
     /// # Errors
     /// Another device has it.
-    pub(super) fn claim(&self, address: Option<u8>) -> Result<Arc<LineClaim>, String> {
+    pub(super) fn claim(&self, claim: &Arc<LineClaim>, node: usize) -> Result<(), String> {
         let mut claims = lock(&self.claims);
-        claims.retain(|claim| claim.strong_count() > 0);
-        for other in claims.iter().filter_map(Weak::upgrade) {
-            match (address, other.address) {
-                _ if other.has_ended.load(Relaxed) => {}
+        claims.retain(|(_, claim)| claim.strong_count() > 0);
+        for (of, other) in claims.iter() {
+            let Some(other) = other.upgrade() else { continue };
+            let is_taken = match *lock(&other.state) {
+                AddressHold::Declared => *of == node,
+                AddressHold::Held => true,
+                AddressHold::Released => false,
+            };
+            match (claim.address, other.address) {
+                _ if !is_taken => {}
                 (Some(own), Some(other)) if own == other => {
                     return Err(format!(
                         "another device of its line has the address {own}: give each its own, in \
@@ -125,16 +150,15 @@ impl DeviceLine {
                 }
             }
         }
-        let claim = Arc::new(LineClaim { address, has_ended: AtomicBool::new(false) });
-        claims.push(Arc::downgrade(&claim));
-        Ok(claim)
+        claims.push((node, Arc::downgrade(claim)));
+        Ok(())
     }
 
     /// Serves a proxy from now on. An earlier one of the same device is served no more.
     ///
     /// # Errors
     /// The system has no thread left, or the line is too slow for its devices.
-    pub(super) fn attach(&self, link: Arc<DeviceLink>) -> io::Result<()> {
+    pub(super) fn attach(&self, link: Arc<DeviceLink>, claim: &LineClaim) -> io::Result<()> {
         let mut attached = lock(&self.attached);
         let same = |other: &Arc<DeviceLink>| other.config.address == link.config.address;
         attached.links.iter().filter(|other| same(other)).for_each(|other| other.release());
@@ -157,6 +181,7 @@ impl DeviceLine {
             arbiter.spawn(LineService::new(medium, changed, self.attached.clone()).run());
         }
         attached.links.push(link);
+        *lock(&claim.state) = AddressHold::Held;
         self.changed.notify_one();
         Ok(())
     }

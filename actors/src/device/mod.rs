@@ -14,6 +14,7 @@ mod medium;
 mod port;
 mod proxy;
 
+pub use header::DeviceDescription;
 pub use proxy::DeviceProxy;
 
 use crate::actuator::ActuatorSpec;
@@ -24,10 +25,11 @@ use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
 use crate::host::spec::ChildSpec;
 use crate::variable::VariableSpec;
+use blastema_core::port::TypeDescription;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Contract, Event, ObjectName, Request, Variable};
 use blastema_lite::{HostConfig, PORTS_MAX, PortKind, Tries, message};
-use line::DeviceLine;
+use line::{DeviceLine, LineClaim};
 use medium::DeviceMedium;
 use port::{DevicePort, PortUse};
 use proxy::ProxySettings;
@@ -82,8 +84,8 @@ pub struct DeviceSpec {
     object: u8,
     ports: Vec<DevicePort<DeviceProxy>>,
     declare: Vec<DeclarePort>,
-    /// What is wrong with it; the node refuses to start.
-    problem: Option<String>,
+    /// Which setting is wrong, and how; the node refuses to start.
+    problem: Option<(&'static str, String)>,
 }
 
 impl fmt::Debug for DeviceSpec {
@@ -92,24 +94,39 @@ impl fmt::Debug for DeviceSpec {
     }
 }
 
-/// What is wrong with a device; the node refuses to start.
+/// What a node does about a device before it starts it.
 #[derive(Default)]
-struct DeviceProblem(Option<String>);
+struct DeviceDeclaration {
+    /// With it, the node refuses to start.
+    problem: Option<(&'static str, String)>,
+    settings: Option<Arc<ProxySettings>>,
+}
 
-impl Declarations<DeviceProxy> for DeviceProblem {
+impl Declarations<DeviceProxy> for DeviceDeclaration {
     fn check(&self, name: &ObjectName, _: &SortedSet<&'static str>) -> Result<(), SpecError> {
-        match &self.0 {
-            Some(why) => Err(SpecError::Device { name: name.clone(), why: why.clone() }),
-            None => Ok(()),
-        }
+        let Some((setting, why)) = self.problem.clone() else { return Ok(()) };
+        Err(SpecError::Device { name: name.clone(), setting, why })
     }
 
-    fn bind(self: Box<Self>, _: &Arc<ComponentCell<DeviceProxy>>) -> Result<(), SpecError> {
-        Ok(())
+    fn bind(self: Box<Self>, cell: &Arc<ComponentCell<DeviceProxy>>) -> Result<(), SpecError> {
+        let Some(settings) = &self.settings else { return Ok(()) };
+        // A check and a start have an environment each, and one does not hinder the other.
+        let node = Arc::as_ptr(&cell.record.environment).addr();
+        settings.line.claim(&settings.claim, node).map_err(|why| {
+            let (name, setting) = (cell.record.name.clone(), "address");
+            SpecError::Device { name, setting, why }
+        })
     }
 }
 
 impl DeviceSpec {
+    /// The [`interval`](Self::interval), unless that is set.
+    pub const INTERVAL: Duration = Duration::from_millis(100);
+    /// The [`deadman`](Self::deadman), unless that is set.
+    pub const DEADMAN: Duration = Duration::from_millis(500);
+    /// The [`turnaround`](Self::turnaround), unless that is set.
+    pub const TURNAROUND: Duration = Duration::from_millis(20);
+
     /// The device at this endpoint: `serial://` and a port, or `udp://` and the device's address.
     ///
     /// A device with another `device_type` is refused: give each firmware a number of its own, and
@@ -122,11 +139,11 @@ impl DeviceSpec {
             device_type,
             ports: (),
             session: 0,
-            interval: Duration::from_millis(100),
+            interval: Self::INTERVAL,
             tries: Tries::Auto,
-            deadman: Duration::from_millis(500),
+            deadman: Self::DEADMAN,
             byte_time,
-            turnaround: Duration::from_millis(20),
+            turnaround: Self::TURNAROUND,
         };
         let (ports, declare) = Default::default();
         DeviceSpec {
@@ -141,9 +158,21 @@ impl DeviceSpec {
         }
     }
 
+    /// Returns the device's name, for topics that it publishes.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Describes what the component takes, as [`describe`](crate::describe) does for a type.
+    pub fn describe_component(self) -> TypeDescription {
+        let mut ports = Ports::of();
+        self.declare.into_iter().for_each(|declare| declare(&mut ports));
+        ports.describe()
+    }
+
     /// Sets the device's address, 1 to 247, on a line with several devices.
     pub fn address(mut self, address: u8) -> Self {
-        self.refuse_unless((1..=247).contains(&address), || {
+        self.refuse_unless("address", (1..=247).contains(&address), || {
             format!("address {address}: addresses on a line are 1 to 247")
         });
         self.host.address = Some(address);
@@ -153,7 +182,7 @@ impl DeviceSpec {
     /// Sets how often the device is asked for a sign of life; 100 ms unless set, at least 1 ms. A
     /// shorter interval finds a silent device sooner and takes more of the line.
     pub fn interval(mut self, interval: Duration) -> Self {
-        self.refuse_unless(interval >= Duration::from_millis(1), || {
+        self.refuse_unless("interval", interval >= Duration::from_millis(1), || {
             format!("an interval of {interval:?} is shorter than 1 ms")
         });
         self.host.interval = interval;
@@ -186,7 +215,9 @@ impl DeviceSpec {
     pub fn period(mut self, period: Duration) -> Self {
         let longest = Duration::from_millis(message::PERIOD_MAX_MS.into());
         let is_valid = (Duration::from_millis(1)..=longest).contains(&period);
-        self.refuse_unless(is_valid, || format!("a period of {period:?} is not in 1 ms to 60 s"));
+        self.refuse_unless("period", is_valid, || {
+            format!("a period of {period:?} is not in 1 ms to 60 s")
+        });
         self.period = Some(period);
         self
     }
@@ -194,7 +225,7 @@ impl DeviceSpec {
     /// Sets the object, from 1, to which the ports that follow belong. All objects of a device
     /// have one life cycle.
     pub fn object(mut self, object: u8) -> Self {
-        self.refuse_unless(object > 0, || "objects of a device count from 1".to_owned());
+        self.refuse_unless("ports", object > 0, || "objects of a device count from 1".to_owned());
         self.object = object.max(1);
         self
     }
@@ -251,16 +282,12 @@ impl DeviceSpec {
             "a deadman of {:?} is too short for an interval of {:?}: at least twice as long",
             host.deadman, host.interval
         );
-        let problem = problem.or((host.deadman < host.interval * 2).then_some(short));
-        let line = medium.and_then(|medium| {
-            let line = DeviceLine::of(&medium)?;
-            let claim = line.claim(host.address)?;
-            Ok((line, claim))
-        });
-        let (line, problem) = match line {
+        let problem = problem.or((host.deadman < host.interval * 2).then_some(("deadman", short)));
+        let (line, problem) = match medium.and_then(|medium| DeviceLine::of(&medium)) {
             Ok(line) => (Some(line), problem),
-            Err(error) => (None, problem.or(Some(error))),
+            Err(error) => (None, problem.or(Some(("endpoint", error)))),
         };
+        let claim = LineClaim::new(host.address);
         let table = ports.iter().map(|port| port.port).collect();
         let host = HostConfig {
             address: host.address,
@@ -274,14 +301,15 @@ impl DeviceSpec {
             turnaround: host.turnaround,
         };
         let period_ms = period.map(|period| period.as_millis() as u16);
-        let settings = line
-            .map(|(line, claim)| Arc::new(ProxySettings { line, claim, host, ports, period_ms }));
+        let settings =
+            line.map(|line| Arc::new(ProxySettings { line, claim, host, ports, period_ms }));
+        let shared = settings.clone();
         let factory = move || {
-            let settings = settings.clone().expect("a node starts no device with a problem");
+            let settings = shared.clone().expect("a node starts no device with a problem");
             DeviceProxy::new(settings)
         };
         ChildSpec::new(&name, factory).with_ports(move |ports| {
-            ports.feature::<DeviceProblem>().0 = problem;
+            *ports.feature::<DeviceDeclaration>() = DeviceDeclaration { problem, settings };
             declare.into_iter().for_each(|declare| declare(ports));
         })
     }
@@ -304,18 +332,23 @@ impl DeviceSpec {
                     same || at(known) == at(&port)
                 });
                 let room = self.ports.len() < PORTS_MAX;
-                self.refuse_unless(!twice && room, || {
+                self.refuse_unless("ports", !twice && room, || {
                     format!("port {number} for `{}`, or its contract, is declared twice", M::NAME)
                 });
                 self.ports.push(port);
             }
-            Err(problem) => self.refuse_unless(false, || problem),
+            Err(problem) => self.refuse_unless("ports", false, || problem),
         }
     }
 
-    fn refuse_unless(&mut self, holds: bool, problem: impl FnOnce() -> String) {
+    fn refuse_unless(
+        &mut self,
+        setting: &'static str,
+        holds: bool,
+        problem: impl FnOnce() -> String,
+    ) {
         if !holds {
-            self.problem.get_or_insert_with(problem);
+            self.problem.get_or_insert_with(|| (setting, problem()));
         }
     }
 }

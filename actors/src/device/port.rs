@@ -43,6 +43,8 @@ pub(super) struct DevicePort<C: Component> {
     pub(super) of: TypeId,
     pub(super) message: LayoutOf,
     pub(super) reply: LayoutOf,
+    /// What differs where the device has another fingerprint.
+    pub(super) difference: fn(u32) -> Option<String>,
     pub(super) used: PortUse<C>,
 }
 
@@ -79,7 +81,9 @@ impl<C: Component> DevicePort<C> {
             PortKind::Variable => Port::variable(object, number, bytes, fingerprint),
         };
         let (contract, of) = (M::NAME, TypeId::of::<M>());
-        Ok(DevicePort { port, contract, of, message: M::layout, reply: M::Reply::layout, used })
+        let (message, reply): (LayoutOf, LayoutOf) = (M::layout, M::Reply::layout);
+        let difference = packed::difference::<M>;
+        Ok(DevicePort { port, contract, of, message, reply, difference, used })
     }
 }
 

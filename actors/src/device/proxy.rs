@@ -20,7 +20,6 @@ use blastema_core::{Contract, DeliveryError, FaultKind};
 use blastema_lite::{CommandOutcome, DeviceState, HostConfig, LifecycleChange, Port, Status};
 use std::any::TypeId;
 use std::sync::Arc;
-use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 /// How long `on_initialize` waits for the device before it says that it is not there.
@@ -47,7 +46,7 @@ impl Drop for DeviceProxy {
     fn drop(&mut self) {
         if let Some(link) = &self.link {
             link.release();
-            self.settings.claim.has_ended.store(true, Relaxed);
+            self.settings.claim.release();
         }
     }
 }
@@ -72,14 +71,14 @@ impl DeviceProxy {
             _ => Ok(None),
         });
         let receivers = receivers.collect::<Result<Vec<_>, _>>()?;
-        let contracts = settings.ports.iter().map(|port| port.contract.to_owned()).collect();
+        let contracts = settings.ports.iter().map(|port| (port.contract, port.difference));
+        let contracts = contracts.collect();
         // Sessions of a new incarnation differ from those of the one before.
         let session = platform::random_seed() as u16;
         let config = HostConfig { session, ..settings.host.clone() };
         let changed = settings.line.changed.clone();
         let link = Arc::new(DeviceLink::new(config, contracts, receivers, changed));
-        settings.line.attach(link.clone())?;
-        settings.claim.has_ended.store(false, Relaxed);
+        settings.line.attach(link.clone(), &settings.claim)?;
         self.link = Some(link.clone());
         Ok(link)
     }
@@ -211,7 +210,8 @@ impl Component for DeviceProxy {
         link.set_active(true);
         self.change(LifecycleChange::Activate).await?;
         self.timer.take().into_iter().for_each(|timer| cx.cancel(timer));
-        self.timer = Some(cx.every(self.settings.host.interval, DeviceProxy::look));
+        // A loss is found by the line, and by the proxy half an interval later at most.
+        self.timer = Some(cx.every(self.settings.host.interval / 2, DeviceProxy::look));
         Ok(())
     }
 

@@ -27,7 +27,7 @@ const TYPE_KEYS: &[&str] = &[
 /// How a contract's messages may travel, and the variant that says so.
 const DELIVERIES: &[(&str, &str)] =
     &[("reliable", "Reliable"), ("newest", "Newest"), ("redundant", "Redundant")];
-const FIELD_KEYS: &[&str] = &["unit", "frame"];
+const FIELD_KEYS: &[&str] = &["unit", "frame", "at_most"];
 
 /// Which derive reads the attributes.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -62,6 +62,8 @@ pub(crate) struct TypeAttributes {
 pub(crate) struct FieldAttributes {
     pub(crate) unit: Option<LitStr>,
     pub(crate) frame: Option<LitStr>,
+    /// How many bytes or elements there may be.
+    pub(crate) at_most: Option<LitInt>,
 }
 
 impl TypeAttributes {
@@ -121,6 +123,7 @@ impl FieldAttributes {
             match key {
                 "unit" => parsed.unit = Some(parse_text(&meta, key)?),
                 "frame" => parsed.frame = Some(parse_text(&meta, key)?),
+                "at_most" => parsed.at_most = Some(parse_bound(&meta)?),
                 _ => return Err(unknown(&meta, key, FIELD_KEYS)),
             }
             Ok(())
@@ -165,7 +168,9 @@ fn for_each_key(
 
 fn misplaced(key: &str, derive: Derive) -> Option<String> {
     match (key, derive) {
-        ("unit" | "frame", _) => Some(format!("`{key}` belongs to a field, not above the type")),
+        ("unit" | "frame" | "at_most", _) => {
+            Some(format!("`{key}` belongs to a field, not above the type"))
+        }
         ("crate", _) => None,
         ("reply", Derive::Event) => {
             Some("an event has no reply: derive `Request` instead, or remove `reply`".into())
@@ -292,6 +297,15 @@ pub(crate) fn wrong_name(name: &str) -> Option<String> {
         Some(format!(
             "a contract's name takes ASCII letters, digits, '_', '-', '.' and '/', but not {c:?}"
         ))
+    }
+}
+
+/// Reads how many there may be.
+fn parse_bound(meta: &ParseNestedMeta<'_>) -> Result<LitInt> {
+    let bound: LitInt = meta.value()?.parse()?;
+    match bound.base10_parse::<u32>() {
+        Ok(1..) if bound.suffix().is_empty() => Ok(bound),
+        _ => Err(Error::new(bound.span(), "`at_most` is a whole number from 1, such as 16")),
     }
 }
 

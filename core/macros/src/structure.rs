@@ -106,6 +106,10 @@ fn last_bytes(fields: &Fields, facade: &syn::Path) -> Option<TokenStream> {
     let (member, last) = fields.members().zip(fields).last()?;
     let of = &last.ty;
     let described = match of {
+        // A bound is checked where the whole field is encoded.
+        _ if FieldAttributes::parse(&last.attrs).is_ok_and(|it| it.at_most.is_some()) => {
+            return None;
+        }
         Type::Array(_) => return None,
         _ => described(of, facade),
     };
@@ -125,11 +129,17 @@ fn fields(fields: &Fields, facade: &syn::Path) -> Result<TokenStream> {
         Fields::Named(_) => quote!(Named),
     };
     let fields = all(fields.iter().enumerate().map(|(index, field)| {
-        let FieldAttributes { unit, frame } = FieldAttributes::parse(&field.attrs)?;
+        let FieldAttributes { unit, frame, at_most } = FieldAttributes::parse(&field.attrs)?;
         let (unit, frame) = (option(unit), option(frame));
         let name =
             field.ident.as_ref().map_or_else(|| index.to_string(), |i| i.unraw().to_string());
-        let described = described(&field.ty, facade);
+        let described = match at_most {
+            None => described(&field.ty, facade),
+            Some(bound) => {
+                let of = &field.ty;
+                quote_spanned!(of.span()=> #facade::core::contract::field::AtMost::<#of, #bound>)
+            }
+        };
         Ok(quote! {
             #facade::core::contract::layout::Field {
                 name: ::std::borrow::Cow::Borrowed(#name),
@@ -244,10 +254,13 @@ fn mirror_fields(fields: &mut Fields, facade_text: &str) {
 }
 
 fn encoding_of(field: &Field, facade_text: &str) -> Attribute {
-    let module = match &field.ty {
-        Type::Array(_) => "array",
-        of if is_bytes(of) => "bytes",
-        _ => "plain",
+    // The attributes were parsed for the layout, which has reported what is wrong with them.
+    let attributes = FieldAttributes::parse(&field.attrs).unwrap_or_default();
+    let module = match (&field.ty, attributes.at_most) {
+        (_, Some(bound)) => format!("AtMost :: < _ , {bound} >"),
+        (Type::Array(_), _) => "array".to_owned(),
+        (of, _) if is_bytes(of) => "bytes".to_owned(),
+        _ => "plain".to_owned(),
     };
     let span = field.ty.span();
     let path =

@@ -4,7 +4,12 @@
 //! stands here, and nowhere else. Each module has the pair of functions that serde's `with`
 //! wants.
 
+use crate::contract::layout::{Described, Layout, Shape};
+use serde::{Deserializer, Serializer};
+use std::any::TypeId;
 use std::cell::Cell;
+use std::collections::BTreeSet;
+use std::marker::PhantomData;
 
 /// How deep structures may nest in one message, counted by the types that are derived.
 ///
@@ -114,6 +119,73 @@ pub mod bytes {
             }
             Ok(bytes)
         }
+    }
+}
+
+/// What has so many bytes or elements that `#[contract(at_most = n)]` can bound them.
+#[diagnostic::on_unimplemented(
+    message = "`at_most` bounds a `String`, a `Vec` or a `BTreeSet`, and no `{Self}`",
+    label = "this field has no bound"
+)]
+pub trait Boundable: Described {
+    /// The bytes of a text, the elements of a vector or a set.
+    fn count(&self) -> usize;
+}
+
+impl Boundable for String {
+    fn count(&self) -> usize {
+        self.len()
+    }
+}
+
+impl<T: Described> Boundable for Vec<T> {
+    fn count(&self) -> usize {
+        self.len()
+    }
+}
+
+impl<T: Described + Ord> Boundable for BTreeSet<T> {
+    fn count(&self) -> usize {
+        self.len()
+    }
+}
+
+/// Fields with `#[contract(at_most = N)]`. A value with more is neither encoded nor decoded.
+#[derive(Debug)]
+pub struct AtMost<T, const N: u32>(PhantomData<T>);
+
+impl<T: Boundable, const N: u32> AtMost<T, N> {
+    fn check(value: &T) -> Result<(), String> {
+        match value.count() {
+            count if count > N as usize => {
+                Err(format!("{count} where at most {N} may be: shorten it, or raise `at_most`"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The structure of the field.
+    pub fn layout() -> &'static Layout {
+        const { &Layout { id: TypeId::of::<Self>, shape: Shape::AtMost(T::layout, N) } }
+    }
+
+    /// Encodes the field.
+    ///
+    /// # Errors
+    /// Those of the serializer, and that there are more than `N`.
+    pub fn serialize<S: Serializer>(value: &T, to: S) -> Result<S::Ok, S::Error> {
+        Self::check(value).map_err(serde::ser::Error::custom)?;
+        value.serialize(to)
+    }
+
+    /// Decodes the field.
+    ///
+    /// # Errors
+    /// Those of the deserializer, and that there are more than `N`.
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<T, D::Error> {
+        let value = T::deserialize(from)?;
+        Self::check(&value).map_err(serde::de::Error::custom)?;
+        Ok(value)
     }
 }
 

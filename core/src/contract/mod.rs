@@ -13,7 +13,7 @@ use crate::sorted::SortedMap;
 use crate::{Delivery, LayoutDescription, ObjectName, PreviousVersion, TrafficClass, hash};
 use codec::DecodeError;
 use layout::difference::{ContractPart, Difference, compare};
-use layout::{Described, LayoutOf};
+use layout::{Described, Layout, LayoutOf};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::any::TypeId;
 use std::sync::{Mutex, PoisonError};
@@ -227,7 +227,7 @@ impl ContractIdentity {
     /// What the peer needs to say what differs: the brief and the structures, which are left out if
     /// they exceed what a receiver takes.
     pub fn full(&self) -> PeerIdentity {
-        let structure = PeerStructure::of(self.message, self.reply);
+        let structure = PeerStructure::of((self.message)(), (self.reply)());
         let whole = PeerIdentity { structure: Some(structure), ..self.brief() };
         if whole.is_sendable() { whole } else { self.brief() }
     }
@@ -239,7 +239,7 @@ impl ContractIdentity {
     pub fn check(&self, peer: &PeerIdentity) -> Result<(), Difference> {
         // The structure is needed only to show what differs.
         let differs = self.fingerprint != peer.fingerprint;
-        let structure = differs.then(|| PeerStructure::of(self.message, self.reply));
+        let structure = differs.then(|| PeerStructure::of((self.message)(), (self.reply)()));
         PeerIdentity { structure, ..self.brief() }.check(peer)
     }
 }
@@ -305,10 +305,10 @@ impl PeerIdentity {
 }
 
 impl PeerStructure {
-    fn of(message: LayoutOf, reply: LayoutOf) -> Self {
+    fn of(message: &Layout, reply: &Layout) -> Self {
         PeerStructure {
-            message: LayoutDescription::of_message(message()),
-            reply: LayoutDescription::of(reply()),
+            message: LayoutDescription::of_message(message),
+            reply: LayoutDescription::of(reply),
         }
     }
 }
@@ -323,6 +323,10 @@ fn contract_name<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error>
 /// It is taken over the bytes of both descriptions, which golden tests hold still: it is the same
 /// in every build and on every platform.
 pub fn fingerprint(message: LayoutOf, reply: LayoutOf) -> u64 {
+    fingerprint_of(message(), reply())
+}
+
+fn fingerprint_of(message: &Layout, reply: &Layout) -> u64 {
     hash::of(codec::encode_unbounded(&PeerStructure::of(message, reply)))
 }
 

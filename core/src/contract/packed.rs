@@ -7,12 +7,15 @@
 //! Option<T>                   u8, 0 or 1; T, zeros if absent
 //! [T; n], tuple, struct       their parts
 //! enum                        u8; the fields of the variant, zeros up to the largest
+//! text, Vec, set with at_most  u8, how many; the elements, zeros up to the bound
 //! ```
 //!
 //! The size is fixed. Types without a bound, such as `String` and `Vec`, have no packed form.
 
 use crate::contract::codec;
-use crate::contract::layout::{Described, Fields, LayoutOf, Primitive, Shape, Variant};
+use crate::contract::layout::{
+    Described, Field, Fields, Layout, LayoutOf, Primitive, Shape, Variant,
+};
 use crate::{Contract, ContractIdentity, DecodeError, EncodeError, hash};
 
 /// The largest packed message, in bytes: with a status before it, it fits into one packet.
@@ -26,7 +29,7 @@ const DEPTH_MAX: usize = 16;
 #[non_exhaustive]
 pub enum PackedError {
     /// The size of a part is not fixed.
-    #[error("a {what} has no fixed size: write an array, `[T; n]`")]
+    #[error("a {what} has no fixed size: write an array, `[T; n]`, or `#[contract(at_most = n)]`")]
     Unbounded {
         /// What the part is.
         what: &'static str,
@@ -82,10 +85,19 @@ fn size_at(of: LayoutOf, depth: usize) -> Result<usize, PackedError> {
             let sizes = variants.iter().map(|variant| fields_size(&variant.fields, depth));
             1 + sizes.collect::<Result<Vec<_>, _>>()?.into_iter().max().unwrap_or(0)
         }
+        Shape::AtMost(of, bound) => 1 + element_size(*of)?.saturating_mul(*bound as usize),
         Shape::Sequence(_) => return endless("sequence"),
         Shape::Set(_) => return endless("set"),
         Shape::Map(..) => return endless("map"),
     })
+}
+
+/// The bytes of each element of a text, a sequence or a set.
+fn element_size(of: LayoutOf) -> Result<usize, PackedError> {
+    match &of().shape {
+        Shape::Sequence(of) | Shape::Set(of) => size_at(*of, 1),
+        _ => Ok(1),
+    }
 }
 
 fn fields_size(fields: &Fields<LayoutOf>, depth: usize) -> Result<usize, PackedError> {
@@ -108,9 +120,75 @@ fn leaf_size(leaf: Primitive) -> Option<usize> {
 /// The fingerprint of the packed contract: 32 bits of a hash over name, version and structure,
 /// units and frames included. The generated C header has the same number.
 pub fn fingerprint<M: Contract>() -> u32 {
-    let identity = ContractIdentity::of::<M>();
-    let bytes = identity.name.bytes().chain(identity.version.to_le_bytes());
-    hash::of(bytes.chain(identity.fingerprint.to_le_bytes())) as u32
+    narrow::<M>(ContractIdentity::of::<M>().fingerprint)
+}
+
+fn narrow<M: Contract>(structure: u64) -> u32 {
+    let bytes = M::NAME.bytes().chain(M::VERSION.to_le_bytes());
+    hash::of(bytes.chain(structure.to_le_bytes())) as u32
+}
+
+/// The types that a field is tried with.
+const LEAVES: [LayoutOf; 14] = [
+    bool::layout,
+    u8::layout,
+    u16::layout,
+    u32::layout,
+    u64::layout,
+    u128::layout,
+    i8::layout,
+    i16::layout,
+    i32::layout,
+    i64::layout,
+    i128::layout,
+    f32::layout,
+    f64::layout,
+    char::layout,
+];
+
+/// Says which field differs in a contract with another fingerprint, which is all that a device
+/// tells of it: tries each field of the message and of the reply with other types, without its
+/// unit, without it, and in the place after the next one. `None` where more differs.
+pub fn difference<M: Contract>(theirs: u32) -> Option<String> {
+    let (message, reply) = (M::layout(), M::Reply::layout());
+    let is_theirs = |changed: &Layout, in_reply: bool| {
+        let pair = if in_reply { (message, changed) } else { (changed, reply) };
+        narrow::<M>(super::fingerprint_of(pair.0, pair.1)) == theirs
+    };
+    for (of, in_reply) in [(message, false), (reply, true)] {
+        let Shape::Struct(name, fields) = &of.shape else { continue };
+        let own = fields.as_slice();
+        let is_so = |changed: Vec<Field<LayoutOf>>| {
+            let fields = match fields {
+                Fields::Named(_) => Fields::Named(changed.into()),
+                _ => Fields::Tuple(changed.into()),
+            };
+            is_theirs(&Layout { id: of.id, shape: Shape::Struct(name.clone(), fields) }, in_reply)
+        };
+        for (at, field) in own.iter().enumerate() {
+            let with = |change: &dyn Fn(&mut Vec<Field<LayoutOf>>)| {
+                let mut changed = own.to_vec();
+                change(&mut changed);
+                is_so(changed)
+            };
+            let mut leaves = LEAVES.iter();
+            if let Some(leaf) = leaves.find(|leaf| with(&|fields| fields[at].of = **leaf)) {
+                let Shape::Leaf(leaf) = leaf().shape else { continue };
+                return Some(format!("the field `{}` is {} there", field.name, leaf.name()));
+            }
+            if with(&|fields| drop(fields.remove(at))) {
+                return Some(format!("there is no field `{}` there", field.name));
+            }
+            if field.unit.is_some() && with(&|fields| fields[at].unit = None) {
+                return Some(format!("the field `{}` has no unit there", field.name));
+            }
+            if at + 1 < own.len() && with(&|fields| fields.swap(at, at + 1)) {
+                let next = &own[at + 1].name;
+                return Some(format!("the field `{}` comes after `{next}` there", field.name));
+            }
+        }
+    }
+    None
 }
 
 /// Packs a value.
@@ -196,6 +274,25 @@ impl<'a> Transcoder<'a> {
                 self.fields(&variant.fields)?;
                 let largest = size_at(of, 0).map_err(too_large)? - 1;
                 self.pad(largest - fields_size(&variant.fields, 0).map_err(too_large)?)?;
+            }
+            Shape::AtMost(of, bound) => {
+                let bound = *bound as usize;
+                let count = usize::from(self.copy(1)?[0]);
+                match self.packs {
+                    // The codec counts in 64 bits.
+                    true => drop(self.take(7)?),
+                    false => self.to.extend_from_slice(&[0; 7]),
+                }
+                if count > bound {
+                    return Err(malformed(&format!("{count} where at most {bound} may be")));
+                }
+                match &of().shape {
+                    Shape::Sequence(of) | Shape::Set(of) => {
+                        (0..count).try_for_each(|_| self.value(*of))?;
+                    }
+                    _ => drop(self.copy(count)?),
+                }
+                self.pad((bound - count) * element_size(*of).map_err(too_large)?)?;
             }
             Shape::Sequence(_) | Shape::Set(_) | Shape::Map(..) => {
                 return Err(malformed("a sequence without a bound"));
@@ -287,7 +384,7 @@ mod tests {
         let error = |of: LayoutOf| size(of).expect_err("no fixed size").to_string();
         assert_eq!(
             error(<(u8, Vec<u8>)>::layout),
-            "a sequence has no fixed size: write an array, `[T; n]`"
+            "a sequence has no fixed size: write an array, `[T; n]`, or `#[contract(at_most = n)]`"
         );
         assert!(error(<([u64; 30],)>::layout).starts_with("it takes 240 bytes packed"));
     }

@@ -1,7 +1,8 @@
 //! What the derives make of right uses. Wrong uses stand in `tests/derives`.
 
 use blastema_core::contract::codec::{decode, encode};
-use blastema_core::{Contract, ContractIdentity, Described, LayoutDescription};
+use blastema_core::contract::packed::{difference, fingerprint, pack, unpack};
+use blastema_core::{Contract, ContractIdentity, Described, EncodeError, LayoutDescription};
 use blastema_macros::{Event, Request, Structure};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -23,6 +24,133 @@ struct Scan {
 struct Nearest {
     #[contract(unit = "rad")]
     within: f32,
+}
+
+/// A contract with bounds, and the same without.
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(name = "arm/plan", crate = "crate::facade")]
+struct Plan {
+    #[contract(at_most = 8)]
+    title: String,
+    #[contract(at_most = 2, unit = "rad")]
+    steps: Vec<u16>,
+    #[contract(at_most = 3)]
+    raw: Vec<u8>,
+}
+
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(name = "arm/plan", crate = "crate::facade")]
+struct EndlessPlan {
+    title: String,
+    #[contract(unit = "rad")]
+    steps: Vec<u16>,
+    raw: Vec<u8>,
+}
+
+#[test]
+fn a_bound_is_checked_on_both_sides_is_part_of_the_structure_and_gives_a_packed_form() {
+    let plan = |title: &str, steps: &[u16]| EndlessPlan {
+        title: title.to_owned(),
+        steps: steps.to_vec(),
+        raw: vec![1],
+    };
+    let bounded = |EndlessPlan { title, steps, raw }: EndlessPlan| Plan { title, steps, raw };
+    fn encoded<M: Contract>(message: &M) -> Result<Vec<u8>, EncodeError> {
+        let mut bytes = Vec::new();
+        encode(message, &mut bytes).map(|()| bytes)
+    }
+    let right = plan("lift", &[7, 9]);
+    let bytes = encoded(&right).expect("it is encoded");
+    assert_eq!(encoded(&bounded(right.clone())), Ok(bytes.clone()), "no byte more");
+    assert_eq!(decode::<Plan>(&bytes), Ok(bounded(right.clone())));
+    for (wrong, text) in [
+        (plan("lift it up", &[]), "10 where at most 8 may be"),
+        (plan("lift", &[1, 2, 3]), "3 where at most 2 may be"),
+    ] {
+        let bytes = encoded(&wrong).expect("it has no bound");
+        let error = decode::<Plan>(&bytes).expect_err("the receiver has one").to_string();
+        assert!(error.contains(text), "{error}");
+        let error = encoded(&bounded(wrong)).expect_err("the sender has one").to_string();
+        assert!(error.contains(text), "{error}");
+    }
+    let (ours, theirs) = (ContractIdentity::of::<Plan>(), ContractIdentity::of::<EndlessPlan>());
+    assert_ne!(ours.fingerprint, theirs.fingerprint);
+
+    let right = bounded(right);
+    let packed_form = pack(&right).expect("it has a packed form");
+    assert_eq!(packed_form, [&b"\x04lift\0\0\0\0"[..], &[2, 7, 0, 9, 0], &[1, 1, 0, 0]].concat());
+    assert_eq!(unpack::<Plan>(&packed_form), Ok(right));
+    for (at, byte) in [(0, 9), (5, 1), (9, 3), (17, 1)] {
+        let mut wrong = packed_form.clone();
+        wrong[at] = byte;
+        assert!(unpack::<Plan>(&wrong).is_err(), "byte {at}");
+    }
+}
+
+/// The next edition of [`Plan`]'s sibling on a device.
+#[derive(Debug, PartialEq, Request)]
+#[contract(name = "arm/move", reply = Moved, crate = "crate::facade")]
+struct Move {
+    #[contract(unit = "rad")]
+    angle: f32,
+    slowly: bool,
+}
+
+#[derive(Clone, Debug, PartialEq, Structure)]
+#[contract(crate = "crate::facade")]
+struct Moved {
+    steps: u16,
+}
+
+#[test]
+fn of_a_contract_whose_fingerprint_differs_the_field_is_found() {
+    mod others {
+        use super::Moved;
+        use blastema_macros::{Request, Structure};
+
+        #[derive(Debug, Request)]
+        #[contract(name = "arm/move", reply = Moved, crate = "crate::facade")]
+        pub(super) struct Wide {
+            #[contract(unit = "rad")]
+            pub(super) angle: f64,
+            pub(super) slowly: bool,
+        }
+
+        #[derive(Debug, Request)]
+        #[contract(name = "arm/move", reply = Moved, crate = "crate::facade")]
+        pub(super) struct Short {
+            #[contract(unit = "rad")]
+            pub(super) angle: f32,
+        }
+
+        #[derive(Debug, Request)]
+        #[contract(name = "arm/move", reply = Far, crate = "crate::facade")]
+        pub(super) struct Same {
+            #[contract(unit = "rad")]
+            pub(super) angle: f32,
+            pub(super) slowly: bool,
+        }
+
+        pub(super) use far::Moved as Far;
+
+        mod far {
+            use super::Structure;
+
+            #[derive(Clone, Debug, Structure)]
+            #[contract(crate = "crate::facade")]
+            pub(crate) struct Moved {
+                pub(crate) steps: u32,
+            }
+        }
+    }
+    let found = |theirs| difference::<Move>(theirs).unwrap_or_default();
+    assert_eq!(found(fingerprint::<others::Wide>()), "the field `angle` is f64 there");
+    assert_eq!(found(fingerprint::<others::Short>()), "there is no field `slowly` there");
+    assert_eq!(found(fingerprint::<others::Same>()), "the field `steps` is u32 there");
+    assert_eq!(difference::<Move>(7), None);
+    let _ = |it: others::Wide| (it.angle, it.slowly);
+    let _ = |it: others::Short, far: others::Far| (it.angle, far.steps);
+    let _ = |it: others::Same| (it.angle, it.slowly);
 }
 
 #[derive(Clone, Debug, PartialEq, Structure)]

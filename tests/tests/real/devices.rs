@@ -1,13 +1,12 @@
 //! Microcontrollers as components: real firmware in C, as processes on ptys and on UDP.
 //!
-//! With `BLASTEMA_CHIP=cortex-m3` the firmware on ptys runs on that chip, in QEMU;
-//! `tests/devices/run` does that. With `atmega328p` it runs in simavr, where no device has become
-//! active in these tests so far.
+//! With `BLASTEMA_CHIP=cortex-m3` the firmware on ptys runs on that chip, in QEMU, and with
+//! `atmega328p` in simavr; `tests/devices/run` does both.
 
 use blastema::prelude::*;
 use blastema::{
-    ActorRef, ComponentOrder, DeliveryError, DeviceProxy, DeviceSpec, Lifecycle, Network,
-    OrderVerb, VariableSpec,
+    ActorRef, ComponentOrder, DeliveryError, DeviceDescription, DeviceProxy, DeviceSpec, Lifecycle,
+    Network, OrderVerb, VariableSpec,
 };
 use blastema_ptys::Cable;
 use blastema_tests::Process;
@@ -35,12 +34,13 @@ struct Value {
     level: f64,
     mode: Mode,
     note: Option<char>,
-    trace: [u8; 4],
+    #[contract(at_most = 5)]
+    trace: Vec<u8>,
 }
 
 fn value(number: i32) -> Value {
     let mode = if number % 2 == 0 { Mode::Idle } else { Mode::Turn(-7) };
-    Value { number, level: 0.5, mode, note: Some('ä'), trace: [0, 1, 2, 3] }
+    Value { number, level: 0.5, mode, note: Some('ä'), trace: vec![0, 1, 2, 3] }
 }
 
 #[derive(Debug, Request)]
@@ -264,7 +264,7 @@ fn values_go_from_a_console_through_two_devices_and_back_and_each_is_recovered_b
         let mut sent = 0;
         let mut round_trip = async || {
             sent += 1;
-            let expected = Value { trace: [2, 1, 2, 3], ..value(sent) };
+            let expected = Value { trace: vec![2, 1, 2, 3], ..value(sent) };
             // A device samples its in port: the next value waits for this one.
             forth.publish(value(sent)).expect("it is published");
             until("the value comes back", async || {
@@ -576,8 +576,11 @@ fn devices_that_were_swapped_and_firmware_of_another_contract_are_refused_by_nam
 
         drop(b);
         let _wide = Chip::new::<WideAdd>(B, &cables[1].right(), &[]);
-        let text = "`devices/add` has 4 bytes and fingerprint";
-        until(text, async || faults(&node).await.contains(text)).await;
+        let texts =
+            ["`devices/add` has 4 bytes and fingerprint", "the field `amount` is u64 there"];
+        for text in texts {
+            until(text, async || faults(&node).await.contains(text)).await;
+        }
         assert!(!is_active(&node, "b").await);
         assert!(add(&node, "a", 1).await.is_ok());
         node.shutdown().await;
@@ -640,6 +643,39 @@ fn a_device_on_udp_is_a_component_as_on_a_serial_line() {
 }
 
 #[test]
+fn the_example_that_is_generated_for_a_firmware_compiles_and_takes_part() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let device = spec::<Add>("serial:///dev/null", "chip", A, ["in", "out"]).describe();
+        let device = device.expect("the spec is right");
+        let read = DeviceDescription::from_json(&device.to_json());
+        assert_eq!(read.as_ref(), Ok(&device));
+        assert!(DeviceDescription::from_json("{\"name\":\"a\"}").is_err());
+        let (cable, folder) = (Cable::new(), TempDir::new().expect("a folder"));
+        let [source, program] = ["main.c", "main"].map(|name| folder.path().join(name));
+        std::fs::write(folder.path().join("chip.h"), device.header()).expect("a header");
+        std::fs::write(&source, device.firmware()).expect("a source");
+        let library = Path::new(env!("CARGO_MANIFEST_DIR")).join("../core/lite/c");
+        let boards = library.join("boards");
+        let strict = ["-std=c99", "-pedantic", "-DBL_CONFIG=\"chip.h\""];
+        let sources = [source, boards.join("linux.c"), library.join("blastema_lite.c")];
+        compile("cc", &strict, [folder.path(), &boards, &library], &sources, &program);
+        let (port, emulator) = (cable.right(), None);
+        let mut chip = Chip { folder, program, emulator, port, process: None };
+        chip.switch_on();
+        let node = robot()
+            .child(spec::<Add>(&at(&cable.left()), "a", A, ["in", "out"]).child())
+            .start()
+            .await
+            .expect("the node starts");
+        until("it works", async || is_active(&node, "a").await).await;
+        let refused = add(&node, "a", 1).await;
+        assert!(matches!(refused, Err(DeliveryError::CheckFailed { .. })), "{refused:?}");
+        node.shutdown().await;
+    });
+}
+
+#[test]
 fn a_device_that_is_declared_wrongly_keeps_the_node_from_starting() {
     let _turn = blastema_doubles::turn();
     let refused = |spec: DeviceSpec, text: &str| {
@@ -659,14 +695,17 @@ fn a_device_that_is_declared_wrongly_keeps_the_node_from_starting() {
         "is declared twice",
     );
     refused(device("serial:///dev/x").address(248), "1 to 247");
+    // One that is not started takes no address.
+    let _other = device("serial:///dev/x").child();
     let pair = |own: [Option<u8>; 2], text: &str| {
         blastema::run(async {
-            let [a, b] = own.map(|address| {
-                let name = format!("d{}", address.unwrap_or(0));
-                let device = DeviceSpec::new(&name, "serial:///dev/x", A);
+            let of = |name: &str, address: Option<u8>| {
+                let device = DeviceSpec::new(name, "serial:///dev/x", A);
                 address.into_iter().fold(device, DeviceSpec::address).child()
-            });
-            let error = Node::builder("robot").child(a).child(b).start().await;
+            };
+            let node = || Node::builder("robot").child(of("a", own[0])).child(of("b", own[1]));
+            assert!(node().check()[0].to_string().contains(text));
+            let error = node().start().await;
             let error = error.expect_err("it is wrong").to_string();
             assert!(error.contains(text), "{error}");
         });

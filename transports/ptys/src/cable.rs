@@ -108,7 +108,10 @@ impl Cable {
         let ends = Arc::new([Pty::open(&self.left()), Pty::open(&self.right())]);
         let (stopped, stop) = pipe_with(PipeFlags::CLOEXEC).expect("a pipe");
         let (between, tick, noise) = (ends.clone(), self.tick, self.noise);
-        let relay = std::thread::spawn(move || relay(&between, &stopped, tick, noise));
+        let relay = std::thread::Builder::new()
+            .name("cable".to_owned())
+            .spawn(move || relay(&between, &stopped, tick, noise))
+            .expect("the system has a thread");
         *self.plugged.borrow_mut() = Some(Plugged { ends, stop, relay });
     }
 

@@ -1,6 +1,7 @@
 //! Tests of the program on real threads, with real processes, sockets or clocks. They take turns,
 //! wait for events with a generous bound, and judge counts and order, never a duration.
 
+mod device;
 mod fault_list;
 mod keys;
 mod monitor;

@@ -2,7 +2,7 @@
 
 use blastema::prelude::*;
 use blastema::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
-use blastema::{ActuatorSpec, RecoveryStrategy, StrategyContext};
+use blastema::{ActuatorSpec, DeviceSpec, RecoveryStrategy, StrategyContext};
 use blastema_robot::Types;
 use std::time::Duration;
 
@@ -79,6 +79,18 @@ struct Cell;
 
 impl Component for Cell {}
 
+#[derive(Clone, Debug, Event)]
+#[contract(name = "robot/grasp")]
+struct Grasp {
+    #[contract(unit = "N")]
+    force: f32,
+}
+
+fn gripper(device: DeviceSpec) -> DeviceSpec {
+    let safe = Grasp { force: 0.0 };
+    device.actuator(0, ActuatorSpec::new(safe, Duration::from_millis(200)))
+}
+
 struct Oil;
 
 impl RecoveryStrategy for Oil {
@@ -98,6 +110,7 @@ pub(crate) fn types() -> Types {
         .component_with("Motors", || Motors)
         .component::<Camera>("Camera")
         .component::<Cell>("Cell")
+        .device("Gripper", 0x6772_6970, gripper)
         .strategy("oil", || Oil)
         .safe_outputs("brakes", |_| {})
 }

@@ -9,7 +9,8 @@ use blastema::{ActuatorSettings, ClaimPolicy, CommandTimeout, SupervisionTree};
 use blastema_robot::RobotDescription;
 use blastema_robot::description::{
     AnswerDescription, ChildDescription, ComponentDescription, ConnectionDescription,
-    ElementOrigin, EndpointDescription, NodeDescription, RobotNetwork, SupervisorDescription,
+    DeviceSettings, ElementOrigin, EndpointDescription, NodeDescription, RobotNetwork,
+    SupervisorDescription,
 };
 use std::path::Path;
 use std::time::Duration;
@@ -131,15 +132,35 @@ fn whole() -> RobotDescription {
         ],
         ..Default::default()
     };
+    let gripper = ComponentDescription {
+        name: "gripper".into(),
+        type_name: "Cell".into(),
+        liveness: Some(Liveness::Guard),
+        ..Default::default()
+    };
+    let lease = ActuatorSettings { lease: Some(100 * MS), ..Default::default() };
+    let hand = ComponentDescription {
+        name: "hand".into(),
+        type_name: "Gripper".into(),
+        rate_hz: Some(50.0),
+        liveness: Some(Liveness::Guard),
+        actuators: vec![("robot/grasp".into(), lease)],
+        claims: vec![("hand".into(), ClaimPolicy::Refuse)],
+        plan: vec![answer(FaultKind::Silence, Ladder::first(RecoveryAction::SafeStop))],
+        device: Some(DeviceSettings {
+            at: "serial:///dev/ttyUSB1?baud=115200".into(),
+            address: Some(7),
+            interval: Some(20 * MS),
+            tries: Some(5),
+            deadman: Some(200 * MS),
+            turnaround: Some(5 * MS),
+        }),
+        ..Default::default()
+    };
     let arm = NodeDescription {
         name: "arm".into(),
         root: SupervisorDescription {
-            children: vec![ChildDescription::Component(Box::new(ComponentDescription {
-                name: "gripper".into(),
-                type_name: "Cell".into(),
-                liveness: Some(Liveness::Guard),
-                ..Default::default()
-            }))],
+            children: [gripper, hand].map(|it| ChildDescription::Component(Box::new(it))).into(),
             ..Default::default()
         },
         endpoints: vec![

@@ -9,5 +9,15 @@
 uint16_t board_begin(int count, char **arguments, uint8_t *cause);
 /* Gives the library what was received, and rests for a millisecond at most. */
 void board_receive(void);
+/* Runs a firmware that keeps nothing of its start: the whole of most mains. */
+static inline void board_run(int count, char **arguments) {
+    uint8_t cause;
+    uint16_t boot = board_begin(count, arguments, &cause);
+    bl_begin(boot, cause);
+    for (;;) {
+        board_receive();
+        bl_poll();
+    }
+}
 
 #endif

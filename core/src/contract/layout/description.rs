@@ -54,13 +54,13 @@ pub enum DescriptionError {
 
 impl LayoutDescription {
     /// The description of a type.
-    pub fn of(layout: &'static Layout) -> Self {
+    pub fn of(layout: &Layout) -> Self {
         LayoutDescription { types: merged(collected(layout.shape.clone())) }
     }
 
     /// The description of a message. The name of the message's own type is left out: the contract's
     /// name stands for it.
-    pub fn of_message(layout: &'static Layout) -> Self {
+    pub fn of_message(layout: &Layout) -> Self {
         let mut root = layout.shape.clone();
         if let Shape::Struct(name, _) | Shape::Enum(name, _) = &mut root {
             *name = Text::Borrowed("");
@@ -239,6 +239,7 @@ mod tests {
         prop_oneof![
             2 => prop_oneof![Just(Primitive::U8), Just(Primitive::Text)].prop_map(Shape::Leaf),
             1 => of().prop_map(Shape::Optional),
+            1 => (of(), 0u32..3).prop_map(|(of, bound)| Shape::AtMost(of, bound)),
             2 => of().prop_map(Shape::Sequence),
             1 => (of(), of()).prop_map(|(key, value)| Shape::Map(key, value)),
             1 => prop::collection::vec(of(), 1..3).prop_map(|parts| Shape::Tuple(parts.into())),

@@ -117,6 +117,7 @@ impl Comparison<'_> {
             | (Shape::Sequence(a), Shape::Sequence(b))
             | (Shape::Set(a), Shape::Set(b)) => self.go_on(&pair, *a, *b),
             (Shape::Array(a, m), Shape::Array(b, n)) if m == n => self.go_on(&pair, *a, *b),
+            (Shape::AtMost(a, m), Shape::AtMost(b, n)) if m == n => self.go_on(&pair, *a, *b),
             (Shape::Map(a, c), Shape::Map(b, d)) => {
                 self.go_on(&pair, *a, *b);
                 self.go_on(&pair, *c, *d);
@@ -333,6 +334,7 @@ fn write_type(types: &[Shape<u32>], index: u32, text: &mut String) {
             prefixed("map from ", *key, text);
             prefixed(" to ", *value, text);
         }
+        Shape::AtMost(of, bound) => prefixed(&format!("at most {bound} in a "), *of, text),
         Shape::Tuple(parts) => {
             let mut separator = "(";
             for &part in parts.iter() {

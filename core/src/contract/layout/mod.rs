@@ -60,6 +60,8 @@ pub enum Shape<R: Clone + 'static> {
     Struct(Text, Fields<R>),
     /// One of several variants.
     Enum(Text, Cow<'static, [Variant<R>]>),
+    /// A text, a sequence or a set of at most so many bytes or elements.
+    AtMost(R, u32),
 }
 
 /// A type without parts.
@@ -184,6 +186,7 @@ impl<R: Clone> Shape<R> {
                 Shape::Map(key, change(value))
             }
             Shape::Array(of, length) => Shape::Array(change(of), *length),
+            Shape::AtMost(of, bound) => Shape::AtMost(change(of), *bound),
             Shape::Tuple(parts) => Shape::Tuple(parts.iter().map(change).collect()),
             Shape::Struct(name, fields) => Shape::Struct(name.clone(), fields.map(&mut change)),
             Shape::Enum(name, variants) => {

@@ -31,4 +31,10 @@ struct WithLongInner {
     matrix: Vec<[f64; 36]>,
 }
 
+#[derive(Structure)]
+struct WithBoundedNumber {
+    #[contract(at_most = 16)]
+    number: u32,
+}
+
 fn main() {}

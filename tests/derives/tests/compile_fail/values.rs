@@ -37,4 +37,10 @@ struct NoKeys;
 #[derive(Clone, Event)]
 struct Größe(f32);
 
+#[derive(Clone, Structure)]
+struct NoRoom {
+    #[contract(at_most = 0)]
+    names: Vec<u8>,
+}
+
 fn main() {}

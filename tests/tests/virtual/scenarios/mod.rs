@@ -24,6 +24,7 @@ mod last_hooks;
 mod lost_communication;
 mod names;
 mod networks;
+mod orders;
 mod panics;
 mod parameters;
 mod puppet;
