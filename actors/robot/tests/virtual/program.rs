@@ -2,6 +2,7 @@
 
 use blastema::prelude::*;
 use blastema::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
+use blastema::trees::{Port, Status, TreeLeaves};
 use blastema::{ActuatorSpec, RecoveryStrategy, StrategyContext};
 use blastema_robot::Types;
 use std::time::Duration;
@@ -79,6 +80,15 @@ struct Cell;
 
 impl Component for Cell {}
 
+#[derive(Default)]
+struct Console;
+
+impl Component for Console {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.commands::<Drive>("motors").commands::<Drive>("brake");
+    }
+}
+
 struct Oil;
 
 impl RecoveryStrategy for Oil {
@@ -98,6 +108,11 @@ pub(crate) fn types() -> Types {
         .component_with("Motors", || Motors)
         .component::<Camera>("Camera")
         .component::<Cell>("Cell")
+        .component::<Console>("Console")
         .strategy("oil", || Oil)
         .safe_outputs("brakes", |_| {})
+        .leaves(TreeLeaves::new().action("Drive", [Port::input::<f64>("speed")], |leaf| {
+            let _: f64 = leaf.input("speed")?;
+            Ok(Status::Success)
+        }))
 }
