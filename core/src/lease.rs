@@ -25,7 +25,9 @@
 //! A policy for lost communication takes the lease without a cut-off, and holds it over all its
 //! rungs. Meanwhile the rung's command takes the place of the safe command and the cut-off of a
 //! lease that ends. It is given until it is carried out, and again as often as the command timeout
-//! asks for. The cut-off is called once where it is not carried out in time.
+//! asks for. The cut-off is called once where it is not carried out in time. A lease that ends for
+//! the sake of a policy, or before its first rung, ends with the safe command, and with the cut-off
+//! only where the component does not take that.
 
 use crate::{DeliveryError, Incarnation, Instant, Machine, ObjectName};
 use std::collections::VecDeque;
@@ -174,6 +176,8 @@ pub struct Lease {
     /// brings it to rest.
     is_cut: bool,
     work: Work,
+    /// A policy for lost communication has rungs for it.
+    has_policy: bool,
     /// The policy for lost communication that holds the lease.
     rung: Option<RungHold>,
     /// How many commands rungs had.
@@ -204,7 +208,7 @@ enum State {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Work {
     Goes,
-    /// It leaves work, or has left it. Whether how the actuator stops is still open.
+    /// It leaves work, has left it, or was never at work. Whether how the actuator stops is still open.
     Ends {
         stops: bool,
     },
@@ -226,7 +230,8 @@ impl Lease {
             given: None,
             cut_offs: 0,
             is_cut: false,
-            work: Work::Goes,
+            work: Work::Ends { stops: false },
+            has_policy: false,
             rung: None,
             rungs: 0,
             apply_by: None,
@@ -329,15 +334,20 @@ impl Lease {
     /// The commander gives the lease back.
     pub fn handle_release(&mut self, epoch: u64) {
         if epoch == self.last_epoch {
-            self.end(RestCause::Released);
+            self.end(RestCause::Released, None);
         }
     }
 
-    /// Ends the lease of a commander that is meant, as if it had given it back.
-    pub fn handle_suspended(&mut self, is_meant: impl Fn(&CommanderId) -> bool) {
+    /// A policy for lost communication ends the lease of a commander that is meant.
+    pub fn handle_suspended(&mut self, is_meant: impl Fn(&CommanderId) -> bool, now: Instant) {
         if self.commander().is_some_and(is_meant) {
-            self.end(RestCause::Released);
+            self.end(RestCause::Released, Some(now));
         }
+    }
+
+    /// A policy for lost communication has rungs for the actuator.
+    pub fn handle_policy(&mut self) {
+        self.has_policy = true;
     }
 
     /// A policy for lost communication takes the lease for its next command, or holds it already:
@@ -437,9 +447,8 @@ impl Lease {
                 self.free_once_settled();
             }
             false if cause == RestCause::Stopped => self.handle_stop_failed(),
-            false if cause == RestCause::CommandTimeout => self.handle_check(false),
             // It is given again when the component is at work again.
-            false => {}
+            false => self.handle_check(false),
         }
     }
 
@@ -542,14 +551,20 @@ impl Lease {
         }
     }
 
-    fn end(&mut self, cause: RestCause) {
-        match (&self.state, &self.rung) {
-            (State::Held { .. }, Some(_)) => {
+    /// Ends a lease: where it ends in order, by the safe command, which is looked at from then on.
+    fn end(&mut self, cause: RestCause, in_order_at: Option<Instant>) {
+        match (&self.state, &self.rung, in_order_at) {
+            (State::Held { .. }, Some(_), _) => {
                 self.state = State::Free;
                 self.give_rung(false);
             }
-            (State::Held { .. }, None) => self.bring_to_rest(cause),
-            (State::Free | State::Settling, _) => {}
+            (State::Held { .. }, None, Some(now)) => {
+                (self.state, self.apply_by) = (State::Settling, None);
+                self.give(cause, false);
+                self.check_at = Some((now + BEAT, now + self.rules.max_wait));
+            }
+            (State::Held { .. }, None, None) => self.bring_to_rest(cause),
+            (State::Free | State::Settling, ..) => {}
         }
     }
 
@@ -563,7 +578,7 @@ impl Lease {
         if let State::Held { due } = self.state
             && now >= due
         {
-            self.end(RestCause::Expired);
+            self.end(RestCause::Expired, self.has_policy.then_some(now));
         }
     }
 
@@ -597,19 +612,18 @@ impl Machine for Lease {
     fn poll_timeout(&self) -> Option<Instant> {
         let rung = self.rung.as_ref().map(|rung| rung.again_at);
         let held = match self.state {
-            State::Held { due } => [Some(due), self.counts_until, self.check_at.map(|(at, _)| at)],
-            State::Free | State::Settling => [None; 3],
+            State::Held { due } => [Some(due), self.counts_until],
+            State::Free | State::Settling => [None; 2],
         };
-        held.into_iter().chain([rung, self.apply_by]).flatten().min()
+        let check = self.check_at.map(|(at, _)| at);
+        held.into_iter().chain([rung, self.apply_by, check]).flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
         self.expire(now);
         self.look_at_rung(now);
-        if !matches!(self.state, State::Held { .. }) {
-            return;
-        }
-        if self.counts_until.is_some_and(|until| now >= until) {
+        let is_held = matches!(self.state, State::Held { .. });
+        if is_held && self.counts_until.is_some_and(|until| now >= until) {
             self.give(RestCause::CommandTimeout, false);
             self.check_at = Some((now + BEAT, now + self.rules.max_wait));
         } else if let Some((at, begun_by)) = self.check_at

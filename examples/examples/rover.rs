@@ -1,15 +1,25 @@
-//! A rover whose operator is another process. What the rover does, a behaviour tree says: it drives
-//! as the operator says while the radio is good, stands while the radio is slow, and returns by
-//! itself when the operator is lost. The tree is `examples/robots/rover.tree.xml`.
+//! A tele-operated rover and its operator on another node, from one robot file. What the rover does
+//! a behaviour tree says: it drives as the operator says while the radio is good, stands while the
+//! radio is slow, and returns by itself when the operator is lost. If the operator stays away, the
+//! rover stops, whatever its tree does.
+//!
+//! Without arguments it starts both nodes, the operator as a process, harms the operator and the
+//! radio, and prints what the rover does: first with `robots/rover.tree.xml`, then with the tree of
+//! the source as it is. With arguments it is a robot's program like any other: `rover run
+//! examples/robots/rover.robot.xml`.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
-use blastema::trees::{BehaviorTree, Port, Status, TreeLeaves};
-use blastema::{ActuatorSpec, Direction, Hold, Impairment, Link, Network};
-use std::net::{SocketAddr, UdpSocket};
-use std::process::{Child, Command};
+use blastema::trees::{LeafResult, LeafTask, Status, TreeLeaves};
+use blastema::{ActuatorSpec, Direction, Hold, Impairment};
+use blastema_robot::Types;
+use std::error::Error;
+use std::net::UdpSocket;
+use std::path::Path;
+use std::process::{Child, Command, ExitCode, Stdio};
+use std::sync::LazyLock;
 use std::time::{Duration, Instant};
-use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::sync::watch;
 
 /// The position of the operator's stick.
 #[derive(Clone, Debug, Event)]
@@ -35,12 +45,31 @@ struct Drive {
     speed: f64,
 }
 
+/// Shows that the operator is there, and holds the stick forward.
+#[derive(Default)]
+struct Console;
+
+impl Component for Console {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.publishes::<Stick>("stick");
+    }
+
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        Ok(cx.heartbeat("operator/heartbeat", Duration::from_millis(50))?)
+    }
+
+    async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        Ok(cx.port::<Publisher<Stick>>("stick")?.publish(Stick { speed: 1.0 })?)
+    }
+}
+
 /// Keeps the position of the stick.
+#[derive(Default)]
 struct StickReceiver;
 
 impl Component for StickReceiver {
     fn ports(ports: &mut Ports<Self>) {
-        ports.listen::<Stick>();
+        ports.listen::<Stick>().named("stick");
         ports.variable(VariableSpec::new(StickPosition { speed: 0.0 }));
     }
 }
@@ -53,11 +82,12 @@ impl Handle<Stick> for StickReceiver {
     }
 }
 
+#[derive(Default)]
 struct Wheels;
 
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive { speed: 0.0 }, Hold));
+        ports.actuator(ActuatorSpec::new(Drive { speed: 0.0 }, Hold)).named("drive");
     }
 }
 
@@ -65,92 +95,157 @@ impl Handle<Drive> for Wheels {
     async fn handle(&mut self, _: Drive, _: &mut Context<Self>) {}
 }
 
-/// The operator's process: heartbeats, and a stick that is pushed forward.
-async fn operate(own: SocketAddr, rover: SocketAddr) -> Result<(), Box<dyn std::error::Error>> {
-    blastema::platform::end_with_parent(std::os::unix::process::parent_id())?;
-    let network = Network::udp("radio", own).link(Link::new("rover", rover));
-    let node = Node::builder("operator").network(network).start().await?;
-    let _beats = node.heartbeat("operator/heartbeat", Duration::from_millis(50))?;
-    let stick = node.publisher::<Stick>("operator/stick")?;
+/// What the rover does.
+static DOES: LazyLock<watch::Sender<&str>> = LazyLock::new(|| watch::channel("").0);
+const DRIVES: &str = "drives as the operator says";
+const STANDS: &str = "stands: the radio is too slow";
+const RETURNS: &str = "returns by itself";
+const STOPS: &str = "stops";
+
+/// Commands the wheels again and again, until the tree halts the leaf. Then the lease is given back.
+async fn drive(mut leaf: LeafTask, does: &'static str, speed: Option<f64>) -> LeafResult {
+    let wheels = leaf.context().commander::<Drive>("wheels")?;
+    let stick = leaf.context().variable::<StickPosition>("stick")?;
     loop {
-        let _ = stick.publish(Stick { speed: 1.0 });
-        blastema::sleep(Duration::from_millis(100)).await;
-    }
-}
-
-/// Waits until the rover does this, and prints a line of the table.
-async fn row(what: &str, does: &str, begun: Instant, doing: &mut UnboundedReceiver<String>) {
-    while let Some(text) = doing.recv().await {
-        if text == does {
-            println!("{:5.1} s | {what:24} | {does}", begun.elapsed().as_secs_f64());
-            return;
+        leaf.alive();
+        let speed = match speed {
+            Some(speed) => speed,
+            None => stick.read().await?.value.speed,
+        };
+        // While the rover is stopped, the wheels are not to be had.
+        let is_claimed = wheels.holds() || wheels.claim().await.is_ok();
+        if is_claimed && wheels.command(Drive { speed }).await.is_ok() {
+            DOES.send_if_modified(|known| std::mem::replace(known, does) != does);
         }
+        blastema::sleep(Duration::from_millis(50)).await;
     }
 }
 
-#[blastema::main]
-async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    if let [own, rover] = &arguments[..] {
-        return operate(own.parse()?, rover.parse()?).await;
-    }
-    let [here, there] = free_addresses()?;
-    let operator = || -> std::io::Result<Child> {
-        let addresses = [there.to_string(), here.to_string()];
-        Command::new(std::env::current_exe()?).args(addresses).spawn()
-    };
-
-    let (told, mut doing) = unbounded_channel();
+fn types() -> Types {
     let leaves = TreeLeaves::new()
-        .actuator::<Drive>("Wheels")
-        .variable::<StickPosition>("Stick")
-        .action("Tell", [Port::input::<String>("text")], move |cx| {
-            let _ = told.send(cx.input::<String>("text")?);
+        .task("TeleoperatedMission", [], |leaf| drive(leaf, DRIVES, None))
+        .task("HoldPosition", [], |leaf| drive(leaf, STANDS, Some(0.0)))
+        .task("AutonomousSafeReturn", [], |leaf| async {
+            let home = drive(leaf, RETURNS, Some(-0.5));
+            let _ = tokio::time::timeout(Duration::from_millis(500), home).await;
             Ok(Status::Success)
         });
-    let tree = BehaviorTree::of_text("mission", &leaves, include_str!("../robots/rover.tree.xml"))?;
-    let rover = Node::builder("rover")
-        .network(Network::udp("radio", here).link(Link::new("operator", there)).with_faults(7))
-        .child(ChildSpec::new("stick", || StickReceiver))
-        .child(ChildSpec::new("wheels", || Wheels))
-        .child(tree)
-        .start()
-        .await?;
-    let radio = rover.cable("radio").expect("it was described with faults");
+    Types::new()
+        .component::<Wheels>("Wheels")
+        .component::<StickReceiver>("StickReceiver")
+        .component::<Console>("Console")
+        .leaves(leaves)
+}
 
-    let (drives, stands, returns) =
-        ("drives as the operator says", "stands: the radio is too slow", "returns by itself");
-    let begun = Instant::now();
-    println!("   time | what happens             | what the rover does");
-    row("it is switched on", returns, begun, &mut doing).await;
-    let mut process = operator()?;
-    row("the operator starts", drives, begun, &mut doing).await;
+/// The table, row by row.
+struct Show {
+    begun: Instant,
+    node: Node,
+}
+
+impl Show {
+    fn row(&self, what: &str, does: &str) {
+        println!("{:5.1} s | {what:25} | {does}", self.begun.elapsed().as_secs_f64());
+    }
+
+    /// Waits until the rover does this.
+    async fn until(&self, what: &str, does: &str) -> Result<(), Box<dyn Error>> {
+        let mut doing = DOES.subscribe();
+        let done = doing.wait_for(|known| *known == does);
+        tokio::time::timeout(Duration::from_secs(60), done).await??;
+        self.row(what, does);
+        Ok(())
+    }
+
+    /// Waits until the rover is stopped because the operator has not come back. Returns what it did
+    /// until then.
+    async fn until_stopped(&self, what: &str) -> &'static str {
+        let mut before = "";
+        loop {
+            blastema::sleep(Duration::from_millis(20)).await;
+            if self.node.lost_communication()[0].rung.as_deref() == Some("stop") {
+                // The last command may be noted later than the rung.
+                match DOES.send_replace(STOPS) {
+                    STOPS => break,
+                    does => before = does,
+                }
+            }
+        }
+        self.row(what, STOPS);
+        before
+    }
+}
+
+/// Shows a rover with this tree, until the node is shut down.
+async fn show(tree: &str) -> Result<(), Box<dyn Error>> {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/rover.robot.xml");
+    let [rover, operator] = free_addresses()?;
+    let set = [("tree", tree), ("stop-after", "3s"), ("rover", &rover), ("operator", &operator)];
+    let start_operator = || -> std::io::Result<Child> {
+        let mut process = Command::new(std::env::current_exe()?);
+        let set = set.iter().map(|(name, value)| format!("--set={name}={value}"));
+        process.arg("run").arg(&file).args(["--node=operator", "--until-stdin-ends"]).args(set);
+        // It ends with this process at the latest.
+        process.stdin(Stdio::piped());
+        process.spawn()
+    };
+    let (types, slow) =
+        (types(), Impairment { delay: Duration::from_millis(300), loss: 0.2, ..Impairment::NONE });
+    let node = types.node(&types.load(&file, &set)?, "rover")?.with_faults(7).start().await?;
+    let radio = node.cable("radio").ok_or("the network of the file")?;
+    let show = Show { begun: Instant::now(), node };
+    println!("\n{tree}\n   time | what happens              | what the rover does");
+    show.until("it is switched on", RETURNS).await?;
+    let mut process = start_operator()?;
+    show.until("the operator starts", DRIVES).await?;
     process.kill()?;
     process.wait()?;
-    row("the operator is killed", returns, begun, &mut doing).await;
-    let mut process = operator()?;
-    row("the operator is back", drives, begun, &mut doing).await;
-    radio.cut(Direction::Both, true);
-    row("the cable is pulled", returns, begun, &mut doing).await;
-    radio.restore();
-    row("the cable is back", drives, begun, &mut doing).await;
-    let slow = Impairment { delay: Duration::from_millis(300), loss: 0.2, ..Impairment::NONE };
-    radio.impair(Direction::Both, slow);
-    row("the radio is slow", stands, begun, &mut doing).await;
-    radio.restore();
-    row("the radio is well again", drives, begun, &mut doing).await;
-    process.kill()?;
-    process.wait()?;
-    rover.shutdown().await;
+    if tree == RIGHT {
+        show.until("the operator is killed", RETURNS).await?;
+        show.until_stopped("the operator stays away").await;
+        process = start_operator()?;
+        show.until("the operator is back", DRIVES).await?;
+        radio.cut(Direction::Both, true);
+        show.until("the cable is pulled", RETURNS).await?;
+        radio.restore();
+        show.until("the cable is back", DRIVES).await?;
+        radio.impair(Direction::Both, slow);
+        show.until("the radio is slow", STANDS).await?;
+        radio.restore();
+        show.until("the radio is well again", DRIVES).await?;
+        process.kill()?;
+        process.wait()?;
+    } else {
+        // Its sequence does not look again: it goes on, and is stopped.
+        let before = show.until_stopped("the operator is killed").await;
+        show.row("until then", before);
+    }
+    show.node.shutdown().await;
     Ok(())
 }
 
 /// Two addresses of this computer that are free.
-fn free_addresses() -> std::io::Result<[SocketAddr; 2]> {
-    let held = [0; 2].map(|_| UdpSocket::bind("127.0.0.1:0"));
-    let mut addresses = [SocketAddr::from(([127, 0, 0, 1], 0)); 2];
-    for (address, socket) in addresses.iter_mut().zip(held) {
-        *address = socket?.local_addr()?;
+fn free_addresses() -> std::io::Result<[String; 2]> {
+    let held = [UdpSocket::bind("127.0.0.1:0")?, UdpSocket::bind("127.0.0.1:0")?];
+    Ok([held[0].local_addr()?.to_string(), held[1].local_addr()?.to_string()])
+}
+
+const RIGHT: &str = "rover.tree.xml";
+
+async fn show_both() -> Result<(), Box<dyn Error>> {
+    show(RIGHT).await?;
+    show("comms_aware_operation.tree.xml").await
+}
+
+fn main() -> ExitCode {
+    if std::env::args().len() > 1 {
+        return types().main();
     }
-    Ok(addresses)
+    match blastema::run(show_both()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            println!("{error}");
+            ExitCode::FAILURE
+        }
+    }
 }

@@ -3,28 +3,37 @@
 //! Rules about one object are those of [`NodeBuilder::check`](blastema::NodeBuilder::check), which
 //! a start applies too; this file adds the place.
 
+mod lost_communication;
+
 use crate::description::{
     AnswerDescription, ChildDescription, ComponentDescription, ConnectionDescription,
     ElementOrigin, EndpointDescription, NodeDescription, RobotDescription,
 };
-use crate::finding::{ElementPart, ElementPlaces, RobotFinding, RobotSources};
+use crate::finding::{ElementPart, ElementPlaces, FilePlace, RobotFinding, RobotSources, offset};
 use crate::types::{Types, UnknownPort, network_of};
 use crate::value::{fault_word, hint};
 use blastema::core::port::{ConnectionRole, resolve};
 use blastema::prelude::*;
 use blastema::recovery::PlanError;
+use blastema::trees::{BehaviorTree, TreeErrors};
 use blastema::{ParameterError, SpecError};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
 
-/// Finds what is wrong with a robot, with the types that a program has registered.
+/// Finds what is wrong with a robot, with the types that a program has registered, beside what its
+/// reader has found. The files of its trees are added to the sources.
 pub(crate) fn check(
     robot: &RobotDescription,
-    sources: &RobotSources,
+    sources: &mut RobotSources,
     types: &Types,
+    findings: Vec<RobotFinding>,
 ) -> Vec<RobotFinding> {
+    let files = sources.files.clone();
     let places = ElementPlaces::of(sources);
-    let mut checker = RobotChecker { robot, types, places, findings: Vec::new() };
+    let mut checker = RobotChecker { robot, types, places, files, findings };
     checker.names("node", "robot", robot.nodes.iter().map(|node| (&*node.name, node.origin)));
     let networks = robot.networks.iter().map(|network| (&*network.name, network.origin));
     checker.names("network", "robot", networks);
@@ -33,20 +42,25 @@ pub(crate) fn check(
         let at = (robot.origin, "name");
         checker.find("robot::missing", "the robot has no node", at, "add `<node name=…>`", "here");
     }
+    let groups = checker.joined();
     for node in &robot.nodes {
+        checker.lost_communication(node, &groups);
         checker.node(node);
     }
     checker.networks();
-    let groups = checker.joined();
     checker.dependencies(&groups);
     checker.connections(&groups);
-    checker.findings
+    let RobotChecker { files, findings, .. } = checker;
+    sources.files = files;
+    findings
 }
 
 struct RobotChecker<'a> {
     robot: &'a RobotDescription,
     types: &'a Types,
     places: ElementPlaces<'a>,
+    /// The robot's files, and those of its trees.
+    files: Vec<(String, Arc<str>)>,
     findings: Vec<RobotFinding>,
 }
 
@@ -121,7 +135,7 @@ impl<'a> RobotChecker<'a> {
     fn node(&mut self, node: &'a NodeDescription) {
         let [_, _, safe_outputs] = self.types.names();
         let types = self.types;
-        let known = |component: &ComponentDescription| types.kinds(component.device.is_some());
+        let mut refused = BTreeSet::new();
         let mut objects = Vec::new();
         node.root.visit(&mut |child| objects.push(child.identity()));
         self.names("object", &format!("node {}", node.name), objects.iter().copied());
@@ -134,26 +148,42 @@ impl<'a> RobotChecker<'a> {
         }
         for component in node.components() {
             let name = component.type_name.as_str();
-            if !name.is_empty() && !known(component).contains(&name) {
+            let known = types.kinds(component.device.is_some());
+            let is_known = match &component.tree {
+                Some(file) => self.tree(component, file),
+                None => known.contains(&name),
+            };
+            let has_endpoint = component.device.as_ref().is_none_or(|device| !device.at.is_empty());
+            if !is_known || !has_endpoint {
+                refused.insert(component.name.as_str());
+            }
+            if !name.is_empty() && !is_known {
                 let what = if component.device.is_some() { "type of devices" } else { "type" };
                 let sentence = format!("no {what} `{name}` is registered");
-                let help = hint(name, known(component));
+                let help = hint(name, known);
                 self.find("robot::type", sentence, (component.origin, "type"), help, "unknown");
             }
             self.answers(&component.plan);
         }
         // Dependencies have rules of their own here, and names that two have were found.
         let mut trial = node.clone();
+        trial.lost_communication.clear();
         let mut names = BTreeSet::from([String::new()]);
         trial.root.retain(&mut |child| {
             let is_new = names.insert(child.identity().0.to_owned());
             let ChildDescription::Component(component) = child else { return is_new };
             component.depends_on.clear();
-            let has_endpoint = component.device.as_ref().is_none_or(|device| !device.at.is_empty());
-            is_new && has_endpoint && known(component).contains(&component.type_name.as_str())
+            is_new && !refused.contains(component.name.as_str())
         });
-        match self.types.composed(&trial) {
-            Ok(builder) => builder.check().into_iter().for_each(|error| self.refused(node, error)),
+        let is_whole = trial.components().len() == node.components().len();
+        match self.types.composed(self.robot, &trial) {
+            Ok(builder) => {
+                let refused = builder.check();
+                if refused.is_empty() && is_whole {
+                    self.policies(node, trial);
+                }
+                refused.into_iter().for_each(|error| self.refused(node, error));
+            }
             Err(error) => self.find("robot::node", error, (node.origin, "name"), "", ""),
         }
     }
@@ -218,6 +248,44 @@ impl<'a> RobotChecker<'a> {
             }
         });
         self.find(code, sentence, (found.unwrap_or(node.origin), part), help, "here");
+    }
+
+    /// Finds what is wrong with a tree, at its places in the tree's files. False: something is.
+    fn tree(&mut self, component: &ComponentDescription, file: &Path) -> bool {
+        let Err(error) = BehaviorTree::read(&self.types.leaves, file) else { return true };
+        let Some(errors) = error.get_ref().and_then(|error| error.downcast_ref::<TreeErrors>())
+        else {
+            let (at, help) = ((component.origin, "tree"), "correct the path, or the file");
+            let name = file.display().to_string();
+            let sentence = error.to_string().replace(&name, &self.shown(&name));
+            self.find("robot::tree", sentence, at, help, "here");
+            return false;
+        };
+        for error in errors.iter() {
+            let shown = self.shown(&error.file);
+            let known = self.files.iter().position(|(name, _)| *name == shown);
+            let file = known.unwrap_or_else(|| {
+                // It was read a moment ago.
+                let text = fs::read_to_string(&error.file).unwrap_or_default();
+                self.files.push((shown, text.into()));
+                self.files.len() - 1
+            });
+            let start = offset(&self.files[file].1, error.line, error.column);
+            let (sentence, help) = (error.problem.to_string(), error.suggestion.as_ref());
+            let help =
+                Some(help.map_or("correct the tree".into(), |near| format!("write `{near}`")));
+            let labels = vec![(FilePlace { file, range: start..start + 1 }, "here".to_owned())];
+            self.add(RobotFinding { code: "robot::tree", sentence, help, labels });
+        }
+        false
+    }
+
+    /// A path as it is shown: from the folder of the outermost file.
+    fn shown(&self, path: &str) -> String {
+        let outermost = self.files.first().and_then(|(name, _)| fs::canonicalize(name).ok());
+        let folder = outermost.as_deref().and_then(Path::parent);
+        let below = folder.and_then(|folder| Path::new(path).strip_prefix(folder).ok());
+        below.map_or(path.to_owned(), |below| below.display().to_string())
     }
 
     fn parameter_help(&self, node: &NodeDescription, name: &str, error: &ParameterError) -> String {
@@ -406,13 +474,17 @@ impl<'a> RobotChecker<'a> {
         let mut order: BTreeMap<String, (usize, usize)> = BTreeMap::new();
         let mut needs: BTreeMap<String, Vec<(String, &ComponentDescription)>> = BTreeMap::new();
         for (at, node) in self.robot.nodes.iter().enumerate() {
+            let rungs: Vec<&str> = node.run_by_rungs().collect();
             let full = |name: &str| match name.contains(':') {
                 true => name.to_owned(),
                 false => format!("{}:{name}", node.name),
             };
             let mut started = 0;
             number(&node.root.children, &mut started, &mut |name, place| {
-                order.insert(full(name), (at, place));
+                // One that a rung runs is not there as a rule.
+                if !rungs.contains(&name) {
+                    order.insert(full(name), (at, place));
+                }
             });
             for component in node.components() {
                 let of = component.depends_on.iter().map(|name| (full(name), component));
@@ -496,6 +568,7 @@ impl<'a> RobotChecker<'a> {
             }
             if let (true, Some(from), Some(to)) = (is_known, &ports.from.node, &ports.to.node) {
                 self.reach(groups, [from.as_str(), to.as_str()], (origin, "to"));
+                self.commanded(ports, [from.as_str(), to.as_str()], origin);
             }
         }
     }

@@ -1,6 +1,6 @@
 //! A robot as plain data: what a robot file is read into, and what code may fill as well.
 
-use blastema::core::port::PortConnection;
+use blastema::core::port::{PortAddress, PortConnection};
 use blastema::detection::Liveness;
 use blastema::recovery::{Ladder, Restart, Strategy, WhenExceeded};
 use blastema::{ActuatorSettings, ClaimPolicy, FaultKind, WhenFull};
@@ -118,6 +118,8 @@ pub struct NodeDescription {
     pub plan: Vec<AnswerDescription>,
     /// Its ends of networks.
     pub endpoints: Vec<EndpointDescription>,
+    /// What it does when it loses a commander.
+    pub lost_communication: Vec<LostCommunicationDescription>,
     #[doc(hidden)]
     #[serde(skip)]
     pub origin: ElementOrigin,
@@ -162,9 +164,11 @@ pub enum ChildDescription {
 pub struct ComponentDescription {
     /// Its name.
     pub name: String,
-    /// The name of its type, as the program has registered it.
+    /// The name of its type, as the program has registered it; empty for a tree.
     #[serde(rename = "type")]
     pub type_name: String,
+    /// The file of the behaviour tree that it is.
+    pub tree: Option<PathBuf>,
     /// Which of its ends are followed by a restart.
     pub restart: Restart,
     /// See [`ChildSpec::rate_hz`](blastema::ChildSpec::rate_hz), and
@@ -225,6 +229,109 @@ pub struct DeviceSettings {
     pub turnaround: Option<Duration>,
 }
 
+/// What a node does when it loses a commander: see
+/// [`LostCommunicationPolicy`](blastema::LostCommunicationPolicy).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LostCommunicationDescription {
+    /// Its name, and that of its condition.
+    pub name: String,
+    /// The node whose commanders are lost.
+    pub commander: Option<String>,
+    /// What must be connected.
+    pub needs: Vec<NeedDescription>,
+    /// How many of these; `None` for all.
+    pub at_least: Option<usize>,
+    /// The rungs of the ladder, in the order of their times.
+    pub rungs: Vec<RungDescription>,
+    /// For how long communication must be back before the ladder ends.
+    pub stable_for: Option<Duration>,
+    /// A person ends the ladder.
+    pub acknowledged: bool,
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub origin: ElementOrigin,
+}
+
+/// What must be connected.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum NeedChannel {
+    /// Heartbeats arrive on this topic.
+    Heartbeat(String),
+    /// A path leads to this node.
+    Node(String),
+    /// A session with this node is open.
+    Session(String),
+    /// This link is up.
+    Link(String),
+}
+
+/// A channel that must be connected, and how well: see [`Connected`](blastema::Connected).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NeedDescription {
+    /// The channel.
+    pub channel: NeedChannel,
+    /// How long it may be silent.
+    pub timeout: Option<Duration>,
+    /// At which rate, in Hz, events must arrive, counted over how long.
+    pub rate: Option<(f64, Duration)>,
+    /// See [`Connected::max_latency`](blastema::Connected::max_latency).
+    pub max_latency: Option<Duration>,
+    /// See [`Connected::max_jitter`](blastema::Connected::max_jitter).
+    pub max_jitter: Option<Duration>,
+    /// See [`Connected::max_loss`](blastema::Connected::max_loss).
+    pub max_loss: Option<f64>,
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub origin: ElementOrigin,
+}
+
+/// What a robot does on a rung.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RungAction {
+    /// It holds its place, by commands.
+    Hold,
+    /// A component brings it back.
+    Return,
+    /// It stops, by commands.
+    Stop,
+    /// A component goes on with its work.
+    Continue,
+}
+
+/// One rung of a ladder.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RungDescription {
+    /// How long after the loss it begins.
+    pub after: Duration,
+    /// What the robot does.
+    pub action: RungAction,
+    /// The component of the node that runs while the rung lasts, and not otherwise.
+    pub run: Option<String>,
+    /// The commands that it gives.
+    pub commands: Vec<CommandDescription>,
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub origin: ElementOrigin,
+}
+
+/// A command: the safe command of an actuator, with other values of some fields.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CommandDescription {
+    /// The port of the actuator.
+    pub actuator: PortAddress,
+    /// The fields with their values, each with its unit, as in `0.2 m/s`.
+    pub fields: Vec<(String, String)>,
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub origin: ElementOrigin,
+}
+
 /// A connection between an out port and an in port, both with their nodes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -259,6 +366,12 @@ impl NodeDescription {
             }
         });
         components
+    }
+
+    /// The components that run only while a rung lasts.
+    pub(crate) fn run_by_rungs(&self) -> impl Iterator<Item = &str> {
+        let rungs = self.lost_communication.iter().flat_map(|policy| &policy.rungs);
+        rungs.filter_map(|rung| rung.run.as_deref())
     }
 }
 

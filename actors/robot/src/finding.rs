@@ -116,6 +116,14 @@ impl<'s> ElementPlaces<'s> {
         ElementPlaces { documents, elements }
     }
 
+    /// Whether a place is in an element.
+    pub(crate) fn holds(&self, origin: ElementOrigin, place: &FilePlace) -> bool {
+        let Some((file, at)) = origin.at else { return false };
+        let element = self.documents.get(file).zip(self.elements.get(&(file, at)));
+        let element = element.and_then(|(document, id)| document.get_node(*id));
+        place.file == file && element.is_some_and(|of| of.range().contains(&place.range.start))
+    }
+
     /// The place of a part; `None` for what code describes.
     pub(crate) fn find(&self, origin: ElementOrigin, part: &ElementPart) -> Option<FilePlace> {
         let (file, at) = origin.at?;
@@ -130,6 +138,13 @@ impl<'s> ElementPlaces<'s> {
         let element = element.descendants().find(is_it).unwrap_or(element);
         Some(FilePlace { file, range: value_place(element, &part.attribute) })
     }
+}
+
+/// The byte at a line and a column, which count from 1.
+pub(crate) fn offset(text: &str, line: usize, column: usize) -> usize {
+    let before: usize = text.split_inclusive('\n').take(line - 1).map(str::len).sum();
+    let rest: &str = text.get(before..).unwrap_or_default();
+    before + rest.chars().take(column - 1).map(char::len_utf8).sum::<usize>()
 }
 
 /// The bytes of an attribute's value; of the element's name where it has no such attribute.

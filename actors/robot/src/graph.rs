@@ -1,10 +1,11 @@
 //! The supervision trees and connections of a robot as text, for Graphviz and for Mermaid.
 
 use crate::description::{
-    ChildDescription, ComponentDescription, ConnectionDescription, RobotDescription,
-    SupervisorDescription,
+    ChildDescription, ComponentDescription, ConnectionDescription, LostCommunicationDescription,
+    RobotDescription, SupervisorDescription,
 };
-use crate::reader::STRATEGIES;
+use crate::reader::{RUNGS, STRATEGIES};
+use crate::value::word_of;
 use blastema::core::port::PortConnection;
 use blastema::recovery::Strategy;
 
@@ -28,6 +29,14 @@ pub(crate) fn graph(robot: &RobotDescription, format: GraphFormat) -> String {
     for node in &robot.nodes {
         let label = format!("node {} ({})", node.name, word(node.root.strategy));
         graph.group(&node.name, &label, &node.root);
+        for policy in &node.lost_communication {
+            let (id, policy) = (format!("{}/{}", node.name, policy.name), ladder(policy));
+            graph.line([
+                format!("  {policy}"),
+                format!("\"{id}\" [shape=note label=\"{policy}\"];"),
+                format!("{}[\"{policy}\"]", mermaid_id(&id)),
+            ]);
+        }
     }
     for ConnectionDescription { ports: PortConnection { from, to }, .. } in &robot.connections {
         let (one, other, port) = (from.component(), to.component(), &from.port);
@@ -42,6 +51,15 @@ pub(crate) fn graph(robot: &RobotDescription, format: GraphFormat) -> String {
     graph.text
 }
 
+/// A policy in one line, as in `operator lost: hold after 1s, return after 10s (homing)`.
+fn ladder(policy: &LostCommunicationDescription) -> String {
+    let rungs = policy.rungs.iter().map(|rung| {
+        let run = rung.run.as_ref().map(|run| format!(" ({run})")).unwrap_or_default();
+        format!("{} after {:?}{run}", word_of(&RUNGS, rung.action), rung.after)
+    });
+    format!("{} lost: {}", policy.name, rungs.collect::<Vec<_>>().join(", "))
+}
+
 struct GraphText {
     text: String,
     format: GraphFormat,
@@ -49,7 +67,7 @@ struct GraphText {
 }
 
 fn word(strategy: Strategy) -> &'static str {
-    STRATEGIES.iter().find(|(_, known)| *known == strategy).map_or("", |(word, _)| word)
+    word_of(&STRATEGIES, strategy)
 }
 
 impl GraphText {
@@ -73,11 +91,14 @@ impl GraphText {
         for child in &supervisor.children {
             match child {
                 ChildDescription::Component(component) => {
-                    let ComponentDescription { name, type_name, rate_hz, device, .. } =
+                    let ComponentDescription { name, type_name, tree, rate_hz, device, .. } =
                         &**component;
                     let rate = rate_hz.map(|rate| format!(", {rate} Hz")).unwrap_or_default();
+                    let tree = tree.as_ref().and_then(|file| file.file_name());
+                    let tree = tree.map(|file| format!("tree {}", file.display()));
+                    let kind = tree.as_ref().unwrap_or(type_name);
                     let at = device.as_ref().map(|device| format!(", device at {}", device.at));
-                    let about = format!("{type_name}{rate}{}", at.unwrap_or_default());
+                    let about = format!("{kind}{rate}{}", at.unwrap_or_default());
                     let id = format!("{node}:{name}");
                     self.line([
                         format!("{name}: {about}"),

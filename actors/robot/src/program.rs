@@ -144,11 +144,11 @@ impl Types {
             return Err(refused(text, false));
         }
         let read = reader::read(file, set);
-        let RobotReading { robot, sources, mut findings, .. } =
+        let RobotReading { robot, mut sources, mut findings, .. } =
             read.map_err(|UnreadableFile(report)| refused(report, true))?;
         // Of a file that is no XML, nothing else is known.
         if !findings.iter().any(|finding| matches!(finding.code, "robot::xml" | "robot::schema")) {
-            findings.extend(check(&robot, &sources, self));
+            findings = check(&robot, &mut sources, self, findings);
         }
         findings.sort_by_key(RobotFinding::order);
         match findings.is_empty() {
@@ -302,7 +302,12 @@ impl Types {
             ((*name).to_owned(), description)
         });
         let types: serde_json::Map<_, _> = described.collect();
-        let all = json!({ "types": types, "strategies": strategies, "safe_outputs": safe_outputs });
+        let all = json!({
+            "types": types,
+            "strategies": strategies,
+            "safe_outputs": safe_outputs,
+            "leaves": self.leaves.names().collect::<Vec<_>>(),
+        });
         format!("{all:#}\n")
     }
 }

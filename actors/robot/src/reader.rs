@@ -1,12 +1,13 @@
 //! Reads a robot file, and the files that it includes, into a description.
 
 use crate::description::{
-    AnswerDescription, ChildDescription, ComponentDescription, ConnectionDescription,
-    DeviceSettings, EndpointDescription, NodeDescription, RobotDescription, RobotNetwork,
-    SupervisorDescription,
+    AnswerDescription, ChildDescription, CommandDescription, ComponentDescription,
+    ConnectionDescription, DeviceSettings, EndpointDescription, LostCommunicationDescription,
+    NeedChannel, NeedDescription, NodeDescription, RobotDescription, RobotNetwork, RungAction,
+    RungDescription, SupervisorDescription,
 };
 use crate::element::{ArgumentValues, FileReading, RobotElement};
-use crate::finding::{FilePlace, RobotFinding, RobotSources};
+use crate::finding::{FilePlace, RobotFinding, RobotSources, offset};
 use crate::value::{self, ParsedValue};
 use blastema::core::port::{ConnectError, PortAddress, PortConnection};
 use blastema::detection::{Liveness, Pull, Push};
@@ -121,9 +122,11 @@ impl RobotReader<'_> {
                 return self.findings.borrow_mut().push(syntax_finding(file, &text, &error));
             }
         };
+        let folder = self.root.clone();
         let reading = FileReading {
             file,
             text: &text,
+            root: &folder,
             findings: self.findings,
             arguments: RefCell::default(),
             asked: self.asked,
@@ -160,8 +163,8 @@ impl RobotReader<'_> {
         let name = root.need("name", value::node_name).unwrap_or_default();
         if let ArgumentSource::Outer(_) = set {
             self.robot.name = name;
-            self.robot.program = root.take("program", |text| self.path(text));
-            self.robot.keys = root.take("keys", |text| self.path(text));
+            self.robot.program = root.path("program");
+            self.robot.keys = root.path("keys");
             self.robot.origin = root.origin();
         }
         for element in root.children(&["include", "network", "plan", "node", "connect"]) {
@@ -173,11 +176,6 @@ impl RobotReader<'_> {
                 _ => self.robot.connections.extend(connection(&element, None)),
             }
         }
-    }
-
-    /// A path from the folder of the outermost file.
-    fn path(&self, text: &str) -> ParsedValue<PathBuf> {
-        Ok(self.root.join(text))
     }
 
     fn include(&mut self, element: &RobotElement<'_>) {
@@ -215,23 +213,32 @@ impl RobotReader<'_> {
 
     fn node(&mut self, element: &RobotElement<'_>) {
         let name = element.need("name", value::node_name).unwrap_or_default();
-        let path = |text: &str| self.path(text);
         let mut node = NodeDescription {
-            keys: element.take("keys", path),
+            keys: element.path("keys"),
             safe_outputs: element.take("safe-outputs", value::text),
             work_threads: element.take("work-threads", value::count),
             grace: element.take("grace", value::duration),
-            shown_at: element.take("shown-at", path),
-            keep_variables: element.take("keep-variables", path),
+            shown_at: element.path("shown-at"),
+            keep_variables: element.path("keep-variables"),
             origin: element.origin(),
             root: SupervisorDescription { origin: element.origin(), ..rules(element) },
             name,
             ..NodeDescription::default()
         };
-        for element in
-            element.children(&["endpoint", "plan", "connect", "component", "device", "supervisor"])
-        {
+        let children = [
+            "endpoint",
+            "plan",
+            "connect",
+            "lost-communication",
+            "component",
+            "device",
+            "supervisor",
+        ];
+        for element in element.children(&children) {
             match element.name() {
+                "lost-communication" => {
+                    node.lost_communication.push(lost_communication(&element, &node.name));
+                }
                 "endpoint" => node.endpoints.push(endpoint(&element)),
                 "plan" => node.plan.extend(answers(&element)),
                 "connect" => self.robot.connections.extend(connection(&element, Some(&node.name))),
@@ -326,30 +333,33 @@ fn endpoint(element: &RobotElement<'_>) -> EndpointDescription {
     }
 }
 
+/// The address of a port; on a node, one without a node is that node's.
+fn port(text: &str, node: Option<&str>) -> ParsedValue<PortAddress> {
+    let refused = |error: ConnectError| value::ValueError {
+        sentence: error.to_string(),
+        label: "a port".to_owned(),
+        help: match text.rsplit_once('.') {
+            Some((object, port)) if !text.contains('#') => format!("write `{object}#{port}`"),
+            _ => "write `component#port`, or `node:component#port`".to_owned(),
+        },
+    };
+    let mut address: PortAddress = text.parse().map_err(refused)?;
+    if address.node.is_none() {
+        address.node = node.and_then(|node| NodeName::new(node).ok());
+    }
+    if address.node.is_none() && node.is_none() {
+        return Err(value::ValueError {
+            sentence: format!("`{text}` names no node"),
+            label: "a port".to_owned(),
+            help: format!("write `node:{text}`, or put `connect` into the node"),
+        });
+    }
+    Ok(address)
+}
+
 /// A connection; on a node, ports without a node are that node's.
 fn connection(element: &RobotElement<'_>, node: Option<&str>) -> Option<ConnectionDescription> {
-    let port = |text: &str| {
-        let refused = |error: ConnectError| value::ValueError {
-            sentence: error.to_string(),
-            label: "a port".to_owned(),
-            help: match text.rsplit_once('.') {
-                Some((object, port)) if !text.contains('#') => format!("write `{object}#{port}`"),
-                _ => "write `component#port`, or `node:component#port`".to_owned(),
-            },
-        };
-        let mut address: PortAddress = text.parse().map_err(refused)?;
-        if address.node.is_none() {
-            address.node = node.and_then(|node| NodeName::new(node).ok());
-        }
-        if address.node.is_none() && node.is_none() {
-            return Err(value::ValueError {
-                sentence: format!("`{text}` names no node"),
-                label: "a port".to_owned(),
-                help: format!("write `node:{text}`, or put `connect` into the node"),
-            });
-        }
-        Ok(address)
-    };
+    let port = |text: &str| port(text, node);
     let (from, to) = (element.need("from", port), element.need("to", port));
     let ports = PortConnection { from: from?, to: to? };
     Some(ConnectionDescription { ports, origin: element.origin() })
@@ -373,6 +383,72 @@ pub(crate) const WHEN_FULL: [(&str, WhenFull); 4] = [
     ("drop-newest", WhenFull::DropNewest),
     ("wait", WhenFull::Wait),
 ];
+
+pub(crate) const RUNGS: [(&str, RungAction); 4] = [
+    ("hold", RungAction::Hold),
+    ("return", RungAction::Return),
+    ("stop", RungAction::Stop),
+    ("continue", RungAction::Continue),
+];
+
+/// What a node does when it loses a commander.
+fn lost_communication(element: &RobotElement<'_>, node: &str) -> LostCommunicationDescription {
+    let rungs = element.children(&["after"]).into_iter().filter_map(|after| {
+        let commands = after.children(&["command"]).into_iter().filter_map(|command| {
+            let actuator = command.need("actuator", |text| port(text, Some(node)));
+            let (fields, origin) = (fields(&command), command.origin());
+            Some(CommandDescription { actuator: actuator?, fields, origin })
+        });
+        let commands = commands.collect();
+        let action = after.need("do", |text| value::word("a step of a ladder", &RUNGS, text));
+        let (time, run) = (after.need("time", value::duration), after.take("run", value::text));
+        let origin = after.origin();
+        Some(RungDescription { after: time?, action: action?, run, commands, origin })
+    });
+    let rungs = rungs.collect();
+    let ends = element.child("ends");
+    let ends = ends.as_ref();
+    LostCommunicationDescription {
+        name: element.need("name", value::object_name).unwrap_or_default(),
+        commander: element.take("commander", value::node_name),
+        needs: element.children(&["needs"]).iter().filter_map(needs).collect(),
+        at_least: element.take("at-least", value::count),
+        rungs,
+        stable_for: ends.and_then(|ends| ends.take("stable-for", value::duration)),
+        acknowledged: ends.and_then(|ends| ends.take("acknowledged", value::flag)).unwrap_or(false),
+        origin: element.origin(),
+    }
+}
+
+/// A channel that must be connected: one attribute says which.
+fn needs(element: &RobotElement<'_>) -> Option<NeedDescription> {
+    let channels = [
+        element.take("heartbeat", value::text).map(NeedChannel::Heartbeat),
+        element.take("node", value::node_name).map(NeedChannel::Node),
+        element.take("session", value::node_name).map(NeedChannel::Session),
+        element.take("link", value::text).map(NeedChannel::Link),
+    ];
+    let rate = element.take("rate", value::rate);
+    let window = rate.and_then(|_| element.need("window", value::duration));
+    let mut channels = channels.into_iter().flatten();
+    let channel = channels.next();
+    if channel.is_none() || channels.next().is_some() {
+        let sentence = "`needs` names one channel".to_owned();
+        let at = [(element.place(""), "here".to_owned())];
+        let help = "write `heartbeat`, `node`, `session` or `link`, and one `needs` for each";
+        element.find("robot::lost", sentence, at, Some(help.to_owned()));
+    }
+    // The channel last: without one the other attributes are known all the same.
+    Some(NeedDescription {
+        timeout: element.take("timeout", value::duration),
+        rate: rate.zip(window),
+        max_latency: element.take("max-latency", value::duration),
+        max_jitter: element.take("max-jitter", value::duration),
+        max_loss: element.take("max-loss", value::number),
+        origin: element.origin(),
+        channel: channel?,
+    })
+}
 
 /// What supervisors and nodes have in common.
 fn rules(element: &RobotElement<'_>) -> SupervisorDescription {
@@ -443,9 +519,19 @@ fn component(element: &RobotElement<'_>) -> ChildDescription {
         Some((claim.need("name", value::object_name)?, policy.unwrap_or(ClaimPolicy::Refuse)))
     });
     let claims = claims.collect();
+    let tree = element.path("tree");
+    let type_name = match tree {
+        None => element.need("type", value::text),
+        Some(_) => element.take("type", |text| {
+            let (sentence, help) = ("a component has a `type` or a `tree`", "delete one");
+            let label = format!("{text}, beside a tree");
+            Err(value::ValueError { sentence: sentence.into(), label, help: help.into() })
+        }),
+    };
     ChildDescription::Component(Box::new(ComponentDescription {
         name: element.need("name", value::object_name).unwrap_or_default(),
-        type_name: element.need("type", value::text).unwrap_or_default(),
+        type_name: type_name.unwrap_or_default(),
+        tree,
         restart: restart.unwrap_or_default(),
         rate_hz: element.take("rate", value::rate),
         queue: element.take("queue", value::count),
@@ -521,15 +607,17 @@ fn liveness(element: &RobotElement<'_>) -> Option<Liveness> {
 fn actuator(element: &RobotElement<'_>) -> Option<(String, ActuatorSettings)> {
     let lease = element.take("lease", value::duration);
     let command_timeout = element.take("command-timeout", value::command_timeout);
-    let safe = element.child("safe").map(|safe| {
-        let fields = safe.distinct("field", "name");
-        let field = |field: &RobotElement<'_>| {
-            Some((field.need("name", value::text)?, field.need("value", value::text)?))
-        };
-        fields.iter().filter_map(field).collect()
-    });
+    let safe = element.child("safe").map(|safe| fields(&safe));
     let settings = ActuatorSettings { lease, command_timeout, safe: safe.unwrap_or_default() };
     Some((element.need("port", value::text)?, settings))
+}
+
+/// Fields of a command, each with its value as it is written.
+fn fields(element: &RobotElement<'_>) -> Vec<(String, String)> {
+    let field = |field: &RobotElement<'_>| {
+        Some((field.need("name", value::text)?, field.need("value", value::text)?))
+    };
+    element.distinct("field", "name").iter().filter_map(field).collect()
 }
 
 /// The elements `on` of a plan, or of a component.
@@ -587,10 +675,7 @@ fn answer(element: &RobotElement<'_>) -> Option<AnswerDescription> {
 /// What the parser says of a file that is no XML.
 fn syntax_finding(file: usize, text: &str, error: &Error) -> RobotFinding {
     let position = error.pos();
-    let before = text.split_inclusive('\n').take(position.row as usize - 1).map(str::len);
-    let line: usize = before.sum();
-    let rest: &str = text.get(line..).unwrap_or_default();
-    let at = line + rest.chars().take(position.col as usize - 1).map(char::len_utf8).sum::<usize>();
+    let at = offset(text, position.row as usize, position.col as usize);
     let place = |start: usize, length: usize| FilePlace {
         file,
         range: start.min(text.len())..(start + length).min(text.len()),

@@ -2,9 +2,10 @@
 
 use crate::description::{ComponentDescription, RobotNetwork, SupervisorDescription};
 use crate::reader::{AskedNames, EXCEEDED, RESTARTS, STRATEGIES, WHEN_FULL, read};
+use crate::value::word_of;
 use blastema::core::recovery::{Backoff, SupervisorRules};
 use blastema::prelude::*;
-use blastema::{DeviceSpec, NodeBuilder};
+use blastema::{DeviceSpec, LostCommunicationPolicy, NodeBuilder};
 use roxmltree::Document;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -64,10 +65,8 @@ fn the_schema_has_the_elements_and_attributes_that_the_reader_takes() {
     assert_eq!(of_reader, of_schema());
 }
 
-/// The word of a value.
-fn word<T: PartialEq>(words: &[(&str, T)], value: T) -> String {
-    let found = words.iter().find(|(_, known)| *known == value);
-    found.expect("each value has a word").0.to_owned()
+fn word<T: PartialEq>(words: &[(&'static str, T)], value: T) -> String {
+    word_of(words, value).to_owned()
 }
 
 #[test]
@@ -96,6 +95,8 @@ fn the_schema_has_the_defaults_of_the_code() {
         ("step pause-factor", backoff.factor.to_string()),
         ("step pause-limit", span(backoff.limit)),
         ("claim policy", "refuse".to_owned()),
+        ("ends stable-for", span(LostCommunicationPolicy::STABLE)),
+        ("ends acknowledged", "false".to_owned()),
         ("component restart", word(&RESTARTS, component.restart)),
         ("component queue", Spec::QUEUE.to_string()),
         ("component when-full", word(&WHEN_FULL, component.when_full)),

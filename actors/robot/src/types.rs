@@ -2,16 +2,20 @@
 
 use crate::description::{
     AnswerDescription, ChildDescription, ComponentDescription, EndpointDescription,
-    NodeDescription, RobotDescription, RobotNetwork, SupervisorDescription,
+    LostCommunicationDescription, NeedChannel, NeedDescription, NodeDescription, RobotDescription,
+    RobotNetwork, SupervisorDescription,
 };
-use crate::value::hint;
+use crate::reader::RUNGS;
+use crate::value::{hint, word_of};
 use blastema::core::port::{
     PortAddress, PortConnection, PortDescription, TypeDescription, resolve,
 };
 use blastema::core::recovery::SupervisorRules;
 use blastema::prelude::*;
+use blastema::trees::{BehaviorTree, TreeLeaves};
 use blastema::{
-    DeviceDescription, DeviceSpec, Fault, Link, Network, NodeBuilder, RecoveryStrategy,
+    Connected, DeviceDescription, DeviceSpec, Fault, Link, LostCommunicationPolicy, Network,
+    NodeBuilder, RecoveryStrategy, Rung,
 };
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -47,6 +51,8 @@ pub struct Types {
     components: BTreeMap<String, RegisteredComponent>,
     strategies: BTreeMap<String, Box<dyn Fn(NodeBuilder) -> NodeBuilder>>,
     safe_outputs: BTreeMap<String, SafeOutputsFn>,
+    /// The leaves of its behaviour trees.
+    pub(crate) leaves: TreeLeaves,
     /// The names that were registered twice.
     pub(crate) twice: Vec<String>,
 }
@@ -55,12 +61,37 @@ pub struct Types {
 type SafeOutputsFn = Arc<dyn Fn(&Fault) + Send + Sync>;
 /// Adds a component with the settings of its description.
 type AddComponent = Box<dyn Fn(SupervisorSpec, &ComponentDescription) -> SupervisorSpec>;
+/// Makes the rung of this name that runs a component with the settings of its description.
+type RunComponent = Box<dyn Fn(&str, &ComponentDescription) -> Rung>;
 
 struct RegisteredComponent {
     add: AddComponent,
+    run: RunComponent,
     description: Result<TypeDescription, String>,
     /// The contract of a type of devices.
     device: Option<Result<DeviceDescription, String>>,
+}
+
+impl RegisteredComponent {
+    /// Components that `make` describes.
+    fn of<C: Component>(
+        make: impl Fn(&ComponentDescription) -> ChildSpec<C> + Clone + Send + 'static,
+        description: Result<TypeDescription, String>,
+        device: Option<Result<DeviceDescription, String>>,
+    ) -> Self {
+        let run = make.clone();
+        RegisteredComponent {
+            add: Box::new(move |supervisor, component| {
+                supervisor.child_with(make(component), component.restart)
+            }),
+            run: Box::new(move |rung, component| {
+                let (make, component) = (run.clone(), component.clone());
+                Rung::run(rung, move || make(&component))
+            }),
+            description,
+            device,
+        }
+    }
 }
 
 impl fmt::Debug for Types {
@@ -126,8 +157,9 @@ impl Types {
         self,
         name: &str,
         device_type: u32,
-        ports: impl Fn(DeviceSpec) -> DeviceSpec + 'static,
+        ports: impl Fn(DeviceSpec) -> DeviceSpec + Send + Sync + 'static,
     ) -> Self {
+        let ports = Arc::new(ports);
         let some = || ports(DeviceSpec::new(name, "serial:///dev/null", device_type));
         let (description, device) = (some().describe_component(), some().describe());
         let spec = move |component: &ComponentDescription| {
@@ -152,10 +184,10 @@ impl Types {
         name: &str,
         description: Result<TypeDescription, String>,
         device: Option<Result<DeviceDescription, String>>,
-        spec: impl Fn(&ComponentDescription) -> ChildSpec<C> + 'static,
+        spec: impl Fn(&ComponentDescription) -> ChildSpec<C> + Clone + Send + 'static,
     ) -> Self {
         let ports = description.clone().map(|description| description.takes).unwrap_or_default();
-        let add = move |supervisor: SupervisorSpec, component: &ComponentDescription| {
+        let make = move |component: &ComponentDescription| {
             let mut spec = configured(spec(component), component);
             for (port, settings) in &component.actuators {
                 // A port is called by its contract's name unless it has one of its own.
@@ -163,12 +195,20 @@ impl Types {
                 let contract = named.map_or(port.as_str(), |port| &port.contract.name);
                 spec = spec.actuator(contract, settings.clone());
             }
-            supervisor.child_with(spec, component.restart)
+            spec
         };
-        let registered = RegisteredComponent { add: Box::new(add), description, device };
+        let registered = RegisteredComponent::of(make, description, device);
         if self.components.insert(name.to_owned(), registered).is_some() {
             self.twice.push(name.to_owned());
         }
+        self
+    }
+
+    /// Sets the leaves of the robot's behaviour trees; those that come with every tree are there
+    /// without it.
+    #[must_use]
+    pub fn leaves(mut self, leaves: TreeLeaves) -> Self {
+        self.leaves = leaves;
         self
     }
 
@@ -236,7 +276,7 @@ impl Types {
             let nodes: Vec<&str> = robot.nodes.iter().map(|node| node.name.as_str()).collect();
             format!("{} has no node `{name}`: its nodes are {}", robot.name, nodes.join(", "))
         })?;
-        let mut builder = self.composed(node)?.plan(plan_of(robot, node));
+        let mut builder = self.composed(robot, node)?.plan(plan_of(robot, node));
         builder = self.strategies.values().fold(builder, |builder, add| add(builder));
         if let Some(name) = &node.safe_outputs {
             let unknown = || format!("no safe outputs `{name}` are registered");
@@ -255,17 +295,88 @@ impl Types {
         Ok(builder)
     }
 
-    /// A node with its own settings and its tree alone.
-    pub(crate) fn composed(&self, node: &NodeDescription) -> Result<NodeBuilder, String> {
+    /// A node with its own settings, its tree and its policies for lost communication alone.
+    pub(crate) fn composed(
+        &self,
+        robot: &RobotDescription,
+        node: &NodeDescription,
+    ) -> Result<NodeBuilder, String> {
         let mut builder = Node::builder(&node.name);
         builder = node.work_threads.into_iter().fold(builder, NodeBuilder::work_threads);
         builder = node.grace.into_iter().fold(builder, NodeBuilder::grace);
         builder = node.shown_at.iter().fold(builder, NodeBuilder::inspection_socket);
         builder = node.keep_variables.iter().fold(builder, NodeBuilder::keep_variables);
-        Ok(builder.root(self.supervisor(&node.root)?))
+        for policy in &node.lost_communication {
+            builder = builder.lost_communication(self.policy(robot, node, policy)?);
+        }
+        let rungs: Vec<&str> = node.run_by_rungs().collect();
+        Ok(builder.root(self.supervisor(&node.root, &rungs)?))
     }
 
-    fn supervisor(&self, supervisor: &SupervisorDescription) -> Result<SupervisorSpec, String> {
+    fn policy(
+        &self,
+        robot: &RobotDescription,
+        node: &NodeDescription,
+        described: &LostCommunicationDescription,
+    ) -> Result<LostCommunicationPolicy, String> {
+        let needs: Vec<_> = described.needs.iter().map(need).collect();
+        let needs = Connected::at_least(described.at_least.unwrap_or(needs.len()), needs);
+        let mut policy = LostCommunicationPolicy::new(&described.name, needs);
+        policy = described.commander.iter().fold(policy, |policy, node| policy.commander(node));
+        let stable = described.stable_for.unwrap_or(LostCommunicationPolicy::STABLE);
+        policy = policy.until_stable_for(stable);
+        if described.acknowledged {
+            policy = policy.until_acknowledged();
+        }
+        for rung in &described.rungs {
+            let name = word_of(&RUNGS, rung.action);
+            let mut made = Rung::new(name);
+            if let Some(run) = &rung.run {
+                let components = node.components();
+                let component = components.iter().find(|known| known.name == *run);
+                let component =
+                    component.ok_or_else(|| format!("there is no component `{run}`"))?;
+                made = self.registered(component, |of| (of.run)(name, component))?;
+            }
+            for command in &rung.commands {
+                let address = &command.actuator;
+                let port = self.port(robot, address, false).unwrap_or_default();
+                let contract = port.map_or(address.port.as_str(), |port| &port.contract.name);
+                let is_own = address.node.as_ref().is_none_or(|of| of.as_str() == node.name);
+                let of = if is_own { address.object.to_string() } else { address.component() };
+                made = made.and_fields(&of, contract, &command.fields);
+            }
+            policy = policy.after(rung.after, made);
+        }
+        Ok(policy)
+    }
+
+    /// What is done with the type of a component, or with its tree.
+    fn registered<T>(
+        &self,
+        component: &ComponentDescription,
+        use_it: impl FnOnce(&RegisteredComponent) -> T,
+    ) -> Result<T, String> {
+        let Some(file) = &component.tree else {
+            let unknown = || format!("no type `{}` is registered", component.type_name);
+            return Ok(use_it(self.components.get(&component.type_name).ok_or_else(unknown)?));
+        };
+        let make = BehaviorTree::read(&self.leaves, file).map_err(|error| error.to_string())?;
+        let make = move |component: &ComponentDescription| {
+            let spec = make(&component.name);
+            let spec = component.rate_hz.into_iter().fold(spec, ChildSpec::rate_hz);
+            configured(spec, component)
+        };
+        let description = blastema::describe::<BehaviorTree>();
+        Ok(use_it(&RegisteredComponent::of(make, description, None)))
+    }
+
+    /// A supervisor with its children, but for those that rungs run.
+    fn supervisor(
+        &self,
+        supervisor: &SupervisorDescription,
+        rungs: &[&str],
+    ) -> Result<SupervisorSpec, String> {
         let mut spec = SupervisorSpec::new(&supervisor.name, supervisor.strategy);
         spec = spec.when_exceeded(supervisor.when_exceeded).whole_start();
         if supervisor.intensity.is_some() || supervisor.period.is_some() {
@@ -278,12 +389,13 @@ impl Types {
         }
         for child in &supervisor.children {
             spec = match child {
+                ChildDescription::Component(component) if rungs.contains(&&*component.name) => spec,
                 ChildDescription::Component(component) => {
-                    let registered = self.components.get(&component.type_name);
-                    let unknown = || format!("no type `{}` is registered", component.type_name);
-                    (registered.ok_or_else(unknown)?.add)(spec, component)
+                    self.registered(component, |of| (of.add)(spec, component))?
                 }
-                ChildDescription::Supervisor(below) => spec.supervisor(self.supervisor(below)?),
+                ChildDescription::Supervisor(below) => {
+                    spec.supervisor(self.supervisor(below, rungs)?)
+                }
             };
         }
         Ok(spec)
@@ -323,6 +435,11 @@ impl Types {
             let known = components.iter().map(|known| known.name.as_str());
             UnknownPort::new(format!("node {name} has no component `{object}`"), object, known)
         })?;
+        if component.tree.is_some() {
+            let sentence = format!("{object} is a tree, and has no ports");
+            let help = "let its leaves name what they use".to_owned();
+            return Err(UnknownPort { sentence, help, label: "a tree" });
+        }
         let Some(of) = self.description(&component.type_name) else { return Ok(None) };
         of.port(address, is_out).map(Some).map_err(|error| {
             let known = of.ports(is_out).iter().map(|port| port.name.as_str());
@@ -404,6 +521,21 @@ fn configured<C: Component>(spec: ChildSpec<C>, component: &ComponentDescription
         spec = spec.essential();
     }
     spec
+}
+
+/// What must be connected.
+fn need(of: &NeedDescription) -> Connected {
+    let mut need = match &of.channel {
+        NeedChannel::Heartbeat(topic) => Connected::heartbeat(topic),
+        NeedChannel::Node(node) => Connected::node(node),
+        NeedChannel::Session(node) => Connected::session(node),
+        NeedChannel::Link(link) => Connected::link(link),
+    };
+    need = of.timeout.into_iter().fold(need, Connected::timeout);
+    need = of.rate.into_iter().fold(need, |need, (hz, window)| need.at_rate(hz, window));
+    need = of.max_latency.into_iter().fold(need, Connected::max_latency);
+    need = of.max_jitter.into_iter().fold(need, Connected::max_jitter);
+    of.max_loss.into_iter().fold(need, Connected::max_loss)
 }
 
 /// The plan of a node: the built-in one, the robot's, the node's, and those of its components.

@@ -73,6 +73,11 @@ pub(crate) fn word<T: Clone>(what: &str, known: &[(&str, T)], text: &str) -> Par
     wrong(format!("`{text}` is not {what}"), &format!("not {what}"), help)
 }
 
+/// The word of a value.
+pub(crate) fn word_of<T: PartialEq>(words: &[(&'static str, T)], value: T) -> &'static str {
+    words.iter().find(|(_, known)| *known == value).map_or("", |(word, _)| word)
+}
+
 pub(crate) fn flag(text: &str) -> ParsedValue<bool> {
     word("true or false", &[("true", true), ("false", false)], text)
 }

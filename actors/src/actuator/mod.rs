@@ -158,6 +158,7 @@ impl<M: Contract> ActuatorSpec<M> {
             max_age: M::MAX_AGE,
             stop: encoded(stop.as_ref().unwrap_or(&safe))?.into(),
             safe: encoded(&safe)?.into(),
+            with_fields: settings::with_fields::<M>,
             settle_within,
             cut_off,
         })

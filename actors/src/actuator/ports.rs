@@ -1,6 +1,6 @@
 //! How components are commanded, and command.
 
-use super::settings::{ActuatorSettings, ApplySettings, apply};
+use super::settings::{ActuatorSettings, apply};
 use super::table::{ActuatorTable, DeclaredActuator};
 use super::{ActuatorSpec, Commander};
 use crate::component::cell::ComponentCell;
@@ -32,8 +32,8 @@ impl ComponentEnvironment {
     }
 }
 
-/// An actuator, its skeleton, and what changes it.
-type ActuatorPort<C> = (Result<DeclaredActuator, DeliveryError>, PortConstructor<C>, ApplySettings);
+/// An actuator, and its skeleton.
+type ActuatorPort<C> = (Result<DeclaredActuator, DeliveryError>, PortConstructor<C>);
 
 /// The actuators that a component declares.
 struct ActuatorPorts<C: Component> {
@@ -51,7 +51,7 @@ impl<C: Component> Default for ActuatorPorts<C> {
 impl<C: Component> ActuatorPorts<C> {
     fn apply(&mut self, contract: &str, settings: &ActuatorSettings) -> Result<(), Vec<String>> {
         let mut known = Vec::new();
-        for (actuator, _, apply) in &mut self.declared {
+        for (actuator, _) in &mut self.declared {
             let Ok(actuator) = actuator else { continue };
             if actuator.identity.name == contract {
                 return apply(actuator, settings);
@@ -157,7 +157,7 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
         let table = environment.actuators();
         // Those that could not be encoded were refused by the check.
         let declared = self.declared.into_iter();
-        let declared = declared.filter_map(|(declared, open, _)| Some((declared.ok()?, open)));
+        let declared = declared.filter_map(|(declared, open)| Some((declared.ok()?, open)));
         let max_wait = cell.record.limits.hang.max_wait;
         let declared: Vec<_> = declared
             .map(|(mut declared, open)| {
@@ -179,8 +179,7 @@ impl<C: Component> Ports<C> {
     where
         C: Handle<M>,
     {
-        let port =
-            (spec.declared(), ContractPort::open::<C, M> as PortConstructor<C>, apply::<M> as _);
+        let port = (spec.declared(), ContractPort::open::<C, M> as PortConstructor<C>);
         self.feature::<ActuatorPorts<C>>().declared.push(port);
         self.max_wait = self.feature::<ActuatorPorts<C>>().shortest_timeout();
         self.declare::<M>(M::NAME.into(), ConnectionRole::Commanded)

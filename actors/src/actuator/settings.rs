@@ -1,12 +1,13 @@
 //! Settings of an actuator that a robot's description gives, over those of the component's code.
 
-use super::table::DeclaredActuator;
+use super::table::{DeclaredActuator, FieldTexts};
 use super::{CommandTimeout, encoded};
 use blastema_core::contract::codec;
 use blastema_core::contract::layout::Shape;
 use blastema_core::lease::StopBy;
 use blastema_core::suggestion::nearest;
 use blastema_core::{Contract, LayoutDescription};
+use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::time::Duration;
@@ -24,13 +25,8 @@ pub struct ActuatorSettings {
     pub safe: Vec<(String, String)>,
 }
 
-/// Applies settings to an actuator whose commands are of one contract. The errors say why settings
-/// do not apply.
-pub(super) type ApplySettings =
-    fn(&mut DeclaredActuator, &ActuatorSettings) -> Result<(), Vec<String>>;
-
-/// Applies settings to an actuator with commands of type `M`.
-pub(super) fn apply<M: Contract>(
+/// Applies settings to an actuator. The errors say why they do not apply.
+pub(super) fn apply(
     actuator: &mut DeclaredActuator,
     settings: &ActuatorSettings,
 ) -> Result<(), Vec<String>> {
@@ -43,20 +39,28 @@ pub(super) fn apply<M: Contract>(
     if settings.safe.is_empty() {
         return Ok(());
     }
-    let unreadable = |error: &dyn std::fmt::Display| vec![format!("its safe command: {error}")];
-    let safe = codec::decode::<M>(&actuator.safe).map_err(|error| unreadable(&error))?;
-    let mut fields = serde_json::to_value(&safe).map_err(|error| unreadable(&error))?;
-    let set = |(name, text): &(String, String)| set_field::<M>(&mut fields, name, text).err();
-    let refused: Vec<String> = settings.safe.iter().filter_map(set).collect();
-    if !refused.is_empty() {
-        return Err(refused);
-    }
-    let safe: M = serde_json::from_value(fields).map_err(|error| unreadable(&error))?;
-    actuator.safe = encoded(&safe).map_err(|error| unreadable(&error))?.into();
+    actuator.safe = (actuator.with_fields)(&actuator.safe, &settings.safe)?;
     if actuator.rules.stop_by == StopBy::SafeCommand {
         actuator.stop = actuator.safe.clone();
     }
     Ok(())
+}
+
+/// The safe command of an actuator with commands of type `M`, with other values of these fields.
+pub(super) fn with_fields<M: Contract>(
+    safe: &Bytes,
+    fields: &FieldTexts,
+) -> Result<Bytes, Vec<String>> {
+    let unreadable = |error: &dyn std::fmt::Display| vec![format!("its safe command: {error}")];
+    let safe = codec::decode::<M>(safe).map_err(|error| unreadable(&error))?;
+    let mut command = serde_json::to_value(&safe).map_err(|error| unreadable(&error))?;
+    let set = |(name, text): &(String, String)| set_field::<M>(&mut command, name, text).err();
+    let refused: Vec<String> = fields.iter().filter_map(set).collect();
+    if !refused.is_empty() {
+        return Err(refused);
+    }
+    let command: M = serde_json::from_value(command).map_err(|error| unreadable(&error))?;
+    Ok(encoded(&command).map_err(|error| unreadable(&error))?.into())
 }
 
 /// Sets one field of a command.

@@ -33,6 +33,9 @@ use tracing::{error, info, warn};
 /// Brings outputs to rest without the component.
 pub(crate) type SafeOutputFn = Arc<dyn Fn() + Send + Sync>;
 
+/// Fields of a command with their values as text.
+pub(crate) type FieldTexts = [(String, String)];
+
 /// An actuator as its component declares it.
 pub(crate) struct DeclaredActuator {
     pub(crate) identity: ContractIdentity,
@@ -41,6 +44,8 @@ pub(crate) struct DeclaredActuator {
     pub(crate) max_age: Option<Duration>,
     /// The command that brings it to rest, encoded.
     pub(crate) safe: Bytes,
+    /// Makes a command of the safe one by other values of fields.
+    pub(crate) with_fields: fn(&Bytes, &FieldTexts) -> Result<Bytes, Vec<String>>,
     /// The command that stops it, encoded.
     pub(crate) stop: Bytes,
     pub(crate) settle_within: Duration,
@@ -104,6 +109,8 @@ pub(crate) struct ActuatorTable {
     rests: Arc<AtomicBool>,
     /// The nodes whose commanders were lost, and components whose rungs are not carried out.
     suspended: Arc<Mutex<SortedSet<String>>>,
+    /// The actuators that policies for lost communication have rungs for.
+    with_policy: Arc<Mutex<SortedSet<ActuatorKey>>>,
     /// What policies for lost communication have done now.
     rungs: Arc<Mutex<SortedMap<ActuatorKey, RungOrder>>>,
 }
@@ -152,7 +159,10 @@ impl ActuatorTable {
                 busy: Arc::default(),
             };
             let actuator = Arc::new(actuator);
-            lock(&self.actuators).insert(key, actuator.clone());
+            lock(&self.actuators).insert(key.clone(), actuator.clone());
+            if lock(&self.with_policy).contains(&key) {
+                lock(&actuator.lease).handle_policy();
+            }
             self.begin_rung(&actuator);
         }
         let (table, object) = (self.clone(), object.clone());
@@ -256,7 +266,8 @@ impl ActuatorTable {
     pub(crate) fn suspend(&self, name: &str) {
         lock(&self.suspended).insert(name.to_owned());
         for actuator in self.all() {
-            lock(&actuator.lease).handle_suspended(|commander| is_of(&commander.name, name));
+            let is_meant = |commander: &CommanderId| is_of(&commander.name, name);
+            lock(&actuator.lease).handle_suspended(is_meant, platform::now());
             self.carry_out(&actuator);
         }
         self.timekeeper.look();
@@ -265,6 +276,12 @@ impl ActuatorTable {
     /// Lets those claim again.
     pub(crate) fn resume_commander(&self, name: &str) {
         lock(&self.suspended).remove(name);
+    }
+
+    /// A policy for lost communication has rungs for this actuator.
+    pub(crate) fn keep_by_policy(&self, key: &ActuatorKey) {
+        lock(&self.with_policy).insert(key.clone());
+        self.find(key).iter().for_each(|actuator| lock(&actuator.lease).handle_policy());
     }
 
     /// Has the actuator carry out this command, encoded, of a policy for lost communication, until
@@ -313,6 +330,18 @@ impl ActuatorTable {
         drop(lease);
         self.carry_out(actuator);
         self.timekeeper.look();
+    }
+
+    /// The actuator of this name and contract, and the command that `make` makes for it.
+    pub(crate) fn command_for<T>(
+        &self,
+        (object, contract): (&str, &str),
+        make: impl FnOnce(&DeclaredActuator) -> T,
+    ) -> Option<(ActuatorKey, T)> {
+        let all = self.all().into_iter();
+        let mut named = all.filter(|known| known.object.as_str() == object);
+        let actuator = named.find(|known| known.declared.identity.name == contract)?;
+        Some((actuator.key(), make(&actuator.declared)))
     }
 
     fn find(&self, key: &ActuatorKey) -> Option<Arc<Actuator>> {
@@ -629,11 +658,13 @@ mod tests {
             },
             max_age: None,
             safe: Bytes::new(),
+            with_fields: |safe, _| Ok(safe.clone()),
             stop: Bytes::new(),
             settle_within: Duration::ZERO,
             cut_off: None,
         };
         table.declare(&wheels, vec![(declared, skeleton)], AccessControl::default());
+        table.handle_work(&wheels, Lease::handle_at_work);
 
         let refused = reply(&table, "arm", claim("base:planner"));
         assert!(matches!(refused, Err(DeliveryError::Undecodable { .. })), "{refused:?}");

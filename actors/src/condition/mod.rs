@@ -18,6 +18,8 @@ mod table;
 pub use heartbeat::Heartbeat;
 pub(crate) use source::ConditionWiring;
 pub use spec::Connected;
+#[cfg(feature = "trees")]
+pub(crate) use table::ConditionUse;
 pub(crate) use table::Conditions;
 
 use crate::actuator::Commander;
@@ -202,7 +204,7 @@ impl<C: Component> Context<C> {
     /// # Errors
     /// [`ConditionError`] says what to write instead.
     pub fn condition(&self, name: &str, needs: Connected) -> Result<Condition, ConditionError> {
-        self.cell.record.environment.conditions().declare(name, &needs, platform::now())
+        self.cell.record.environment.conditions().declare(name, &needs, platform::now(), None)
     }
 }
 

@@ -204,7 +204,14 @@ impl Connected {
     /// Events of this contract arrive on this topic at a rate of `hz` or more, counted over
     /// `window`. It is lost below four fifths of the rate.
     pub fn rate<E: Event>(topic: &str, hz: f64, window: Duration) -> Self {
-        Connected::topic::<E>(topic).each(|spec| spec.rate = Some((hz, window)))
+        Connected::topic::<E>(topic).at_rate(hz, window)
+    }
+
+    /// Requires that events arrive at this rate, counted over `window`, rather than that they are
+    /// never silent for the [`timeout`](Self::timeout): as [`rate`](Self::rate), for heartbeats.
+    #[must_use]
+    pub fn at_rate(self, hz: f64, window: Duration) -> Self {
+        self.each(|spec| spec.rate = Some((hz, window)))
     }
 
     /// A path leads to this node: it was discovered, has not left, and is not isolated.

@@ -7,6 +7,7 @@ use super::spec::{ChannelSpec, Connected, ConnectedChannel, LOOK_INTERVAL, TIMEO
 use super::{Condition, ConditionError, ConditionStatus, object_of};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::extension::Extension;
+use crate::platform;
 use crate::runtime::guardian::Guardian;
 use crate::runtime::reports::FaultReports;
 use crate::runtime::timekeeper::Timekeeper;
@@ -54,6 +55,31 @@ struct Entry {
     lost: bool,
     degraded: bool,
     followers: Vec<FollowFn>,
+    /// How many leaves of trees look at it; `None` where it lasts as long as the node.
+    uses: Option<usize>,
+}
+
+/// A leaf of a tree looks at a condition, which ends with the last such use, unless it was declared
+/// for the node.
+pub(crate) struct ConditionUse(pub(crate) Conditions, pub(crate) Condition);
+
+impl Drop for ConditionUse {
+    fn drop(&mut self) {
+        let ConditionUse(conditions, condition) = self;
+        let (Ok(object), Some(wiring)) = (object_of(condition.name()), conditions.0.wiring.get())
+        else {
+            return;
+        };
+        let mut table = conditions.lock();
+        let Some(entry) = table.entries.get_mut(&object) else { return };
+        entry.uses = entry.uses.map(|uses| uses - 1);
+        if entry.uses == Some(0) {
+            // Its faults end with it.
+            let state = (ConditionState::Connected, "no leaf looks at it any more");
+            entry.report(&object, state, &wiring.reports, platform::now());
+            table.entries.remove(&object);
+        }
+    }
 }
 
 /// Acts on how a condition is, and on the time. Says when it wants to do so again.
@@ -100,12 +126,13 @@ impl Conditions {
     }
 
     /// The condition of this name, which needs this. It is declared if it is new, and lasts as long
-    /// as the node.
+    /// as the node, or as long as it is used where it is declared for one use.
     pub(crate) fn declare(
         &self,
         name: &str,
         needs: &Connected,
         now: Instant,
+        uses: Option<usize>,
     ) -> Result<Condition, ConditionError> {
         let object = object_of(name)?;
         let refused = |reason: String| {
@@ -116,11 +143,12 @@ impl Conditions {
         let (Some(wiring), false) = (self.0.wiring.get(), table.ended) else {
             return Err(refused("the node has ended".to_owned()));
         };
-        if let Some(known) = table.entries.get(&object) {
-            return match known.needs == *needs {
-                true => Ok(known.condition()),
-                false => Err(ConditionError::Taken { condition: name.to_owned() }),
-            };
+        if let Some(known) = table.entries.get_mut(&object) {
+            if known.needs != *needs {
+                return Err(ConditionError::Taken { condition: name.to_owned() });
+            }
+            known.uses = known.uses.zip(uses).map(|(known, one)| known + one);
+            return Ok(known.condition());
         }
         if table.entries.len() >= CONDITIONS_MAX {
             let reason = format!("the node has {CONDITIONS_MAX} already: use one of them");
@@ -128,12 +156,7 @@ impl Conditions {
         }
         let default = wiring.timeout.unwrap_or(TIMEOUT);
         let (mut sources, mut patience) = (Vec::new(), Duration::ZERO);
-        let mut open = |spec: &ChannelSpec| -> Result<ConnectionJudge, ConditionError> {
-            let channel = spec.channel.as_ref().map_err(|error| ConditionError::Name {
-                condition: name.to_owned(),
-                error: error.clone(),
-            })?;
-            check(spec, channel).map_err(refused)?;
+        let judges = needs.try_map(name, &mut |spec, channel| {
             sources.push(ChannelSource::open(spec, channel, wiring, &object).map_err(refused)?);
             let rules = spec.rules(default);
             patience = patience.max(match rules.presence {
@@ -141,12 +164,6 @@ impl Conditions {
                 Presence::Rate { window, .. } => window,
             });
             Ok(ConnectionJudge::new(channel.to_string(), rules))
-        };
-        let judges = needs.0.try_map(&mut open, &|least, all| {
-            refused(format!(
-                "{least} of {all} channels are no condition: write 1 to the number of channels \
-                 that follow"
-            ))
         })?;
         let cause = "nothing was measured yet".to_owned();
         let status = ConditionStatus { state: ConditionState::Lost, since: now, cause };
@@ -160,6 +177,7 @@ impl Conditions {
             lost: false,
             degraded: false,
             followers: Vec::new(),
+            uses,
         };
         let condition = entry.condition();
         table.entries.insert(object, entry);
@@ -261,6 +279,37 @@ impl Entry {
             // Last: a log may block.
             info!(condition = &*self.name, %state, "{cause}");
         }
+    }
+}
+
+impl Connected {
+    /// Finds what cannot be judged, for the condition of this name.
+    pub(crate) fn check(&self, condition: &str) -> Result<(), ConditionError> {
+        self.try_map(condition, &mut |_, _| Ok(())).map(drop)
+    }
+
+    /// What is made of each channel that can be judged.
+    fn try_map<T>(
+        &self,
+        condition: &str,
+        make: &mut impl FnMut(&ChannelSpec, &ConnectedChannel) -> Result<T, ConditionError>,
+    ) -> Result<Combination<T>, ConditionError> {
+        let condition = condition.to_owned();
+        let refused = |reason| ConditionError::Refused { condition: condition.clone(), reason };
+        let mut checked = |spec: &ChannelSpec| {
+            let channel = spec.channel.as_ref().map_err(|error| ConditionError::Name {
+                condition: condition.clone(),
+                error: error.clone(),
+            })?;
+            check(spec, channel).map_err(refused)?;
+            make(spec, channel)
+        };
+        self.0.try_map(&mut checked, &|least, all| {
+            refused(format!(
+                "{least} of {all} channels are no condition: write 1 to the number of channels \
+                 that follow"
+            ))
+        })
     }
 }
 

@@ -2,12 +2,17 @@
 
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::injection::Injection;
+use crate::platform;
 use blastema_contract::reports::ExitReason;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, Incarnation, Lifecycle, NodeName, ObjectName};
 use blastema_macros::{Event, Structure};
 use std::any::Any;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// Between two looks at the state of a component that is steered.
+const STEER_INTERVAL: Duration = Duration::from_millis(10);
 
 /// An incarnation of a watched object has ended.
 #[derive(Clone, Debug, PartialEq, Eq, Event)]
@@ -205,4 +210,24 @@ pub(crate) trait Watchable: Send + Sync {
     }
     /// Listens to this topic no longer.
     fn stop_listening(&self, _topic: &ObjectName) {}
+}
+
+impl dyn Watchable {
+    /// Has a component work, or leave work, and waits until it does. Says why it cannot.
+    pub(crate) async fn steer(&self, wanted: Lifecycle) -> Result<(), String> {
+        loop {
+            match self.life_cycle().map(|(_, state)| state) {
+                Some(state) if state == wanted => return Ok(()),
+                Some(Lifecycle::Active | Lifecycle::Initialized) => {
+                    self.activate(wanted == Lifecycle::Active);
+                }
+                // It becomes active by itself.
+                Some(Lifecycle::Created) => {}
+                Some(Lifecycle::Error) => return Err("it is in error: reset it".to_owned()),
+                Some(state) => return Err(format!("it is {state}: restart it")),
+                None => return Err("it is no component".to_owned()),
+            }
+            platform::sleep(STEER_INTERVAL).await;
+        }
+    }
 }

@@ -116,9 +116,9 @@ impl NodeBuilder {
     }
 
     /// Returns what [`start`](Self::start) would refuse in the description: everything that is wrong
-    /// with the node, its components and its supervisors, else the first other error. No component
-    /// is made, and no medium, file of variables or journal is opened; keys and files of parameters
-    /// are read.
+    /// with the node, its components and its supervisors, or all policies for lost communication
+    /// that are, else the first other error. No component is made, and no medium, file of variables
+    /// or journal is opened; keys and files of parameters are read.
     pub fn check(self) -> Vec<StartError> {
         let mut refused = check_settings(&self);
         refused.extend(check(self).unwrap_or_else(|error| vec![error]));
@@ -146,7 +146,11 @@ fn check(mut builder: NodeBuilder) -> Result<Vec<StartError>, StartError> {
     let assembly = NodeAssembly::begin(&mut builder, (node, Incarnation::FIRST))?;
     assembly.read_parameters(builder.parameters)?;
     match assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies) {
-        Ok(_) => Ok(assembly.check_parameters().err().into_iter().collect()),
+        // Its actuators are there as long as it is.
+        Ok(_preparation) => {
+            let parameters = assembly.check_parameters().err();
+            Ok(parameters.into_iter().chain(assembly.wrong_policies(&builder.policies)).collect())
+        }
         Err(refused) => Ok(refused),
     }
 }
@@ -385,10 +389,10 @@ impl NodeAssembly {
 
     fn keep_policies(&mut self, policies: Vec<LostCommunicationPolicy>) -> Result<(), StartError> {
         let who = (&self.node, self.incarnation);
-        for (place, policy) in policies.iter().enumerate() {
-            policy.checked(&policies[..place], self.environment.actuators())?;
+        self.wrong_policies(&policies).next().map_or(Ok(()), Err)?;
+        for policy in &policies {
             if let Some(node) = policy.commander_node()? {
-                self.check_commander(&node).map_err(|reason| policy.refused(reason))?;
+                self.check_commander(&node).map_err(|reason| policy.refused(None, reason))?;
             }
         }
         for policy in policies {
@@ -398,11 +402,19 @@ impl NodeAssembly {
         Ok(())
     }
 
-    /// Finds a commander that cannot be: another node has it, of this robot where that has keys.
+    /// What is wrong with policies, once their actuators are there.
+    fn wrong_policies(
+        &self,
+        policies: &[LostCommunicationPolicy],
+    ) -> impl Iterator<Item = StartError> {
+        let actuators = self.environment.actuators();
+        let policies =
+            policies.iter().enumerate().map(|(place, policy)| (policy, &policies[..place]));
+        policies.flat_map(|(policy, before)| policy.wrong(before, &self.node, actuators))
+    }
+
+    /// Finds a commander that cannot be: it is of this robot where that has keys.
     fn check_commander(&self, node: &NodeName) -> Result<(), String> {
-        if *node == self.node {
-            return Err(format!("its commander {node} is this node: name the one that is lost"));
-        }
         #[cfg(feature = "network")]
         if let Some(networks) = &self.networks {
             return networks.check_commander(node);

@@ -41,7 +41,7 @@ impl Node {
     /// # Errors
     /// [`ConditionError`] says what to write instead.
     pub fn condition(&self, name: &str, needs: Connected) -> Result<Condition, ConditionError> {
-        self.0.environment.conditions().declare(name, &needs, platform::now())
+        self.0.environment.conditions().declare(name, &needs, platform::now(), None)
     }
 
     /// Publishes a [`Heartbeat`] on this topic every `interval`, 10 ms to an hour, for as long as

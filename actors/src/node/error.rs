@@ -55,6 +55,8 @@ pub enum StartError {
     LostCommunication {
         /// The policy.
         policy: String,
+        /// The place of the rung that is wrong, from 0; `None` where it is another part.
+        rung: Option<usize>,
         /// What is wrong, and what to write.
         reason: String,
     },

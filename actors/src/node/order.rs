@@ -8,7 +8,6 @@
 use super::Node;
 #[cfg(feature = "network")]
 use crate::net::operator::operator;
-use crate::platform;
 #[cfg(feature = "network")]
 use crate::registry::{ContractPort, service_fn::ServiceFn};
 use blastema_contract::supervisor::ResetChild;
@@ -28,8 +27,6 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(4);
 /// Under which name operators order.
 #[cfg(feature = "network")]
 const COMPONENTS: &str = "net/components";
-/// How often it is looked whether a component is in its new state.
-const POLL_INTERVAL: Duration = Duration::from_millis(2);
 
 /// What a person orders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Structure)]
@@ -126,8 +123,10 @@ impl Node {
                 (OrderVerb::Acknowledge, name) => self.acknowledge_by_order(name).await,
                 (_, None) => Err("name the component: `list` shows all".to_owned()),
                 (OrderVerb::List, Some(name)) => self.state_of(name).map(drop),
-                (OrderVerb::Activate, Some(name)) => self.set_active(name, true).await,
-                (OrderVerb::Deactivate, Some(name)) => self.set_active(name, false).await,
+                (OrderVerb::Activate, Some(name)) => self.set_active(name, Lifecycle::Active).await,
+                (OrderVerb::Deactivate, Some(name)) => {
+                    self.set_active(name, Lifecycle::Initialized).await
+                }
                 (OrderVerb::Reset, Some(name)) => self.reset_by_order(name).await,
                 (OrderVerb::Restart, Some(name)) => {
                     self.restart_child(name).await.map(drop).map_err(|error| error.to_string())
@@ -189,29 +188,12 @@ impl Node {
             .ok_or_else(|| format!("{name} is no component: `list` shows those that there are"))
     }
 
-    async fn set_active(&self, name: &str, active: bool) -> Result<(), String> {
-        let (from, to) = match active {
-            true => (Lifecycle::Initialized, Lifecycle::Active),
-            false => (Lifecycle::Active, Lifecycle::Initialized),
-        };
-        match self.state_of(name)? {
-            state if state == from => {}
-            state if state == to => return Err(format!("it is {state} already")),
-            Lifecycle::Created => {
-                return Err("it is not initialized yet, and becomes active by itself".to_owned());
-            }
-            Lifecycle::Error => return Err("it is in error: reset it".to_owned()),
-            state => return Err(format!("it is {state}: restart it")),
+    async fn set_active(&self, name: &str, wanted: Lifecycle) -> Result<(), String> {
+        if self.state_of(name)? == wanted {
+            return Err(format!("it is {wanted} already"));
         }
         let component = self.0.environment.registry.watchable(name);
-        component.map_err(|error| error.to_string())?.activate(active);
-        loop {
-            match self.state_of(name)? {
-                state if state == to => return Ok(()),
-                state if state == from => platform::sleep(POLL_INTERVAL).await,
-                state => return Err(format!("it is {state} now: `list` shows why")),
-            }
-        }
+        component.map_err(|error| error.to_string())?.steer(wanted).await
     }
 
     async fn reset_by_order(&self, name: &str) -> Result<(), String> {

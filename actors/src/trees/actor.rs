@@ -113,36 +113,46 @@ impl BehaviorTree {
         text: &str,
     ) -> Result<ChildSpec<BehaviorTree>, TreeErrors> {
         let file = (format!("{name}.xml"), text.to_owned());
-        BehaviorTree::of(name, leaves, file, |_| Err("no files are included here".to_owned()))
+        let no_files = |_: &str| Err("no files are included here".to_owned());
+        BehaviorTree::of(leaves, file, no_files).map(|make| make(name))
     }
 
-    /// A component of this name that ticks the main tree of this file. Included files lie in the
-    /// same folder. All are read now, and not again.
+    /// A component of this name that ticks the main tree of this file. The paths of included files
+    /// begin at the folder of the file that includes them. All are read now, and not again.
     ///
     /// # Errors
     /// The file cannot be read, or, as [`io::ErrorKind::InvalidData`], it has mistakes: all of
-    /// them, with their places.
+    /// them, as [`TreeErrors`].
     pub fn of_file(
         name: &str,
         leaves: &TreeLeaves,
         file: impl AsRef<Path>,
     ) -> io::Result<ChildSpec<BehaviorTree>> {
-        let (file, label) = (file.as_ref(), file.as_ref().display().to_string());
-        let text = fs::read_to_string(file)
+        BehaviorTree::read(leaves, file).map(|make| make(name))
+    }
+
+    /// Reads a file as [`of_file`](Self::of_file) does, and returns what makes components of it by
+    /// their names, such as for a [`Rung`](crate::Rung) that runs a tree.
+    ///
+    /// # Errors
+    /// As [`of_file`](Self::of_file).
+    pub fn read(
+        leaves: &TreeLeaves,
+        file: impl AsRef<Path>,
+    ) -> io::Result<impl Fn(&str) -> ChildSpec<BehaviorTree> + Clone + Send + Sync + 'static> {
+        let label = file.as_ref().display().to_string();
+        let text = fs::read_to_string(&file)
             .map_err(|error| io::Error::new(error.kind(), format!("{label}: {error}")))?;
-        let folder = file.parent().unwrap_or(Path::new(""));
-        let include =
-            |path: &str| fs::read_to_string(folder.join(path)).map_err(|error| error.to_string());
-        let made = BehaviorTree::of(name, leaves, (label, text), include);
+        let include = |path: &str| fs::read_to_string(path).map_err(|error| error.to_string());
+        let made = BehaviorTree::of(leaves, (label, text), include);
         made.map_err(|errors| io::Error::new(io::ErrorKind::InvalidData, errors))
     }
 
-    fn of(
-        name: &str,
+    fn of<R: Fn(&str) -> Result<String, String>>(
         leaves: &TreeLeaves,
         (file, text): (String, String),
-        read: impl Fn(&str) -> Result<String, String>,
-    ) -> Result<ChildSpec<BehaviorTree>, TreeErrors> {
+        read: R,
+    ) -> Result<impl Fn(&str) -> ChildSpec<BehaviorTree> + Clone + use<R>, TreeErrors> {
         let (leaves, mut included) = (leaves.clone(), BTreeMap::new());
         let mut include = |path: &str| {
             let text = read(path)?;
@@ -151,12 +161,16 @@ impl BehaviorTree {
         };
         leaves.factory.load_with(&file, &text, None, &mut include)?;
         let source = Arc::new(TreeSource { leaves, file, text, included });
-        let make = move || {
-            let mut tree = BehaviorTree::default();
-            tree.source = source.clone();
-            tree
+        let make = move |name: &str| {
+            let source = source.clone();
+            let make = move || {
+                let mut tree = BehaviorTree::default();
+                tree.source = source.clone();
+                tree
+            };
+            ChildSpec::new(name, make).rate_hz(RATE_HZ)
         };
-        Ok(ChildSpec::new(name, make).rate_hz(RATE_HZ))
+        Ok(make)
     }
 
     /// The time of all trees: since the origin of the node's clock.
@@ -298,7 +312,10 @@ impl BehaviorTree {
             self.take_changes(0, cx);
             let why = match halted {
                 Ok(Ok(())) => break,
-                Ok(Err(error)) => error.to_string(),
+                Ok(Err(error)) => {
+                    self.faulty.insert(error.node);
+                    error.to_string()
+                }
                 Err(why) => {
                     let (tree, node) = (shared.tree.borrow(), shared.tree.borrow().panicked());
                     self.faulty.extend(node);
@@ -311,9 +328,12 @@ impl BehaviorTree {
         shared.release();
     }
 
-    fn drop_halted(&self, cx: &Context<Self>) {
-        if let Some(why) = self.shared.drop_halted() {
-            cx.declare_fault(FaultKind::CheckFailed, format!("the future of a halted leaf {why}"));
+    fn drop_halted(&mut self, cx: &Context<Self>) {
+        for (node, why) in self.shared.drop_halted() {
+            self.faulty.insert(node);
+            let leaf = self.shared.tree.borrow().path(node).to_owned();
+            let detail = format!("leaf {leaf}, halted: its future {why}");
+            cx.declare_fault(FaultKind::CheckFailed, detail);
         }
     }
 

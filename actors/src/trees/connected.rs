@@ -38,7 +38,7 @@ const STATES: [Lifecycle; 3] = [Lifecycle::Initialized, Lifecycle::Active, Lifec
 /// Registers them. Names and ports of the first three are those of the source's nodes.
 pub(super) fn register(factory: &mut Factory) {
     factory.condition("IsCommsConnected", [TOPIC, TIMEOUT], |cx| {
-        heard(cx, &topic(&cx.input::<String>("topic_name")?))
+        heard(cx, 0, &topic(&cx.input::<String>("topic_name")?))
     });
     let topics = Port::input::<String>("heartbeat_topics").about("topics, separated by `;`");
     factory.condition("AreAllCommsConnected", [topics, TIMEOUT], |cx| {
@@ -46,8 +46,8 @@ pub(super) fn register(factory: &mut Factory) {
         let topics = topics.split(';').map(topic).filter(|topic| !topic.is_empty());
         let mut all = None;
         // Each is declared in the first tick, also behind one that is silent.
-        for topic in topics {
-            let one = heard(cx, &topic)? == Status::Success;
+        for (number, topic) in topics.enumerate() {
+            let one = heard(cx, number, &topic)? == Status::Success;
             all = Some(all.unwrap_or(true) && one);
         }
         Ok(Status::from(all.ok_or("`heartbeat_topics` names no topic")?))
@@ -59,7 +59,7 @@ pub(super) fn register(factory: &mut Factory) {
             let limit: f64 = cx.input(port)?;
             let needs = set(Connected::heartbeat(&topic), limit)?;
             let name = format!("{topic}/{port}-{limit}");
-            Ok(Status::from(TreeHost::of(cx)?.condition(name, || needs)?.is_acceptable()))
+            Ok(Status::from(TreeHost::condition(cx, 0, &name, || needs)?.is_acceptable()))
         });
     }
     #[cfg(feature = "network")]
@@ -69,7 +69,7 @@ pub(super) fn register(factory: &mut Factory) {
             let (node, timeout) = (cx.input::<String>("node")?, seconds(cx, "timeout_sec")?);
             let name = format!("{node}/there-within-{}ms", timeout.as_millis());
             let there = || Connected::node(&node).timeout(timeout);
-            Ok(Status::from(TreeHost::of(cx)?.condition(name, there)?.is_connected()))
+            Ok(Status::from(TreeHost::condition(cx, 0, &name, there)?.is_connected()))
         });
     }
     let component = Port::input::<String>("component").about("a component of this node");
@@ -103,9 +103,9 @@ pub(super) fn seconds(cx: &LeafContext<'_>, port: &str) -> Result<Duration, Leaf
 }
 
 /// Heartbeats arrive within the leaf's timeout. What was never heard does not.
-fn heard(cx: &LeafContext<'_>, topic: &str) -> LeafResult {
+fn heard(cx: &LeafContext<'_>, number: usize, topic: &str) -> LeafResult {
     let timeout = seconds(cx, "timeout_sec")?;
     let name = format!("{topic}/heard-within-{}ms", timeout.as_millis());
     let heard = || Connected::heartbeat(topic).timeout(timeout);
-    Ok(Status::from(TreeHost::of(cx)?.condition(name, heard)?.is_connected()))
+    Ok(Status::from(TreeHost::condition(cx, number, &name, heard)?.is_connected()))
 }

@@ -1,19 +1,19 @@
 //! What the conditions of a tree look at beside their ports.
 
 use crate::component::environment::ComponentEnvironment;
-use crate::condition::{Condition, Connected};
+use crate::condition::{Condition, ConditionUse, Connected};
 use crate::platform;
 use blastema_core::FaultLocation;
 use blastema_core::detection::FaultRecord;
-use blastema_trees::{LeafContext, LeafError};
+use blastema_trees::{LeafContext, LeafError, TreeNodeId};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// What a node lends to the conditions of a tree.
 pub(super) struct TreeHost {
     pub(super) environment: Arc<ComponentEnvironment>,
-    /// By their names; those that are new are still to be watched.
-    conditions: Mutex<BTreeMap<String, Condition>>,
+    /// Those of each leaf, by their numbers; those that are new are still to be watched.
+    conditions: Mutex<BTreeMap<(TreeNodeId, usize), ConditionUse>>,
     fresh: Mutex<Vec<Condition>>,
     faults: Mutex<FaultRecord>,
 }
@@ -29,19 +29,26 @@ impl TreeHost {
         cx.lent().ok_or_else(|| "this leaf needs a node: run the tree as a component".into())
     }
 
-    /// The condition of this name, which is declared when it is asked for first.
+    /// The condition of this number that a leaf looks at. It is declared when the leaf asks for one
+    /// of this name first, and takes the place of the one before.
     pub(super) fn condition(
-        &self,
-        name: String,
+        cx: &LeafContext<'_>,
+        number: usize,
+        name: &str,
         needs: impl FnOnce() -> Connected,
     ) -> Result<Condition, LeafError> {
-        let mut known = self.conditions.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(condition) = known.get(&name) {
+        let host = TreeHost::of(cx)?;
+        let mut known = host.conditions.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = (cx.run().node, number);
+        if let Some(ConditionUse(_, condition)) = known.get(&place)
+            && condition.name() == name
+        {
             return Ok(condition.clone());
         }
-        let condition = self.environment.conditions().declare(&name, &needs(), platform::now())?;
-        known.insert(name, condition.clone());
-        self.fresh.lock().unwrap_or_else(PoisonError::into_inner).push(condition.clone());
+        let conditions = host.environment.conditions();
+        let condition = conditions.declare(name, &needs(), platform::now(), Some(1))?;
+        known.insert(place, ConditionUse(conditions.clone(), condition.clone()));
+        host.fresh.lock().unwrap_or_else(PoisonError::into_inner).push(condition.clone());
         Ok(condition)
     }
 

@@ -3,7 +3,6 @@
 use super::connected;
 use super::message;
 use super::task::{LeafTask, MakeTask};
-use crate::platform;
 use crate::settings::DEFAULT_DEADLINE;
 use blastema_core::{Contract, DeliveryError, Described, Event, Lifecycle, Request, Variable};
 use blastema_trees::{Factory, Leaf, LeafContext, LeafError, LeafResult, Port, Status};
@@ -11,9 +10,6 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
-
-/// Between two looks at the state of a component that is steered.
-const LOOK: Duration = Duration::from_millis(10);
 
 /// What becomes of a leaf that panics, has an error, or exceeds its time limit. Each is a fault
 /// [`CheckFailed`](crate::FaultKind::CheckFailed) of the tree's component, whose detail names the
@@ -85,7 +81,7 @@ pub struct TreeLeaves {
 
 impl fmt::Debug for TreeLeaves {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_list().entries(self.factory.names()).finish()
+        f.debug_list().entries(self.names()).finish()
     }
 }
 
@@ -253,9 +249,14 @@ impl TreeLeaves {
     /// No leaf has this name.
     #[must_use]
     pub fn rules(mut self, name: &str, rules: LeafRules) -> Self {
-        assert!(self.factory.names().any(|known| known == name), "no leaf is called `{name}`");
+        assert!(self.names().any(|known| known == name), "no leaf is called `{name}`");
         self.rules.insert(name.to_owned(), rules);
         self
+    }
+
+    /// The names of all leaves.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.factory.names()
     }
 
     /// The `TreeNodesModel` of all leaves, as a file that the editor Groot2 loads.
@@ -290,10 +291,6 @@ impl LeafTask {
 async fn steer(leaf: LeafTask, wanted: Lifecycle) -> LeafResult {
     let component: String = leaf.input("component")?;
     let registry = leaf.cx.cell.record.environment.registry.clone();
-    let component = registry.watchable(&component)?;
-    while component.life_cycle().map(|(_, state)| state) != Some(wanted) {
-        component.activate(wanted == Lifecycle::Active);
-        platform::sleep(LOOK).await;
-    }
+    registry.watchable(&component)?.steer(wanted).await?;
     Ok(Status::Success)
 }

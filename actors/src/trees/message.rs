@@ -69,6 +69,10 @@ fn ports(whole: &'static str, shape: &'static Shape<LayoutOf>, reads: bool) -> V
     fields.iter().filter_map(port).collect()
 }
 
+fn is_text(shape: &Shape<LayoutOf>) -> bool {
+    matches!(shape, Shape::Leaf(Primitive::Text | Primitive::Char))
+}
+
 fn is_integer(primitive: Primitive) -> bool {
     use Primitive::{Bool, Char, Duration, F32, F64, Text, Unit};
     !matches!(primitive, Unit | Bool | F32 | F64 | Char | Text | Duration)
@@ -78,14 +82,15 @@ impl LeafTask {
     /// The message that the leaf's ports make.
     pub(super) fn message<M: Contract>(&self) -> Result<M, LeafError> {
         let shape = &M::layout().shape;
-        let json = match named(shape) {
-            None => self.json("message", shape)?.unwrap_or_default(),
-            Some([]) => Json::Null,
-            Some(fields) => {
+        let json = match (shape, named(shape)) {
+            (_, None) => self.json("message", shape)?.unwrap_or_default(),
+            (Shape::Struct(_, Fields::Unit), _) => Json::Null,
+            (_, Some(fields)) => {
                 let mut object = serde_json::Map::new();
                 for field in fields {
                     let value = self.json(&field.name, &(field.of)().shape)?;
-                    object.extend(value.map(|value| (field.name.to_string(), value)));
+                    // A field that may be left out is none.
+                    object.insert(field.name.to_string(), value.unwrap_or_default());
                 }
                 Json::Object(object)
             }
@@ -97,8 +102,11 @@ impl LeafTask {
         Ok(Some(match of {
             Shape::Leaf(Primitive::Bool) => self.input::<bool>(port)?.into(),
             Shape::Leaf(Primitive::F32 | Primitive::F64) => self.input::<f64>(port)?.into(),
-            Shape::Leaf(Primitive::Text | Primitive::Char) => self.input::<String>(port)?.into(),
+            of if is_text(of) => self.input::<String>(port)?.into(),
             Shape::Leaf(primitive) if is_integer(*primitive) => self.input::<i64>(port)?.into(),
+            Shape::Optional(inner) if is_text(&(inner)().shape) => {
+                return Ok(self.optional_input::<String>(port)?.map(Json::String));
+            }
             // Anything else is JSON; the name of a variant stands without quotes.
             _ => match self.optional_input::<String>(port)? {
                 Some(text) => serde_json::from_str(&text).unwrap_or(Json::String(text)),

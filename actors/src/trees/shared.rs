@@ -5,7 +5,7 @@ use super::task::LeafFuture;
 use crate::component::incarnation::{IncarnationState, TimerMode};
 use crate::platform::panics;
 use blastema_core::{Contract, DeliveryError};
-use blastema_trees::{LeafRun, Status, Tree};
+use blastema_trees::{LeafRun, Status, Tree, TreeNodeId};
 use std::any::{Any, TypeId};
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -110,14 +110,15 @@ impl TreeShared {
         }
     }
 
-    /// Drops the futures of leaves that were halted or failed, and returns what panicked.
-    pub(super) fn drop_halted(&self) -> Option<String> {
+    /// Drops the futures of leaves that were halted or failed, and returns those that panicked.
+    pub(super) fn drop_halted(&self) -> Vec<(TreeNodeId, String)> {
         let (mut tree, tasks) = (self.tree.borrow_mut(), self.tasks.take());
         let goes_on = |task: &RunningTask| tree.leaf_context(task.run).is_some();
         let (going, halted): (Vec<_>, Vec<_>) = tasks.into_iter().partition(goes_on);
         self.tasks.replace(going);
         drop(tree);
-        panics::caught(|| drop(halted)).err()
+        let dropped = halted.into_iter().map(|task| (task.run.node, panics::caught(|| drop(task))));
+        dropped.filter_map(|(node, dropped)| Some((node, dropped.err()?))).collect()
     }
 
     /// The commander of an actuator, which lasts until the tree is halted.

@@ -20,6 +20,7 @@ fn held_by_planner(stop_by: StopBy) -> (Lease, u64) {
 
 fn held_under(rules: LeaseRules) -> (Lease, u64) {
     let mut lease = Lease::new(ObjectName::new("wheel").unwrap(), rules, 7);
+    lease.handle_at_work();
     let grant = lease.handle_claim(who("planner", 1), ms(0)).unwrap();
     assert_eq!(grant, LeaseGrant { epoch: 8, span: SPAN });
     (lease, grant.epoch)
@@ -424,6 +425,54 @@ fn a_policy_holds_the_lease_over_all_its_rungs_and_no_change_cuts_the_actuator_o
     lease.handle_timeout(ms(99_000));
     assert!(lease.handle_claim(who("console", 1), ms(99_000)).is_ok());
     assert_eq!(outputs(&mut lease), [""; 0]);
+}
+
+#[test]
+fn a_rung_waits_for_a_component_that_was_never_at_work_and_does_not_cut_it_off() {
+    let (stop_by, command_timeout) = (StopBy::SafeCommand, Some(SPAN));
+    let rules = LeaseRules { span: SPAN, command_timeout, max_wait: SPAN, stop_by };
+    let mut lease = Lease::new(ObjectName::new("wheel").unwrap(), rules, 7);
+    lease.handle_rung(who("policy", 1), None, ms(0));
+    for now in 0..100 {
+        lease.handle_timeout(ms(100 * now));
+    }
+    lease.handle_ended();
+    assert_eq!(outputs(&mut lease), [""; 0]);
+    lease.handle_at_work();
+    assert_eq!(outputs(&mut lease), ["rung"]);
+    lease.handle_timeout(ms(10_000));
+    lease.handle_timeout(ms(12_000));
+    assert_eq!(outputs(&mut lease), ["cut-off"], "it does not take it");
+}
+
+#[test]
+fn a_lease_that_a_policy_ends_or_that_is_over_before_its_rungs_is_cut_off_only_if_need_be() {
+    let expires: fn(&mut Lease) = |lease| {
+        lease.handle_policy();
+        lease.handle_timeout(ms(100));
+    };
+    let suspended: fn(&mut Lease) = |lease| lease.handle_suspended(|_| true, ms(100));
+    for end in [expires, suspended] {
+        let (mut lease, _) = held();
+        end(&mut lease);
+        assert_eq!((outputs(&mut lease), lease.poll_timeout()), (vec!["safe"], Some(ms(110))));
+        lease.handle_applied(RestCause::Expired, true);
+        lease.handle_applied(RestCause::Released, true);
+        lease.handle_timeout(ms(110));
+        assert_eq!((outputs(&mut lease), lease.status(ms(110))), (vec![], LeaseStatus::Free));
+
+        for fails in [true, false] {
+            let (mut lease, _) = held();
+            end(&mut lease);
+            lease.handle_timeout(ms(110));
+            assert_eq!(outputs(&mut lease), ["safe", "check"]);
+            match fails {
+                true => lease.handle_left(false),
+                false => lease.handle_check(false),
+            }
+            assert_eq!(outputs(&mut lease), ["cut-off"]);
+        }
+    }
 }
 
 #[test]

@@ -8,6 +8,7 @@ mod message_log;
 mod ports;
 mod readme;
 mod recovery;
+mod robot_file;
 mod robots;
 mod scenarios;
 mod seals;

@@ -339,6 +339,17 @@ struct Say {
     loud: bool,
 }
 
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(name = "voice/label")]
+struct Label {
+    text: Option<String>,
+    number: Option<u32>,
+}
+
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(name = "voice/ping")]
+struct Ping {}
+
 #[derive(Clone, Debug, PartialEq, Variable)]
 #[contract(name = "rover/mode")]
 struct Mode {
@@ -397,6 +408,76 @@ async fn leaves_ask_publish_read_write_and_command_with_a_port_for_each_field() 
     node.advance(100 * MS).await;
     assert_eq!(driven.drain(), [Drive { speed: 0.0 }]);
     node.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn a_text_that_may_be_left_out_is_a_text_and_a_message_without_fields_has_no_port() {
+    let (labels, pings) = (Probe::<Label>::new(), Probe::<Ping>::new());
+    let leaves = TreeLeaves::new().publish::<Label>("Label").publish::<Ping>("Ping");
+    let text = r#"<Sequence><Label text="12" number="7"/><Label/><Ping/>
+        <Sleep msec="60000"/></Sequence>"#;
+    let node = Node::builder("rover")
+        .child(labels.listener("labels"))
+        .child(pings.listener("pings"))
+        .child(tree(&leaves, text));
+    let node = TestNode::start(node).await;
+    node.advance(SECOND).await;
+
+    let (text, number) = (Some("12".to_owned()), Some(7));
+    assert_eq!(labels.drain(), [Label { text, number }, Label { text: None, number: None }]);
+    assert_eq!(pings.drain(), [Ping {}]);
+    node.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn conditions_of_leaves_end_when_no_leaf_looks_at_them_and_their_faults_with_them() {
+    let next = std::sync::atomic::AtomicU32::new(0);
+    let leaves = TreeLeaves::new().action("Next", [Port::output::<String>("topic")], move |cx| {
+        let number = next.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+        // The first one for four seconds, so that it is a fault that it was never heard.
+        cx.output("topic", format!("beat/{}", number.saturating_sub(40)))?;
+        Ok(Status::Success)
+    });
+    let text = r#"<Sequence><Next topic="{topic}"/>
+        <ForceSuccess><IsCommsConnected topic_name="{topic}"/></ForceSuccess></Sequence>"#;
+    let mut node = TestNode::start(Node::builder("rover").child(tree(&leaves, text))).await;
+    // More topics than a node has conditions.
+    node.advance(34 * SECOND).await;
+    let first = "conditions/beat/0/heard-within-3000ms";
+    node.await_fault(FaultKind::ConnectionLost, first).await;
+    let mut standing = node.faults().await.entries;
+    standing.retain(|entry| entry.status() != FaultStatus::Closed);
+    assert!(standing.len() <= 1, "{standing:?}");
+    assert!(standing.iter().all(|of| of.fault.kind == FaultKind::ConnectionLost), "{standing:?}");
+}
+
+#[blastema_testkit::test]
+async fn the_fault_of_a_halted_leaf_whose_future_panics_ends_when_the_leaf_succeeds() {
+    struct Panics;
+    impl Drop for Panics {
+        fn drop(&mut self) {
+            panic!("it is held")
+        }
+    }
+    let first = std::sync::atomic::AtomicBool::new(true);
+    let leaves = TreeLeaves::new().task("Grip", [], move |_| {
+        let panics = first.swap(false, std::sync::atomic::Ordering::Relaxed).then(|| Panics);
+        async move {
+            if let Some(_held) = panics {
+                blastema::sleep(SECOND).await;
+            }
+            Ok(Status::Success)
+        }
+    });
+    let text = r#"<Sequence><ForceSuccess><Timeout msec="100"><Grip name="grip"/></Timeout>
+        </ForceSuccess><Sleep msec="500"/></Sequence>"#;
+    let mut node = TestNode::start(Node::builder("rover").child(tree(&leaves, text))).await;
+    let fault = node.await_fault(FaultKind::CheckFailed, "tree").await;
+    assert!(fault.detail.starts_with("leaf grip, halted: its future"), "{}", fault.detail);
+    node.advance(5 * SECOND).await;
+    let record = node.faults().await;
+    let entry = record.entries.iter().find(|entry| entry.fault.id == fault.id).unwrap();
+    assert_eq!(entry.status(), FaultStatus::Closed, "it has succeeded since");
 }
 
 struct Arm;

@@ -2,6 +2,7 @@
 
 use blastema::prelude::*;
 use blastema::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
+use blastema::trees::{Port, Status, TreeLeaves};
 use blastema::{ActuatorSpec, DeviceSpec, RecoveryStrategy, StrategyContext};
 use blastema_robot::Types;
 use std::time::Duration;
@@ -91,6 +92,15 @@ fn gripper(device: DeviceSpec) -> DeviceSpec {
     device.actuator(0, ActuatorSpec::new(safe, Duration::from_millis(200)))
 }
 
+#[derive(Default)]
+struct Console;
+
+impl Component for Console {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.commands::<Drive>("motors").commands::<Drive>("brake");
+    }
+}
+
 struct Oil;
 
 impl RecoveryStrategy for Oil {
@@ -111,6 +121,11 @@ pub(crate) fn types() -> Types {
         .component::<Camera>("Camera")
         .component::<Cell>("Cell")
         .device("Gripper", 0x6772_6970, gripper)
+        .component::<Console>("Console")
         .strategy("oil", || Oil)
         .safe_outputs("brakes", |_| {})
+        .leaves(TreeLeaves::new().action("Drive", [Port::input::<f64>("speed")], |leaf| {
+            let _: f64 = leaf.input("speed")?;
+            Ok(Status::Success)
+        }))
 }

@@ -8,9 +8,10 @@ use blastema::recovery::Backoff;
 use blastema::{ActuatorSettings, ClaimPolicy, CommandTimeout, SupervisionTree};
 use blastema_robot::RobotDescription;
 use blastema_robot::description::{
-    AnswerDescription, ChildDescription, ComponentDescription, ConnectionDescription,
-    DeviceSettings, ElementOrigin, EndpointDescription, NodeDescription, RobotNetwork,
-    SupervisorDescription,
+    AnswerDescription, ChildDescription, CommandDescription, ComponentDescription,
+    ConnectionDescription, DeviceSettings, ElementOrigin, EndpointDescription,
+    LostCommunicationDescription, NeedChannel, NeedDescription, NodeDescription, RobotNetwork,
+    RungAction, RungDescription, SupervisorDescription,
 };
 use std::path::Path;
 use std::time::Duration;
@@ -41,6 +42,63 @@ fn cell(name: &str) -> ChildDescription {
     let type_name = "Cell".to_owned();
     let cell = ComponentDescription { name: name.into(), type_name, ..Default::default() };
     ChildDescription::Component(Box::new(cell))
+}
+
+fn need(channel: NeedChannel) -> NeedDescription {
+    NeedDescription {
+        channel,
+        timeout: None,
+        rate: None,
+        max_latency: None,
+        max_jitter: None,
+        max_loss: None,
+        origin: ElementOrigin::default(),
+    }
+}
+
+fn rung(after: Duration, action: RungAction, speeds: &[&[(&str, &str)]]) -> RungDescription {
+    let own = |(name, value): &(&str, &str)| ((*name).to_owned(), (*value).to_owned());
+    let commands = speeds.iter().map(|fields| CommandDescription {
+        actuator: "base:motors#drive".parse().expect("an address of a port"),
+        fields: fields.iter().map(own).collect(),
+        origin: ElementOrigin::default(),
+    });
+    let (run, commands, origin) = (None, commands.collect(), ElementOrigin::default());
+    RungDescription { after, action, run, commands, origin }
+}
+
+/// What `base` of `whole.robot.xml` does when it loses `arm`.
+fn pilot() -> LostCommunicationDescription {
+    let homing = Some("homing".to_owned());
+    LostCommunicationDescription {
+        name: "pilot".into(),
+        commander: Some("arm".into()),
+        needs: vec![
+            NeedDescription {
+                timeout: Some(SECOND),
+                max_latency: Some(200 * MS),
+                max_jitter: Some(50 * MS),
+                max_loss: Some(0.2),
+                ..need(NeedChannel::Heartbeat("arm/beat".into()))
+            },
+            NeedDescription {
+                rate: Some((10.0, 2 * SECOND)),
+                ..need(NeedChannel::Heartbeat("eye/beat".into()))
+            },
+            need(NeedChannel::Node("arm".into())),
+            need(NeedChannel::Session("arm".into())),
+            need(NeedChannel::Link("ether".into())),
+        ],
+        at_least: Some(2),
+        rungs: vec![
+            rung(SECOND, RungAction::Hold, &[&[]]),
+            RungDescription { run: homing, ..rung(10 * SECOND, RungAction::Return, &[]) },
+            rung(60 * SECOND, RungAction::Stop, &[&[("speed", "-0.1 m/s")]]),
+        ],
+        stable_for: Some(2 * SECOND),
+        acknowledged: true,
+        origin: ElementOrigin::default(),
+    }
 }
 
 /// The robot of `whole.robot.xml`, in code.
@@ -106,6 +164,12 @@ fn whole() -> RobotDescription {
     };
     let mut children = vec![ChildDescription::Supervisor(drive)];
     children.extend(["skin/08", "skin/09", "skin/10"].map(cell));
+    children.push(ChildDescription::Component(Box::new(ComponentDescription {
+        name: "homing".into(),
+        tree: Some(folder.join("trees/homing.tree.xml")),
+        rate_hz: Some(5.0),
+        ..Default::default()
+    })));
     let base = NodeDescription {
         name: "base".into(),
         root: SupervisorDescription {
@@ -122,6 +186,7 @@ fn whole() -> RobotDescription {
         shown_at: Some("/tmp/base.sock".into()),
         keep_variables: Some("/tmp/base.variables".into()),
         plan: vec![answer(FaultKind::Silence, Ladder::first(RecoveryAction::Restart))],
+        lost_communication: vec![pilot()],
         endpoints: vec![
             endpoint("cable", "unix:///tmp/base.cable"),
             EndpointDescription {

@@ -14,6 +14,14 @@ impl NodeBuilder {
         self
     }
 
+    /// Lets each network that was added be cut and impaired by [`Node::cable`](crate::Node::cable),
+    /// as [`Network::with_faults`] does.
+    pub fn with_faults(mut self, seed: u64) -> Self {
+        let networks = self.networks.networks.into_iter();
+        self.networks.networks = networks.map(|network| network.with_faults(seed)).collect();
+        self
+    }
+
     /// Reads networks, their neighbours and the node's key from a [TOML
     /// file](crate::manual::networks#in-a-file) when the node starts, beside those that are
     /// described in code. Without this line the environment variable `BLASTEMA_NETWORKS` names the

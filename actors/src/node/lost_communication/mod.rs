@@ -62,14 +62,6 @@ pub enum AcknowledgeError {
     },
 }
 
-/// Where a ladder stands.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct LadderStatus {
-    /// The place of the rung that is carried out.
-    rung: Option<usize>,
-    is_back: bool,
-}
-
 /// A policy of a node that runs.
 pub(super) struct KeptPolicy {
     name: String,
@@ -83,7 +75,8 @@ pub(super) struct KeptPolicy {
     faults: Option<Recipient<FaultDeclared>>,
     /// The ladder, and how the condition was.
     ladder: Mutex<(LostCommunication, ConditionState)>,
-    status: watch::Sender<LadderStatus>,
+    /// The place of the rung that is carried out.
+    rung: watch::Sender<Option<usize>>,
     node: NodeSlot,
 }
 
@@ -119,8 +112,7 @@ impl KeptPolicy {
             ladder.handle_lost(now);
         }
         let outputs: Vec<_> = std::iter::from_fn(|| ladder.poll_output()).collect();
-        let status = LadderStatus { rung: ladder.rung(), is_back: ladder.is_back() };
-        let due = ladder.poll_timeout();
+        let (rung, due) = (ladder.rung(), ladder.poll_timeout());
         drop(locked);
         for output in outputs {
             match output {
@@ -129,7 +121,7 @@ impl KeptPolicy {
             }
         }
         // Last: the removal of the component of the rung before begins with this.
-        self.status.send_if_modified(|known| std::mem::replace(known, status) != status);
+        self.rung.send_if_modified(|known| std::mem::replace(known, rung) != rung);
         due
     }
 
@@ -143,14 +135,11 @@ impl KeptPolicy {
         for (key, command) in commands {
             self.actuators.enter_rung(key, &self.holder, Some(command.clone()), None);
         }
-        self.suspend_components();
+        self.suspend();
         runs.iter().for_each(|component| self.actuators.resume_commander(component));
         let is_commanded = |key: &ActuatorKey| commands.iter().any(|(known, _)| known == key);
         for key in self.keys().filter(|key| !is_commanded(key)) {
             self.actuators.enter_rung(key, &self.holder, None, runs.as_ref());
-        }
-        if let Some(node) = &self.commander {
-            self.actuators.suspend(node.as_str());
         }
         let detail = format!("{cause}; after {after:?} the robot begins to {name}");
         info!(policy = self.name, "{detail}");
@@ -162,14 +151,15 @@ impl KeptPolicy {
         }
     }
 
-    /// Components command while their rungs are carried out, and not until they are removed.
-    fn suspend_components(&self) {
-        let components = self.rungs.iter().filter_map(|rung| rung.runs.as_ref());
-        components.for_each(|component| self.actuators.suspend(component));
+    /// The commander is lost, and components command only while their rungs are carried out.
+    fn suspend(&self) {
+        let components = self.rungs.iter().filter_map(|rung| rung.runs.as_deref());
+        let commanders = components.chain(self.commander.as_ref().map(NodeName::as_str));
+        commanders.for_each(|name| self.actuators.suspend(name));
     }
 
     fn end(&self) {
-        self.suspend_components();
+        self.suspend();
         self.keys().for_each(|key| self.actuators.end_rungs(key));
         if let Some(node) = &self.commander {
             self.actuators.resume_commander(node.as_str());
@@ -178,31 +168,37 @@ impl KeptPolicy {
     }
 
     fn row(&self) -> LostCommunicationRow {
-        let LadderStatus { rung, is_back } = *self.status.borrow();
-        let rung = rung.and_then(|place| Some(self.rungs.get(place)?.name.clone()));
+        let is_back = self.lock().0.is_back();
+        let rung = self.rung.borrow().and_then(|place| Some(self.rungs.get(place)?.name.clone()));
         LostCommunicationRow { name: self.name.clone(), rung, is_back }
     }
 }
 
 impl LostCommunicationPolicy {
-    /// Finds what cannot work on this node, or beside the policies before it.
-    pub(super) fn checked(
+    /// What cannot work on this node, or beside the policies before it.
+    pub(super) fn wrong(
         &self,
         before: &[LostCommunicationPolicy],
+        node: &NodeName,
         actuators: &ActuatorTable,
-    ) -> Result<(), StartError> {
-        let beside = before.iter().try_for_each(|other| self.check_beside(other));
-        beside.and_then(|()| self.check(actuators)).map_err(|reason| self.refused(reason))
+    ) -> Vec<StartError> {
+        let beside = before.iter().filter_map(|other| self.check_beside(other).err());
+        let whole = beside.chain(self.check(node).err()).map(|reason| self.refused(None, reason));
+        let rungs = (0..self.rungs.len()).filter_map(|place| {
+            let reason = self.check_rung(place, actuators).err()?;
+            Some(self.refused(Some(place), reason))
+        });
+        whole.chain(self.commander_node().err()).chain(rungs).collect()
     }
 
-    pub(super) fn refused(&self, reason: String) -> StartError {
-        StartError::LostCommunication { policy: self.name.clone(), reason }
+    pub(super) fn refused(&self, rung: Option<usize>, reason: String) -> StartError {
+        StartError::LostCommunication { policy: self.name.clone(), rung, reason }
     }
 
     /// The node whose commanders are lost.
     pub(super) fn commander_node(&self) -> Result<Option<NodeName>, StartError> {
         let node = self.commander.as_deref().map(NodeName::new).transpose();
-        node.map_err(|error| self.refused(format!("its commander: {error}")))
+        node.map_err(|error| self.refused(None, format!("its commander: {error}")))
     }
 
     /// Follows the condition from now on. Components of rungs are added and removed on `arbiter`,
@@ -214,24 +210,27 @@ impl LostCommunicationPolicy {
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Arc<KeptPolicy>, StartError> {
         let conditions = environment.conditions();
-        let condition = conditions.declare(&self.name, &self.needs, platform::now());
-        let condition = condition.map_err(|error| self.refused(error.to_string()))?;
+        let condition = conditions.declare(&self.name, &self.needs, platform::now(), None);
+        let condition = condition.map_err(|error| self.refused(None, error.to_string()))?;
         let object = ObjectName::new(&format!("conditions/{}", self.name));
-        let object = object.map_err(|error| self.refused(error.to_string()))?;
+        let object = object.map_err(|error| self.refused(None, error.to_string()))?;
         let commander = self.commander_node()?;
         let times = self.rungs.iter().map(|(after, _)| *after).collect();
-        let (slot, status) = (NodeSlot::default(), watch::Sender::new(LadderStatus::default()));
+        let (slot, ladder) = (NodeSlot::default(), watch::Sender::new(None));
         let mut rungs = Vec::new();
         for (place, (after, rung)) in self.rungs.into_iter().enumerate() {
             let commands = rung.commands.into_iter();
             // Those that are wrong were refused by the check.
-            let commands = commands.filter_map(|known| Some((known.key()?, known.command.ok()?)));
+            let commands = commands.filter_map(|known| {
+                let (key, command) = known.resolved(environment.actuators())?;
+                Some((key, command.ok()?))
+            });
             let runs = rung.component.map(|component| format!("{node}:{component}"));
             let commands = commands.collect();
             rungs.push(KeptRung { after, name: rung.name, commands, runs });
             let Some(run) = rung.run else { continue };
-            let (slot, ladder) = (slot.clone(), status.subscribe());
-            let begin = move || drop(actix_rt::spawn(run(slot, ladder, place)));
+            let (slot, rung) = (slot.clone(), ladder.subscribe());
+            let begin = move || drop(actix_rt::spawn(run(slot, rung, place)));
             match arbiter {
                 Some(arbiter) => drop(arbiter.spawn_fn(begin)),
                 None => begin(),
@@ -246,9 +245,10 @@ impl LostCommunicationPolicy {
             actuators: environment.actuators().clone(),
             faults: environment.reports.faults.clone(),
             ladder: Mutex::new((LostCommunication::new(times, self.end), ConditionState::Lost)),
-            status,
+            rung: ladder,
             node: slot,
         });
+        kept.keys().for_each(|key| kept.actuators.keep_by_policy(key));
         let follower = kept.clone();
         let follow = move |state, cause: &str, now| follower.follow(state, cause, now);
         conditions.follow(&condition, Arc::new(follow));

@@ -1,7 +1,7 @@
 //! The description of a policy for lost communication.
 
-use super::LadderStatus;
-use crate::actuator::{ActuatorKey, ActuatorRow, ActuatorTable, encoded};
+use crate::actuator::table::{DeclaredActuator, FieldTexts};
+use crate::actuator::{ActuatorKey, ActuatorTable, encoded};
 use crate::component::Component;
 use crate::condition::Connected;
 use crate::host::spec::ChildSpec;
@@ -10,19 +10,17 @@ use crate::settings::LAST_RUNG_AFTER;
 use blastema_core::connection::LostCommunicationEnd;
 use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
-use blastema_core::{Contract, DeliveryError, ObjectName};
+use blastema_core::{Contract, NodeName};
 use bytes::Bytes;
+use std::borrow::Cow;
 use std::fmt;
 use std::pin::Pin;
 use std::time::Duration;
 use tokio::sync::watch;
 
-/// Communication that is back for so long is taken for stable.
-const STABLE: Duration = Duration::from_secs(5);
-
 /// Runs a component of the node while the ladder stands at the rung of this place.
 type RunFn = Box<
-    dyn FnOnce(NodeSlot, watch::Receiver<LadderStatus>, usize) -> Pin<Box<dyn Future<Output = ()>>>
+    dyn FnOnce(NodeSlot, watch::Receiver<Option<usize>>, usize) -> Pin<Box<dyn Future<Output = ()>>>
         + Send,
 >;
 
@@ -87,16 +85,26 @@ pub struct Rung {
     pub(super) run: Option<RunFn>,
 }
 
+/// Makes the command for an actuator, encoded.
+type MakeCommand = Box<dyn Fn(&DeclaredActuator) -> Result<Bytes, String> + Send>;
+
 pub(super) struct RungCommand {
-    pub(super) actuator: String,
-    pub(super) contract: &'static str,
-    pub(super) command: Result<Bytes, DeliveryError>,
+    actuator: String,
+    contract: Cow<'static, str>,
+    command: MakeCommand,
 }
 
 impl RungCommand {
-    /// Which actuator is commanded; a name that does not parse names none.
-    pub(super) fn key(&self) -> Option<ActuatorKey> {
-        Some((ObjectName::new(&self.actuator).ok()?, self.contract))
+    fn key(&self) -> (&str, &str) {
+        (&self.actuator, &self.contract)
+    }
+
+    /// The actuator with the command; none where the node has no such actuator.
+    pub(super) fn resolved(
+        &self,
+        table: &ActuatorTable,
+    ) -> Option<(ActuatorKey, Result<Bytes, String>)> {
+        table.command_for(self.key(), &self.command)
     }
 }
 
@@ -107,11 +115,15 @@ impl fmt::Debug for Rung {
 }
 
 impl LostCommunicationPolicy {
+    /// For how long communication must be back, unless
+    /// [`until_stable_for`](Self::until_stable_for) says so.
+    pub const STABLE: Duration = Duration::from_secs(5);
+
     /// A policy for the loss of what is needed: it begins when the condition of this name is lost
     /// after it was connected.
     pub fn new(name: &str, needs: Connected) -> Self {
         let (commander, rungs) = (None, Vec::new());
-        let end = LostCommunicationEnd { stable: STABLE, is_acknowledged: false };
+        let end = LostCommunicationEnd { stable: Self::STABLE, is_acknowledged: false };
         LostCommunicationPolicy { name: name.to_owned(), needs, commander, rungs, end }
     }
 
@@ -143,10 +155,10 @@ impl LostCommunicationPolicy {
         self
     }
 
-    /// The actuators that its rungs command.
-    pub(super) fn actuators(&self) -> SortedSet<ActuatorKey> {
+    /// The actuators that its rungs command, with their contracts.
+    fn actuators(&self) -> SortedSet<(&str, &str)> {
         let commands = self.rungs.iter().flat_map(|(_, rung)| &rung.commands);
-        commands.filter_map(RungCommand::key).collect()
+        commands.map(RungCommand::key).collect()
     }
 
     /// The components that its rungs run.
@@ -154,33 +166,38 @@ impl LostCommunicationPolicy {
         self.rungs.iter().filter_map(|(_, rung)| rung.component.as_deref())
     }
 
-    /// Finds what cannot work before anything starts.
-    pub(super) fn check(&self, table: &ActuatorTable) -> Result<(), String> {
-        let times: Vec<_> = self.rungs.iter().map(|(after, _)| *after).collect();
-        if !times.is_sorted_by(|before, after| before < after) {
-            return Err("its rungs do not rise in time: write the earlier ones first".to_owned());
+    /// Finds what cannot work before anything starts, beside its rungs.
+    pub(super) fn check(&self, node: &NodeName) -> Result<(), String> {
+        if self.commander.as_deref() == Some(node.as_str()) {
+            return Err(format!("its commander {node} is this node: name the one that is lost"));
         }
-        if let Some(Err(error)) = times.last().map(|after| LAST_RUNG_AFTER.check(*after)) {
-            return Err(format!("{} {}: {}", error.setting, error.value, error.cure));
-        }
-        match self.rungs.last() {
-            None => return Err("it has no rungs: add one by `after`".to_owned()),
-            Some((_, Rung { name, commands, component, .. }))
-                if commands.is_empty() || component.is_some() =>
-            {
-                return Err(format!(
-                    "its last rung, {name}, runs a component, which may die: let the last one be a \
-                     command"
-                ));
-            }
-            Some(_) => {}
+        if self.rungs.is_empty() {
+            return Err("it has no rungs: add one by `after`".to_owned());
         }
         if self.needs.has_commander() {
             return Err("its condition needs a commander, whose claims are refused until the \
                         ladder ends: let it need a heartbeat, a session or a node"
                 .to_owned());
         }
-        self.rungs.iter().try_for_each(|(_, rung)| rung.check(table))
+        self.needs.check(&self.name).map_err(|error| error.to_string())
+    }
+
+    /// Finds what cannot work of the rung at this place.
+    pub(super) fn check_rung(&self, place: usize, table: &ActuatorTable) -> Result<(), String> {
+        let (after, rung) = &self.rungs[place];
+        if place > 0 && self.rungs[place - 1].0 >= *after {
+            return Err("its rungs do not rise in time: write the earlier ones first".to_owned());
+        }
+        LAST_RUNG_AFTER
+            .check(*after)
+            .map_err(|error| format!("{} {}: {}", error.setting, error.value, error.cure))?;
+        if place + 1 == self.rungs.len() && rung.component.is_some() {
+            return Err(format!(
+                "its last rung, {}, runs a component, which may die: let the last one be a command",
+                rung.name
+            ));
+        }
+        rung.check(table)
     }
 
     /// Finds what two policies of one node would fight for.
@@ -211,16 +228,32 @@ impl Rung {
     /// ladder: again and again where its commands count for a while. It is taken from any other
     /// commander.
     pub fn command<M: Contract + Clone>(name: &str, actuator: &str, command: M) -> Self {
-        let (name, commands) = (name.to_owned(), Vec::new());
-        let rung = Rung { name, commands, component: None, run: None };
-        rung.and_command(actuator, command)
+        Rung::new(name).and_command(actuator, command)
+    }
+
+    /// A rung without commands: they are to be added.
+    pub fn new(name: &str) -> Self {
+        Rung { name: name.to_owned(), commands: Vec::new(), component: None, run: None }
     }
 
     /// Commands one more actuator.
     #[must_use]
     pub fn and_command<M: Contract + Clone>(mut self, actuator: &str, command: M) -> Self {
-        let command = encoded(&command).map(Bytes::from);
-        let (actuator, contract) = (actuator.to_owned(), M::NAME);
+        let command = encoded(&command).map(Bytes::from).map_err(|why| why.to_string());
+        let (actuator, command) = (actuator.to_owned(), Box::new(move |_: &_| command.clone()));
+        self.commands.push(RungCommand { actuator, contract: M::NAME.into(), command });
+        self
+    }
+
+    /// Commands one more actuator, whose commands are of this contract, by its safe command with
+    /// other values of these fields, each with its unit, as in `0.2 m/s`.
+    #[must_use]
+    pub fn and_fields(mut self, actuator: &str, contract: &str, fields: &FieldTexts) -> Self {
+        let (actuator, contract) = (actuator.to_owned(), contract.to_owned().into());
+        let fields = fields.to_vec();
+        let command = Box::new(move |of: &DeclaredActuator| {
+            (of.with_fields)(&of.safe, &fields).map_err(|why| why.join("; "))
+        });
         self.commands.push(RungCommand { actuator, contract, command });
         self
     }
@@ -231,20 +264,21 @@ impl Rung {
     pub fn run<C: Component>(name: &str, spec: impl Fn() -> ChildSpec<C> + Send + 'static) -> Self {
         let component = Some(spec().name().to_owned());
         let run: RunFn = Box::new(move |node, ladder, place| {
-            let stands = move |ladder: &LadderStatus| ladder.rung == Some(place);
+            let stands = move |rung: &Option<usize>| *rung == Some(place);
             Box::pin(keep_while(node, ladder, stands, (None, spec)))
         });
         Rung { name: name.to_owned(), commands: Vec::new(), component, run: Some(run) }
     }
 
     fn check(&self, table: &ActuatorTable) -> Result<(), String> {
-        let (rung, rows) = (&self.name, table.rows());
-        let mut seen = SortedSet::new();
+        let (rung, mut seen) = (&self.name, SortedSet::new());
+        if self.commands.is_empty() && self.component.is_none() {
+            return Err(format!("the rung {rung} does nothing: give it a command"));
+        }
         for command in &self.commands {
-            let RungCommand { actuator, contract, command: encoded } = command;
-            let key = command.key();
-            let is_it = |row: &ActuatorRow| key == Some((row.object.clone(), row.contract));
-            if !rows.iter().any(is_it) {
+            let RungCommand { actuator, contract, .. } = command;
+            let Some((key, encoded)) = command.resolved(table) else {
+                let rows = table.rows();
                 let known = rows.iter().filter(|row| row.contract == *contract);
                 let hint = nearest(actuator, known.map(|row| row.object.as_str()));
                 let hint = hint.map(|near| format!("; did you mean {near}?")).unwrap_or_default();
@@ -252,7 +286,7 @@ impl Rung {
                     "the rung {rung} commands {actuator} by `{contract}`, and the node has no \
                      such actuator: name one of its own{hint}"
                 ));
-            }
+            };
             if let Err(why) = encoded {
                 return Err(format!("the command of the rung {rung} to {actuator}: {why}"));
             }

@@ -67,7 +67,7 @@ impl Network {
     }
 
     /// What people call its links.
-    pub(in crate::node) fn link_names(&self) -> impl Iterator<Item = String> {
+    pub fn link_names(&self) -> impl Iterator<Item = String> {
         self.links.iter().map(|link| self.link_name(link))
     }
 

@@ -1,0 +1,174 @@
+//! The rules of what a robot does when it loses a commander.
+
+use super::RobotChecker;
+use crate::description::{
+    ChildDescription, ComponentDescription, ElementOrigin, LostCommunicationDescription,
+    NeedChannel, NodeDescription, RobotDescription, RungAction, RungDescription,
+};
+use crate::finding::ElementPart;
+use crate::types::{UnknownPort, network_of};
+use crate::value::hint;
+use blastema::StartError;
+use blastema::core::port::{ConnectionRole, PortConnection};
+use blastema::recovery::Restart;
+use std::collections::BTreeMap;
+
+const CODE: &str = "robot::lost";
+
+impl<'a> RobotChecker<'a> {
+    /// Finds what the policies of a node name and is not there, and steps that lack what they need.
+    pub(super) fn lost_communication(
+        &mut self,
+        node: &'a NodeDescription,
+        groups: &BTreeMap<&str, usize>,
+    ) {
+        let nodes = self.robot.nodes.iter().map(|node| node.name.as_str());
+        for policy in &node.lost_communication {
+            if let Some(commander) = &policy.commander {
+                let at = (policy.origin, "commander");
+                self.known("node", commander, nodes.clone(), at);
+                if groups.contains_key(commander.as_str()) {
+                    self.reach(groups, [commander, &node.name], at);
+                }
+            }
+            for need in &policy.needs {
+                let at = |part| (need.origin, part);
+                match &need.channel {
+                    NeedChannel::Heartbeat(_) => {}
+                    NeedChannel::Node(name) => self.known("node", name, nodes.clone(), at("node")),
+                    NeedChannel::Session(name) => {
+                        self.known("node", name, nodes.clone(), at("session"));
+                    }
+                    NeedChannel::Link(name) => {
+                        let ends = node.endpoints.iter();
+                        let networks =
+                            ends.filter_map(|end| network_of(self.robot, node, end).ok());
+                        let links: Vec<_> =
+                            networks.flat_map(|of| of.link_names().collect::<Vec<_>>()).collect();
+                        self.known("link", name, links.iter().map(String::as_str), at("link"));
+                    }
+                }
+            }
+            policy.rungs.iter().for_each(|rung| self.rung(node, rung));
+        }
+    }
+
+    fn known<'n>(
+        &mut self,
+        what: &str,
+        name: &str,
+        mut known: impl Iterator<Item = &'n str> + Clone,
+        at: (ElementOrigin, &str),
+    ) {
+        let help = hint(name, known.clone());
+        if !known.any(|known| known == name) {
+            self.find(CODE, format!("there is no {what} `{name}`"), at, help, "unknown");
+        }
+    }
+
+    /// `return` and `continue` run a component. It stands directly in the node, which adds it when
+    /// it is wanted.
+    fn rung(&mut self, node: &'a NodeDescription, rung: &RungDescription) {
+        for command in &rung.commands {
+            let port = self.types.port(self.robot, &command.actuator, false);
+            if let Err(UnknownPort { sentence, help, label }) = port {
+                self.find(CODE, sentence, (command.origin, "actuator"), help, label);
+            }
+        }
+        let runs = matches!(rung.action, RungAction::Return | RungAction::Continue);
+        let Some(run) = rung.run.as_ref().filter(|_| runs) else {
+            if runs || rung.run.is_some() {
+                let sentence = "`return` and `continue` run a component, and other steps do not";
+                let help = "add `run=\"…\"`, with a component or a tree of this node, or delete it";
+                self.find(CODE, sentence, (rung.origin, "do"), help, "here");
+            }
+            return;
+        };
+        let below = node.root.children.iter().filter_map(|child| match child {
+            ChildDescription::Component(component) => Some(&**component),
+            ChildDescription::Supervisor(_) => None,
+        });
+        let names = below.clone().map(|known| known.name.as_str());
+        self.known("component directly in the node called", run, names, (rung.origin, "run"));
+        let is_unusual = |component: &&ComponentDescription| {
+            let ComponentDescription { restart, essential, plan, .. } = component;
+            *restart != Restart::Permanent || *essential || !plan.is_empty()
+        };
+        if let Some(component) = below.clone().find(|of| of.name == *run).filter(is_unusual) {
+            let sentence = format!("`{run}`, which a rung runs, is not restarted by rules");
+            let help = "delete its `restart`, `essential` and `on`";
+            self.find(CODE, sentence, (component.origin, "name"), help, "run by a rung");
+        }
+    }
+
+    /// Finds an actuator that another node commands, and that no policy brings to rest.
+    pub(super) fn commanded(
+        &mut self,
+        ports: &PortConnection,
+        [from, to]: [&str; 2],
+        origin: ElementOrigin,
+    ) {
+        let port = self.types.port(self.robot, &ports.to, false).unwrap_or_default();
+        let policies = self.robot.node(to).into_iter().flat_map(|node| &node.lost_communication);
+        let mut commands = policies
+            .filter(|policy| policy.commander.as_ref().is_none_or(|node| node == from))
+            .flat_map(|policy| policy.rungs.iter().flat_map(|rung| &rung.commands));
+        if from != to
+            && port.is_some_and(|port| port.role == ConnectionRole::Commanded)
+            && !commands.any(|command| command.actuator == ports.to)
+        {
+            let sentence =
+                format!("node {to} does nothing with `{}` when it loses node {from}", ports.to);
+            let help = format!(
+                "add `<lost-communication name=\"…\" commander=\"{from}\">` to node {to}, with a \
+                 rung that commands it"
+            );
+            self.find(CODE, sentence, (origin, "to"), help, "commanded from another node");
+        }
+    }
+
+    /// Tries the policies in which nothing was found, with all else of the node that is right.
+    pub(super) fn policies(&mut self, node: &'a NodeDescription, mut trial: NodeDescription) {
+        let places = self.findings.iter().filter_map(|finding| finding.labels.first());
+        let is_right = |policy: &&LostCommunicationDescription| {
+            !places.clone().any(|(place, _)| self.places.holds(policy.origin, place))
+        };
+        trial.lost_communication =
+            node.lost_communication.iter().filter(is_right).cloned().collect();
+        // Of the robot the node alone: plans have rules of their own.
+        let robot = RobotDescription { nodes: vec![trial.clone()], ..Default::default() };
+        let refused = match self.types.composed(&robot, &trial) {
+            Ok(builder) => builder.check(),
+            Err(error) => return self.find(CODE, error, (node.origin, "name"), "", ""),
+        };
+        for error in refused {
+            let text = error.to_string();
+            let StartError::LostCommunication { policy: name, rung, reason } = error else {
+                self.find(CODE, text, (node.origin, "name"), "change the node", "this node");
+                continue;
+            };
+            let policy = trial.lost_communication.iter().find(|of| of.name == name);
+            let rung = policy.zip(rung).and_then(|(policy, place)| policy.rungs.get(place));
+            let at = match (rung, policy) {
+                (Some(rung), _) => part_of_rung(rung, &reason),
+                (None, policy) => (policy.map_or(node.origin, |of| of.origin), "name".into()),
+            };
+            self.find(CODE, format!("of `{name}`, {reason}"), at, "correct it", "here");
+        }
+    }
+}
+
+/// The part of a rung that a reason is about.
+fn part_of_rung(rung: &RungDescription, reason: &str) -> (ElementOrigin, ElementPart) {
+    for command in &rung.commands {
+        let mut fields = command.fields.iter();
+        if let Some((field, _)) = fields.find(|(name, _)| reason.contains(&format!("`{name}`"))) {
+            return (command.origin, ElementPart::below("field", "name", field, "value"));
+        }
+        if reason.contains(&format!("{} ", command.actuator.object)) {
+            return (command.origin, "actuator".into());
+        }
+    }
+    let is_of_time = reason.contains(" in time") || reason.contains("an hour");
+    (rung.origin, if is_of_time { "time" } else { "do" }.into())
+}
