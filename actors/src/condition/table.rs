@@ -74,7 +74,9 @@ impl Drop for ConditionUse {
         let Some(entry) = table.entries.get_mut(&object) else { return };
         entry.uses = entry.uses.map(|uses| uses - 1);
         if entry.uses == Some(0) {
-            // Its faults end with it.
+            // Its faults end with it; what watched it is not woken.
+            let status = entry.status.borrow().clone();
+            entry.status = watch::Sender::new(status);
             let state = (ConditionState::Connected, "no leaf looks at it any more");
             entry.report(&object, state, &wiring.reports, platform::now());
             table.entries.remove(&object);
