@@ -7,7 +7,6 @@ use super::spec::{ChannelSpec, Connected, ConnectedChannel, LOOK_INTERVAL, TIMEO
 use super::{Condition, ConditionError, ConditionStatus, object_of};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::extension::Extension;
-use crate::platform;
 use crate::runtime::guardian::Guardian;
 use crate::runtime::reports::FaultReports;
 use crate::runtime::timekeeper::Timekeeper;
@@ -61,8 +60,10 @@ struct Entry {
 
 /// A leaf of a tree looks at a condition, which ends with the last such use, unless it was declared
 /// for the node.
+#[cfg(feature = "trees")]
 pub(crate) struct ConditionUse(pub(crate) Conditions, pub(crate) Condition);
 
+#[cfg(feature = "trees")]
 impl Drop for ConditionUse {
     fn drop(&mut self) {
         let ConditionUse(conditions, condition) = self;
@@ -78,7 +79,7 @@ impl Drop for ConditionUse {
             let status = entry.status.borrow().clone();
             entry.status = watch::Sender::new(status);
             let state = (ConditionState::Connected, "no leaf looks at it any more");
-            entry.report(&object, state, &wiring.reports, platform::now());
+            entry.report(&object, state, &wiring.reports, crate::platform::now());
             table.entries.remove(&object);
         }
     }
