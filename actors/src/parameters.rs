@@ -104,6 +104,12 @@ impl Configured {
         P::from_values(given.map(|(key, value)| (key.as_str(), value)))
     }
 
+    /// A component of this name is added later, and may take values.
+    pub(crate) fn expect(&self, component: &str) {
+        let mut inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        inner.takers.insert(component.to_owned());
+    }
+
     /// Finds values for a component that takes none.
     pub(crate) fn check(&self) -> Result<(), String> {
         let inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);

@@ -27,7 +27,7 @@
 //! lease that ends. It is given until it is carried out, and again as often as the command timeout
 //! asks for. The cut-off is called once where it is not carried out in time. A lease that ends for
 //! the sake of a policy, or before its first rung, ends with the safe command, and with the cut-off
-//! only where the component does not take that.
+//! only where the component does not take that. One that its commander gives back ends as any.
 
 use crate::{DeliveryError, Incarnation, Instant, Machine, ObjectName};
 use std::collections::VecDeque;
@@ -366,7 +366,8 @@ impl Lease {
         self.rungs += 1;
         self.rung = Some(RungHold { policy, yields_to, again_at: now + RUNG_INTERVAL });
         if self.give_rung(false) {
-            self.apply_by = Some(now + self.rung_within());
+            // What the rung before has not carried out has no new limit.
+            self.apply_by.get_or_insert(now + self.rung_within());
         }
     }
 
@@ -383,7 +384,9 @@ impl Lease {
     /// The node enters the safe state: whatever commands the actuator ends.
     pub fn handle_rest(&mut self) {
         let is_held = self.rung.take().is_some() || self.commander().is_some();
-        if is_held && self.work == Work::Goes {
+        // A safe command that has not been carried out yet is not waited for any more.
+        let is_owed = self.given.is_some() && !self.is_cut;
+        if (is_held || is_owed) && self.work == Work::Goes {
             self.bring_to_rest(RestCause::Released);
         }
         self.handle_stop_failed();
@@ -559,9 +562,12 @@ impl Lease {
                 self.give_rung(false);
             }
             (State::Held { .. }, None, Some(now)) => {
+                // The safe command of a command timeout that is late already has no new limit.
+                let begun_by = now + self.rules.max_wait.min(RUNG_WITHIN);
+                let begun_by = self.check_at.map_or(begun_by, |(_, earlier)| begun_by.min(earlier));
                 (self.state, self.apply_by) = (State::Settling, None);
                 self.give(cause, false);
-                self.check_at = Some((now + BEAT, now + self.rules.max_wait));
+                self.check_at = Some((now + BEAT, begun_by));
             }
             (State::Held { .. }, None, None) => self.bring_to_rest(cause),
             (State::Free | State::Settling, ..) => {}

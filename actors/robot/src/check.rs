@@ -504,7 +504,8 @@ impl<'a> RobotChecker<'a> {
                     self.find("robot::dependency", sentence, at, hint(own, same), "unknown");
                     continue;
                 };
-                let here = order.get(object).copied().unwrap_or_default();
+                // One that a rung runs starts when all else has.
+                let Some(here) = order.get(object).copied() else { continue };
                 let own_node = self.robot.nodes[here.0].name.as_str();
                 self.reach(groups, [own_node, node], at);
                 if place.0 == here.0 && place.1 < here.1 {

@@ -65,6 +65,7 @@ impl Launch<'_> {
         let listen = |kind| signal(kind).map_err(|error| failed(format!("signals: {error}")));
         let mut interrupt = listen(SignalKind::interrupt())?;
         let mut terminate = listen(SignalKind::terminate())?;
+        let mut hang_up = listen(SignalKind::hangup())?;
         let (ends, mut failures) = mpsc::channel(self.nodes.len().max(1));
         let mut kept: Vec<KeptNode> = Vec::new();
         for name in &self.nodes {
@@ -86,6 +87,7 @@ impl Launch<'_> {
         let failure = tokio::select! {
             _ = interrupt.recv() => None,
             _ = terminate.recv() => None,
+            _ = hang_up.recv() => None,
             failure = failures.recv() => failure,
         };
         // As children of a supervisor: the last that was started stops first.

@@ -168,7 +168,9 @@ impl Types {
     ///
     /// It returns 0, 1 where the file has a mistake or the robot did not run to its end, 2 where
     /// the command line is wrong or the file cannot be read, and 3 where a node did not come up, as
-    /// after a signal during its start, so that the start of the robot was undone.
+    /// after a signal during its start, so that the start of the robot was undone. A node that a
+    /// signal ends and whose hooks do not finish in time sets its outputs to safe values, and
+    /// returns 128 and the signal's number.
     pub fn main(self) -> ExitCode {
         match RobotArguments::parse().command {
             RobotCommand::Run { file, node, until_stdin_ends } => {

@@ -519,7 +519,7 @@ fn component(element: &RobotElement<'_>) -> ChildDescription {
         Some((claim.need("name", value::object_name)?, policy.unwrap_or(ClaimPolicy::Refuse)))
     });
     let claims = claims.collect();
-    let tree = element.path("tree");
+    let tree = if is_device { None } else { element.path("tree") };
     let type_name = match tree {
         None => element.need("type", value::text),
         Some(_) => element.take("type", |text| {

@@ -226,7 +226,7 @@ impl<M: Contract> Commander<M> {
 }
 
 /// The object that the faults of a condition are found in.
-fn object_of(condition: &str) -> Result<ObjectName, ConditionError> {
+pub(crate) fn object_of(condition: &str) -> Result<ObjectName, ConditionError> {
     ObjectName::new(&format!("conditions/{condition}"))
         .map_err(|error| ConditionError::Name { condition: condition.to_owned(), error })
 }

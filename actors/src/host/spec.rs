@@ -230,6 +230,9 @@ impl<C: Component> ChildSpec<C> {
         let settings = own.into_iter().flatten().chain(limits.check());
         let setting = |error| SpecError::setting(&self.name, error);
         let mut refused: Vec<SpecError> = settings.map(setting).collect();
+        let queues = ports.queues(self.queue.0);
+        let capacities = queues.values().filter_map(|(capacity, _)| QUEUE.check(*capacity).err());
+        refused.extend(capacities.map(setting));
         refused.extend(ports.check(&name).err());
         refused.extend(ports.refused(&name, &limits));
         if is_written || ports.parameters.is_some() {
@@ -241,10 +244,6 @@ impl<C: Component> ChildSpec<C> {
         let longest = u64::try_from(limits.shutdown_within.as_millis()).unwrap_or(u64::MAX);
         environment.longest_stop_ms.fetch_max(longest, Relaxed);
         let record = CellCore::new(name.clone(), limits, environment.clone());
-        let queues = ports.queues(self.queue.0);
-        for (capacity, _) in queues.values() {
-            QUEUE.check(*capacity).map_err(setting)?;
-        }
         let cell = Arc::new(ComponentCell::new(record, self.queue, queues, self.factory));
         let registered = environment.registry.register(&name, ports.skeletons(&cell), cell.clone());
         registered.map_err(SpecError::from)?;

@@ -106,7 +106,8 @@ impl NodeBuilder {
     ///
     /// # Errors
     /// Those of [`start`](NodeBuilder::start); [`StartError::Interrupted`] if the start was undone
-    /// because of the signal, or of `end`.
+    /// because of the signal, or of `end`. Where a hook does not finish in time after a signal, the
+    /// process ends with status 128 and the signal's number, as a node that runs does.
     pub async fn run_until(self, end: impl Future<Output = ()>) -> Result<(), StartError> {
         let mut wait = SignalWait::begin()?;
         let mut cause = pin!(wait.cause(end));
@@ -117,7 +118,8 @@ impl NodeBuilder {
 
     /// Returns what [`start`](Self::start) would refuse in the description: everything that is wrong
     /// with the node, its components and its supervisors, or all policies for lost communication
-    /// that are, else the first other error. No component is made, and no medium, file of variables
+    /// that are, else the first other error. Connections, services, and links and commanders of
+    /// networks are tried by the start alone. No component is made, and no medium, file of variables
     /// or journal is opened; keys and files of parameters are read.
     pub fn check(self) -> Vec<StartError> {
         let mut refused = check_settings(&self);
@@ -148,7 +150,7 @@ fn check(mut builder: NodeBuilder) -> Result<Vec<StartError>, StartError> {
     match assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies) {
         // Its actuators are there as long as it is.
         Ok(_preparation) => {
-            let parameters = assembly.check_parameters().err();
+            let parameters = assembly.check_parameters(&builder.policies).err();
             Ok(parameters.into_iter().chain(assembly.wrong_policies(&builder.policies)).collect())
         }
         Err(refused) => Ok(refused),
@@ -176,7 +178,7 @@ async fn start(
     assembly.start_networks(&mut builder.networks)?;
     let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies);
     let preparation = preparation.map_err(|mut refused| refused.swap_remove(0))?;
-    assembly.check_parameters()?;
+    assembly.check_parameters(&builder.policies)?;
     let components = builder.policies.iter().flat_map(LostCommunicationPolicy::components);
     components.for_each(|name| assembly.environment.registry.keep_connections(name));
     for (from, to) in builder.connections {
@@ -314,7 +316,9 @@ impl NodeAssembly {
     }
 
     /// Finds values for a component that takes none.
-    fn check_parameters(&self) -> Result<(), StartError> {
+    fn check_parameters(&self, policies: &[LostCommunicationPolicy]) -> Result<(), StartError> {
+        let run = policies.iter().flat_map(LostCommunicationPolicy::components);
+        run.for_each(|name| self.environment.configured().expect(name));
         let unused = self.environment.configured().check();
         unused.map_err(|reason| StartError::Parameters { file: None, reason })
     }

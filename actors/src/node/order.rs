@@ -189,8 +189,13 @@ impl Node {
     }
 
     async fn set_active(&self, name: &str, wanted: Lifecycle) -> Result<(), String> {
-        if self.state_of(name)? == wanted {
-            return Err(format!("it is {wanted} already"));
+        match self.state_of(name)? {
+            state if state == wanted => return Err(format!("it is {wanted} already")),
+            Lifecycle::Created => {
+                let why = "it is being initialized, and becomes active by itself: try again then";
+                return Err(why.to_owned());
+            }
+            _ => {}
         }
         let component = self.0.environment.registry.watchable(name);
         component.map_err(|error| error.to_string())?.steer(wanted).await

@@ -70,7 +70,10 @@ fn ports(whole: &'static str, shape: &'static Shape<LayoutOf>, reads: bool) -> V
 }
 
 fn is_text(shape: &Shape<LayoutOf>) -> bool {
-    matches!(shape, Shape::Leaf(Primitive::Text | Primitive::Char))
+    match shape {
+        Shape::AtMost(of, _) => is_text(&of().shape),
+        _ => matches!(shape, Shape::Leaf(Primitive::Text | Primitive::Char)),
+    }
 }
 
 fn is_integer(primitive: Primitive) -> bool {

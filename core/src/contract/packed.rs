@@ -85,7 +85,9 @@ fn size_at(of: LayoutOf, depth: usize) -> Result<usize, PackedError> {
             let sizes = variants.iter().map(|variant| fields_size(&variant.fields, depth));
             1 + sizes.collect::<Result<Vec<_>, _>>()?.into_iter().max().unwrap_or(0)
         }
-        Shape::AtMost(of, bound) => 1 + element_size(*of)?.saturating_mul(*bound as usize),
+        Shape::AtMost(of, bound) => {
+            element_size(*of, depth + 1)?.saturating_mul(*bound as usize).saturating_add(1)
+        }
         Shape::Sequence(_) => return endless("sequence"),
         Shape::Set(_) => return endless("set"),
         Shape::Map(..) => return endless("map"),
@@ -93,9 +95,9 @@ fn size_at(of: LayoutOf, depth: usize) -> Result<usize, PackedError> {
 }
 
 /// The bytes of each element of a text, a sequence or a set.
-fn element_size(of: LayoutOf) -> Result<usize, PackedError> {
+fn element_size(of: LayoutOf, depth: usize) -> Result<usize, PackedError> {
     match &of().shape {
-        Shape::Sequence(of) | Shape::Set(of) => size_at(*of, 1),
+        Shape::Sequence(of) | Shape::Set(of) => size_at(*of, depth + 1),
         _ => Ok(1),
     }
 }
@@ -292,7 +294,7 @@ impl<'a> Transcoder<'a> {
                     }
                     _ => drop(self.copy(count)?),
                 }
-                self.pad((bound - count) * element_size(*of).map_err(too_large)?)?;
+                self.pad((bound - count) * element_size(*of, 0).map_err(too_large)?)?;
             }
             Shape::Sequence(_) | Shape::Set(_) | Shape::Map(..) => {
                 return Err(malformed("a sequence without a bound"));

@@ -548,3 +548,38 @@ fn a_lease_that_ends_while_the_safe_command_is_carried_out_ends_as_any() {
     lease.handle_applied(RestCause::Released, true);
     assert!(lease.handle_claim(who("console", 1), ms(55)).is_ok());
 }
+
+#[test]
+fn an_owed_command_is_not_forgiven_by_what_comes_after_it() {
+    // The next rung has no limit of its own while the one before is owed.
+    let mut lease = taken(None);
+    lease.handle_rung(who("policy", 1), None, ms(900));
+    lease.handle_timeout(ms(1010));
+    assert!(outputs(&mut lease).contains(&"cut-off"));
+
+    // A lease that ends in order, with the safe command of a command timeout owed.
+    let hold = Duration::from_secs(10);
+    let rules = |command_timeout, max_wait| LeaseRules {
+        span: SPAN,
+        command_timeout,
+        max_wait,
+        stop_by: StopBy::SafeCommand,
+    };
+    let (mut lease, _) = held_under(rules(None, hold));
+    lease.handle_suspended(|_| true, ms(50));
+    lease.handle_timeout(ms(1050));
+    assert_eq!(outputs(&mut lease), ["safe", "late"], "its max_wait is for commands that hold");
+    let (mut lease, _) = held_under(rules(Some(Duration::from_millis(20)), 3 * SPAN));
+    lease.handle_command(ms(0));
+    lease.handle_timeout(ms(20));
+    lease.handle_suspended(|_| true, ms(90));
+    assert_eq!(outputs(&mut lease), ["safe", "safe"]);
+    lease.handle_timeout(ms(320));
+    assert_eq!(outputs(&mut lease), ["late"]);
+
+    // The safe state waits for no safe command.
+    let (mut lease, _) = held();
+    lease.handle_suspended(|_| true, ms(50));
+    lease.handle_rest();
+    assert_eq!(outputs(&mut lease), ["safe", "cut-off", "safe"]);
+}

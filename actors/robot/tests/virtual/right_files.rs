@@ -168,6 +168,7 @@ fn whole() -> RobotDescription {
         name: "homing".into(),
         tree: Some(folder.join("trees/homing.tree.xml")),
         rate_hz: Some(5.0),
+        depends_on: vec!["motors".into()],
         ..Default::default()
     })));
     let base = NodeDescription {

@@ -3,7 +3,7 @@
 use crate::actuator::table::{DeclaredActuator, FieldTexts};
 use crate::actuator::{ActuatorKey, ActuatorTable, encoded};
 use crate::component::Component;
-use crate::condition::Connected;
+use crate::condition::{Connected, object_of};
 use crate::host::spec::ChildSpec;
 use crate::node::conditions::{NodeSlot, keep_while};
 use crate::settings::LAST_RUNG_AFTER;
@@ -179,6 +179,7 @@ impl LostCommunicationPolicy {
                         ladder ends: let it need a heartbeat, a session or a node"
                 .to_owned());
         }
+        object_of(&self.name).map_err(|error| error.to_string())?;
         self.needs.check(&self.name).map_err(|error| error.to_string())
     }
 
