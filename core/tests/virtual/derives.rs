@@ -1,7 +1,7 @@
 //! What the derives make of right uses. Wrong uses stand in `tests/derives`.
 
 use blastema_core::contract::codec::{decode, encode};
-use blastema_core::contract::packed::{difference, fingerprint, pack, unpack};
+use blastema_core::contract::packed::{difference, fingerprint, pack, size, unpack};
 use blastema_core::{Contract, ContractIdentity, Described, EncodeError, LayoutDescription};
 use blastema_macros::{Event, Request, Structure};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -85,6 +85,19 @@ fn a_bound_is_checked_on_both_sides_is_part_of_the_structure_and_gives_a_packed_
         wrong[at] = byte;
         assert!(unpack::<Plan>(&wrong).is_err(), "byte {at}");
     }
+}
+
+#[derive(Clone, Debug, Structure)]
+#[contract(crate = "crate::facade")]
+struct Step {
+    #[contract(at_most = 2)]
+    parts: Vec<Step>,
+}
+
+#[test]
+fn a_bounded_type_that_contains_itself_has_no_packed_form() {
+    let step = Step { parts: Vec::new() };
+    assert!(step.parts.is_empty() && size(Step::layout).is_err());
 }
 
 /// The next edition of [`Plan`]'s sibling on a device.
