@@ -37,6 +37,8 @@ const REST_WITHIN: Duration = Duration::from_secs(1);
 const REST_LOOK: Duration = Duration::from_millis(10);
 /// Between two looks at the record of faults, for a tree that has a condition over it.
 const RECORD_LOOK: Duration = Duration::from_millis(100);
+/// The bytes of a file of trees. A longer one is refused.
+const FILE_MAX: u64 = 1 << 20;
 
 /// A behaviour tree as a component: a child of a supervisor, with a life cycle, faults and a plan.
 ///
@@ -141,9 +143,9 @@ impl BehaviorTree {
         file: impl AsRef<Path>,
     ) -> io::Result<impl Fn(&str) -> ChildSpec<BehaviorTree> + Clone + Send + Sync + 'static> {
         let label = file.as_ref().display().to_string();
-        let text = fs::read_to_string(&file)
+        let text = read_text(file.as_ref())
             .map_err(|error| io::Error::new(error.kind(), format!("{label}: {error}")))?;
-        let include = |path: &str| fs::read_to_string(path).map_err(|error| error.to_string());
+        let include = |path: &str| read_text(Path::new(path)).map_err(|error| error.to_string());
         let made = BehaviorTree::of(leaves, (label, text), include);
         made.map_err(|errors| io::Error::new(io::ErrorKind::InvalidData, errors))
     }
@@ -501,4 +503,17 @@ impl ComponentEnvironment {
     pub(crate) fn trees(&self) -> &TreeTable {
         self.extensions.get()
     }
+}
+
+/// Reads a file of trees, which another process may have made.
+fn read_text(file: &Path) -> io::Result<String> {
+    let about = fs::metadata(file)?;
+    let refused = |why| Err(io::Error::new(io::ErrorKind::InvalidInput, why));
+    if !about.is_file() {
+        return refused("it is no regular file");
+    }
+    if about.len() > FILE_MAX {
+        return refused("it has more than 1 MiB: divide it by `<include path=…/>`");
+    }
+    fs::read_to_string(file)
 }
