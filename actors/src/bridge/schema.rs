@@ -65,15 +65,14 @@ fn whole(shape: &Shape<u32>, types: &[Shape<u32>]) -> Map<String, Value> {
         Shape::Set(of) => {
             json!({ "type": "array", "items": held(*of, types), "uniqueItems": true })
         }
-        Shape::AtMost(of, bound) => match held(*of, types) {
+        Shape::AtMost(of, bound) => {
+            let mut schema = whole(&types[*of as usize], types);
             // A text is bounded in bytes, and JSON Schema counts characters.
-            Value::Object(of) if of.contains_key("items") => {
-                let mut of = of;
-                of.insert("maxItems".to_owned(), json!(bound));
-                Value::Object(of)
+            if schema.contains_key("items") {
+                schema.insert("maxItems".into(), (*bound).into());
             }
-            of => of,
-        },
+            schema.into()
+        }
         Shape::Map(_, of) => {
             json!({ "type": "object", "additionalProperties": held(*of, types) })
         }
