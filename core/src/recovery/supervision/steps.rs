@@ -127,8 +127,10 @@ impl Supervisor {
                         self.going.is_empty() && (self.coming.is_empty() || self.is_held_up())
                     }
                 };
+                // One that ends with its supervisor is at work again when that is.
+                let stays = self.phase != Phase::Leaving;
                 let up = matches!(child.state, ChildPhase::Running | ChildPhase::Unavailable);
-                (up && whole).then_some(Ok(Some(child.incarnation)))
+                (up && whole && stays).then_some(Ok(Some(child.incarnation)))
             }
         }
     }

@@ -263,6 +263,7 @@ fn an_ending_supervisor_starts_nothing_and_answers_after_its_restart() {
     assert_eq!(rig.restart("a", ReplacementCause::Behind, 1), ["abandon a"]);
     assert_eq!(rig.died("b", 1), [""; 0]);
     assert_eq!(rig.restart("b", ReplacementCause::Died, 1), [""; 0]);
+    assert_eq!(rig.restart("c", ReplacementCause::Faulty, 1), [""; 0], "it is no other one yet");
     assert_eq!(rig.end(), ["stop c"]);
     assert_eq!(rig.restart("c", ReplacementCause::Behind, 1), ["abandon c", "all stopped"]);
 
@@ -270,7 +271,7 @@ fn an_ending_supervisor_starts_nothing_and_answers_after_its_restart() {
     assert_eq!(rig.outputs(), ["start a #2"]);
     assert_eq!(rig.started("a", 2), ["start b #2", "1 recovered a #2"]);
     assert_eq!(rig.started("b", 2), ["start c #2", "2 recovered b #2"]);
-    assert_eq!(rig.started("c", 2), ["all started", "3 recovered c #2"]);
+    assert_eq!(rig.started("c", 2), ["all started", "3 recovered c #2", "4 recovered c #2"]);
 }
 
 #[test]
