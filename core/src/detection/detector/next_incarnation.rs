@@ -5,6 +5,7 @@
 //! to recover.
 
 use super::{DecisionTimeout, Detector};
+use crate::detection::correlation::is_down;
 use crate::{Fault, FaultId, FaultLocation, Instant, Lifecycle};
 use std::iter;
 
@@ -55,13 +56,17 @@ impl Detector {
         }
     }
 
-    /// This fault, and those of the incarnations before it that were to end with its own.
+    /// This fault, and those that were to end with its incarnation: of the incarnations before it,
+    /// or, where this one is its end, of a reset that came to wait.
     pub(super) fn sharing_the_outcome_of(&self, id: FaultId) -> Vec<FaultId> {
         let Some(entry) = self.fault_log.entry(id) else { return Vec::new() };
-        let fault = &entry.fault;
-        let before = |other: &&Fault| other.incarnation < fault.incarnation;
-        let before = self.unhanded_at(&fault.location).filter(before).map(|other| other.id);
-        iter::once(id).chain(before).collect()
+        let (fault, ends) = (&entry.fault, is_down(&entry.fault));
+        let shares = |other: &&Fault| {
+            other.incarnation < fault.incarnation
+                || ends && other.incarnation == fault.incarnation && other.id != id
+        };
+        let sharing = self.unhanded_at(&fault.location).filter(shares).map(|other| other.id);
+        iter::once(id).chain(sharing).collect()
     }
 
     pub(super) fn unhanded_at(&self, location: &FaultLocation) -> impl Iterator<Item = &Fault> {

@@ -233,6 +233,21 @@ fn a_fault_whose_reset_waits_is_recovered_when_active_again() {
 }
 
 #[test]
+fn a_fault_whose_reset_waits_is_given_up_with_its_incarnation() {
+    let mut bench = Bench::new();
+    bench.see("arm", ONE, state(Lifecycle::Active));
+    bench.see("arm", ONE, state(Lifecycle::Error));
+    bench.see("arm", ONE, unavailable());
+    bench.detector.handle_outcome(FaultId(1), at(0), RecoveryOutcome::Waits);
+    bench.see("arm", ONE, state(Lifecycle::Fatal));
+    bench.outputs();
+
+    bench.detector.handle_outcome(FaultId(3), at(5), gave_up());
+
+    assert_eq!(bench.outputs(), ["GaveUp 3", "GaveUp 1"]);
+}
+
+#[test]
 fn what_waits_no_more_is_not_unavailable_any_more() {
     let ends = [
         (ONE, exited(panicked()), "Panic"),
