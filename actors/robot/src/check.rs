@@ -5,14 +5,16 @@
 
 mod lost_communication;
 
+use self::lost_communication::place_of;
+
 use crate::description::{
     AnswerDescription, ChildDescription, ComponentDescription, ConnectionDescription,
     ElementOrigin, EndpointDescription, NodeDescription, RobotDescription,
 };
 use crate::finding::{ElementPart, ElementPlaces, FilePlace, RobotFinding, RobotSources, offset};
-use crate::types::{Types, UnknownPort, network_of};
+use crate::types::{Types, UnknownPort, end_of};
 use crate::value::{fault_word, hint};
-use blastema::core::port::{ConnectionRole, resolve};
+use blastema::core::port::{ConnectionRole, PortAddress, resolve};
 use blastema::prelude::*;
 use blastema::recovery::PlanError;
 use blastema::trees::{BehaviorTree, TreeErrors};
@@ -33,7 +35,8 @@ pub(crate) fn check(
 ) -> Vec<RobotFinding> {
     let files = sources.files.clone();
     let places = ElementPlaces::of(sources);
-    let mut checker = RobotChecker { robot, types, places, files, findings };
+    let whole = BTreeSet::new();
+    let mut checker = RobotChecker { robot, types, places, files, findings, whole };
     checker.names("node", "robot", robot.nodes.iter().map(|node| (&*node.name, node.origin)));
     let networks = robot.networks.iter().map(|network| (&*network.name, network.origin));
     checker.names("network", "robot", networks);
@@ -50,10 +53,14 @@ pub(crate) fn check(
     checker.networks();
     checker.dependencies(&groups);
     checker.connections(&groups);
+    checker.try_nodes();
     let RobotChecker { files, findings, .. } = checker;
     sources.files = files;
     findings
 }
+
+/// What helps against a wrong endpoint.
+const MEDIA: &str = "see the manual's page on media";
 
 struct RobotChecker<'a> {
     robot: &'a RobotDescription,
@@ -62,6 +69,8 @@ struct RobotChecker<'a> {
     /// The robot's files, and those of its trees.
     files: Vec<(String, Arc<str>)>,
     findings: Vec<RobotFinding>,
+    /// The nodes in whose trees nothing was found.
+    whole: BTreeSet<&'a str>,
 }
 
 impl<'a> RobotChecker<'a> {
@@ -80,9 +89,16 @@ impl<'a> RobotChecker<'a> {
     }
 
     /// Adds a finding about one attribute of two elements.
-    fn twice(&mut self, sentence: String, part: &str, at: [ElementOrigin; 2], help: &str) {
+    fn twice(
+        &mut self,
+        sentence: String,
+        part: impl Into<ElementPart>,
+        at: [ElementOrigin; 2],
+        help: &str,
+    ) {
+        let part = part.into();
         let labels = at.into_iter().zip(["first", "again"]).filter_map(|(origin, label)| {
-            Some((self.places.find(origin, &part.into())?, label.to_owned()))
+            Some((self.places.find(origin, &part)?, label.to_owned()))
         });
         let (labels, help) = (labels.collect(), Some(help.to_owned()));
         self.add(RobotFinding { code: "robot::twice", sentence, help, labels });
@@ -165,6 +181,17 @@ impl<'a> RobotChecker<'a> {
             }
             self.answers(&component.plan);
         }
+        let claims = node.components().into_iter().flat_map(|component| {
+            component.claims.iter().map(|(name, _)| (name, component.origin))
+        });
+        let mut known = BTreeMap::new();
+        for (name, again) in claims {
+            if let Some(first) = known.insert(name, again) {
+                let sentence = format!("two components of node {} claim `{name}`", node.name);
+                let part = ElementPart::below("claim", "name", name, "name");
+                self.twice(sentence, part, [first, again], "delete one");
+            }
+        }
         // Dependencies have rules of their own here, and names that two have were found.
         let mut trial = node.clone();
         trial.lost_communication.clear();
@@ -180,7 +207,7 @@ impl<'a> RobotChecker<'a> {
             Ok(builder) => {
                 let refused = builder.check();
                 if refused.is_empty() && is_whole {
-                    self.policies(node, trial);
+                    self.whole.insert(&node.name);
                 }
                 refused.into_iter().for_each(|error| self.refused(node, error));
             }
@@ -219,8 +246,8 @@ impl<'a> RobotChecker<'a> {
                 let help = "correct it; see the manual's page on small devices".to_owned();
                 (name.to_string(), format!("of {name}, {why}"), part.into(), help)
             }
-            StartError::Spec(SpecError::ActuatorSettings { name, contract, why }) => {
-                self.actuator(node, name.to_string(), &contract, &why)
+            StartError::Spec(SpecError::ActuatorSettings { name, contract, field, why }) => {
+                self.actuator(node, name.to_string(), (&contract, field.as_deref()), &why)
             }
             StartError::Spec(SpecError::Ports { name, .. }) => {
                 (name.to_string(), sentence, "type".into(), "mend its `ports`".to_owned())
@@ -230,10 +257,40 @@ impl<'a> RobotChecker<'a> {
                 let sentence = format!("`{}` of node {} is {value}", part.attribute, node.name);
                 return self.find("robot::setting", sentence, (node.origin, part), cure, "here");
             }
-            _ => {
+            StartError::Endpoint { network, neighbour, error } => {
+                let of = neighbour.as_ref().and_then(|other| self.robot.node(other.as_str()));
+                let mut ends = of.unwrap_or(node).endpoints.iter();
+                let at = ends.find(|end| end.network == network).map(|end| {
+                    let is_told = of.is_some() && end.reached_at.is_some();
+                    (end.origin, if is_told { "reached-at" } else { "at" })
+                });
+                let (sentence, help) = (error.problem().to_string(), MEDIA);
+                let at = at.unwrap_or((node.origin, "name"));
+                return self.find("robot::network", sentence, at, help, "here");
+            }
+            StartError::Link { network, setting, value, cure, .. } => {
+                let part = ElementPart::of_setting(setting);
+                let sentence = format!("`{}` of network {network} is {value}", part.attribute);
+                let mut networks = self.robot.networks.iter();
+                let of = networks.find(|of| of.name == network).map_or(node.origin, |of| of.origin);
+                return self.find("robot::network", sentence, (of, part), cure, "here");
+            }
+            StartError::LostCommunication { policy, part, reason } => {
+                let mut policies = node.lost_communication.iter();
+                let described = policies.find(|of| of.name == policy);
+                let at = described.map(|of| place_of(of, &part));
+                let at = at.unwrap_or((node.origin, "name".into()));
+                let sentence = format!("of `{policy}`, {reason}");
+                return self.find("robot::lost", sentence, at, "correct it", "here");
+            }
+            error => {
                 let help = "change the description of the node";
-                let at = (node.origin, "name");
-                return self.find("robot::node", sentence, at, help, "this node");
+                let part = match error {
+                    StartError::Shown(_) => "shown-at",
+                    StartError::Variables { .. } => "keep-variables",
+                    _ => "name",
+                };
+                return self.find("robot::node", sentence, (node.origin, part), help, "here");
             }
         };
         let code = match part.below.as_ref().map_or("", |(element, _)| element) {
@@ -317,7 +374,7 @@ impl<'a> RobotChecker<'a> {
         &self,
         node: &NodeDescription,
         name: String,
-        contract: &str,
+        (contract, field): (&str, Option<&str>),
         why: &str,
     ) -> (String, String, ElementPart, String) {
         let components = node.components();
@@ -333,8 +390,6 @@ impl<'a> RobotChecker<'a> {
         let written = written.find(|(port, _)| named(port));
         let port = written.map_or(contract, |(port, _)| port.as_str());
         let known: Vec<&str> = ports.clone().map(|port| port.name.as_str()).collect();
-        let mut fields = written.into_iter().flat_map(|(_, settings)| &settings.safe);
-        let field = fields.find(|(field, _)| why.contains(&format!("`{field}`")));
         let at_port = ElementPart::below("actuator", "port", port, "port");
         let sentence = format!("of {name}, {why}");
         match field {
@@ -342,7 +397,7 @@ impl<'a> RobotChecker<'a> {
                 let sentence = format!("{name} is commanded at no port `{port}`");
                 (name, sentence, at_port, hint(port, known))
             }
-            Some((field, _)) => {
+            Some(field) => {
                 let part = ElementPart::below("field", "name", field, "value");
                 (name, sentence, part, "correct the field".to_owned())
             }
@@ -409,14 +464,12 @@ impl<'a> RobotChecker<'a> {
             );
             return self.find(code, sentence, at, help, "every address of its computer");
         }
-        let network = match network_of(self.robot, node, end) {
-            Ok(network) => network,
-            Err(error) => return self.find(code, error, at, "", ""),
-        };
-        let described = self.robot.networks.iter().find(|known| known.name == end.network);
-        let origin = described.map_or(end.origin, |network| network.origin);
+        let mut networks = self.robot.networks.iter();
+        let Some(described) = networks.find(|known| known.name == end.network) else { return };
+        let origin = described.origin;
         // Keys need not be on the computer that checks.
         let has_keys = self.robot.keys_of(node).is_some();
+        let network = end_of(described, end);
         let network = if has_keys { network.insecure() } else { network };
         for error in Node::builder(&node.name).network(network).check() {
             if let StartError::Insecure { network, .. } = error {
@@ -424,16 +477,59 @@ impl<'a> RobotChecker<'a> {
                 let help = "add `keys=\"…\"` to `robot`, or `insecure=\"true\"` here if every station \
                             on it may command this robot";
                 self.find(code, sentence, (origin, "name"), help, "here");
+            } else if let StartError::Endpoint { error, .. } = error {
+                self.find(code, error.problem().to_string(), at, MEDIA, "here");
             } else {
                 let text = error.to_string();
                 let sentence = text.lines().next().unwrap_or_default();
-                self.find(code, sentence, at, "see the manual's page on media", "here");
+                self.find(code, sentence, at, MEDIA, "here");
             }
         }
-        if has_keys && described.is_some_and(|network| network.insecure) {
+        if has_keys && described.insecure {
             let sentence =
                 format!("`{}` is insecure, and node `{}` has keys", end.network, node.name);
             self.find(code, sentence, (origin, "insecure"), "delete `insecure`", "insecure");
+        }
+    }
+
+    /// Tries each node as its start does, with all in which nothing was found.
+    fn try_nodes(&mut self) {
+        let mut robot = self.robot.clone();
+        // Plans and dependencies have rules of their own.
+        (robot.keys, robot.plan) = Default::default();
+        robot.networks.iter_mut().for_each(|network| network.insecure = true);
+        let labels = self.findings.iter().flat_map(|finding| &finding.labels);
+        let is_right = |origin| !labels.clone().any(|(place, _)| self.places.holds(origin, place));
+        let is_whole = |end: &PortAddress| {
+            end.node.as_ref().is_some_and(|node| self.whole.contains(node.as_str()))
+        };
+        robot.connections.retain(|ConnectionDescription { ports, origin }| {
+            is_right(*origin) && is_whole(&ports.from) && is_whole(&ports.to)
+        });
+        for node in &mut robot.nodes {
+            let is_whole = self.whole.contains(&*node.name);
+            (node.keys, node.safe_outputs, node.plan) = Default::default();
+            node.endpoints.retain(|end| is_right(end.origin));
+            let (own, has_networks) = (&node.name, !node.endpoints.is_empty());
+            node.lost_communication.retain(|policy| {
+                let can_be_lost =
+                    has_networks || policy.commander.as_ref().is_none_or(|of| of == own);
+                is_whole && can_be_lost && is_right(policy.origin)
+            });
+            node.root.retain(&mut |child| {
+                if let ChildDescription::Component(component) = child {
+                    (component.depends_on, component.plan) = Default::default();
+                }
+                is_whole
+            });
+        }
+        for node in &self.robot.nodes {
+            match self.types.node(&robot, &node.name) {
+                Ok(builder) => {
+                    builder.check().into_iter().for_each(|error| self.refused(node, error));
+                }
+                Err(error) => self.find("robot::node", error, (node.origin, "name"), "", ""),
+            }
         }
     }
 

@@ -20,7 +20,7 @@ pub(crate) use source::ConditionWiring;
 pub use spec::Connected;
 #[cfg(feature = "trees")]
 pub(crate) use table::ConditionUse;
-pub(crate) use table::Conditions;
+pub(crate) use table::{Conditions, UnfitChannel};
 
 use crate::actuator::Commander;
 use crate::component::Component;

@@ -1,16 +1,17 @@
 //! Why a node does not start.
 
+use super::lost_communication::PolicyPart;
 use crate::component::spec_error::SpecError;
 #[cfg(feature = "network")]
 use crate::service::ServiceSpecError;
 use crate::settings::SettingError;
 use blastema_core::NameError;
-#[cfg(feature = "network")]
-use blastema_core::ObjectName;
 use blastema_core::detection::RegistrationError;
 use blastema_core::detection::dependencies::DependencyError;
 use blastema_core::port::ConnectError;
 use blastema_core::recovery::PlanError;
+#[cfg(feature = "network")]
+use blastema_core::{NodeName, ObjectName};
 #[cfg(feature = "network")]
 use blastema_transports::EndpointError;
 use std::path::PathBuf;
@@ -55,8 +56,8 @@ pub enum StartError {
     LostCommunication {
         /// The policy.
         policy: String,
-        /// The place of the rung that is wrong, from 0; `None` where it is another part.
-        rung: Option<usize>,
+        /// The part that is wrong.
+        part: PolicyPart,
         /// What is wrong, and what to write.
         reason: String,
     },
@@ -66,8 +67,25 @@ pub enum StartError {
     Endpoint {
         /// The network.
         network: String,
+        /// The neighbour whose address is wrong; `None` where the endpoint is.
+        neighbour: Option<NodeName>,
         /// What is wrong, and where.
         error: EndpointError,
+    },
+    /// A setting of a link makes no sense.
+    #[cfg(feature = "network")]
+    #[error("network {network}: {setting} of the link to {neighbour} is {value}: {cure}")]
+    Link {
+        /// The network.
+        network: String,
+        /// The neighbour.
+        neighbour: String,
+        /// The setting.
+        setting: &'static str,
+        /// Its value.
+        value: String,
+        /// What to write instead.
+        cure: &'static str,
     },
     /// The networks cannot be used together.
     #[cfg(feature = "network")]
@@ -192,6 +210,12 @@ impl StartError {
     pub(crate) fn name_of(of: impl fmt::Display) -> impl FnOnce(NameError) -> StartError {
         let of = of.to_string();
         move |error| StartError::Name { of, error }
+    }
+}
+
+impl From<StartError> for Vec<StartError> {
+    fn from(error: StartError) -> Self {
+        vec![error]
     }
 }
 

@@ -49,7 +49,7 @@ pub use controller::NodeState;
 pub use error::StartError;
 pub use faults::FaultEvents;
 pub use lost_communication::{
-    AcknowledgeError, LostCommunicationPolicy, LostCommunicationRow, Rung,
+    AcknowledgeError, LostCommunicationPolicy, LostCommunicationRow, PolicyPart, Rung,
 };
 #[cfg(feature = "network")]
 pub use medium_row::MediumRow;

@@ -284,7 +284,7 @@ fn links_of_which_one_would_be_taken_for_another_or_cost_nothing_are_refused() {
         };
         let link = || Link::in_memory("b", "b");
         let one = |link: Link| node().network(network("mem")(link));
-        refused(one(link().cost(0)), &["the link to b costs 0", "1 at least"]).await;
+        refused(one(link().cost(0)), &["cost of the link to b is 0", "1 at least"]).await;
         refused(one(link().named("")), &["an empty name"]).await;
         refused(one(link().hello_every(Duration::ZERO)), &["1 ms to 15 s"]).await;
         refused(one(link().expected_within(Duration::ZERO)), &["the time of some hellos"]).await;

@@ -12,7 +12,6 @@ use crate::node::builder::ActorPlacement;
 use crate::node::controller::SubscribeSafeState;
 use crate::node::error::StartError;
 use crate::node::network::description::NetworkDescription;
-use crate::node::network::services::{check_service, check_service_order};
 use crate::node::network::{Cable, Network};
 use crate::node::network_row::NetworkRow;
 use crate::platform::own_arbiter;
@@ -25,11 +24,9 @@ use blastema_core::detection::RecovererPort;
 use blastema_core::net::discovery::DiscoveryAdmission;
 use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_core::suggestion::nearest;
 use blastema_core::{Incarnation, NodeName};
 use std::sync::Arc;
 use std::time::Duration;
-use tracing::warn;
 
 /// The networks of a node that runs.
 pub(in crate::node) struct Networks {
@@ -40,8 +37,6 @@ pub(in crate::node) struct Networks {
     pub(super) arbiter: Option<ArbiterHandle>,
     /// The nodes that the description names.
     pub(super) described: SortedSet<NodeName>,
-    /// All nodes of the robot, where it has keys.
-    listed: Option<SortedSet<NodeName>>,
     /// The links that the description names; those that begin as one that ends at `/` may come by
     /// themselves.
     pub(super) links: Vec<String>,
@@ -59,22 +54,6 @@ impl Networks {
     /// Whether this node has met another, was told of it, or has heard what others say of it.
     pub(in crate::node) fn know(&self, node: &NodeName) -> bool {
         self.described.contains(node) || self.handle.knows(node)
-    }
-
-    /// Finds a commander that is no node of the robot. Without keys only its neighbours are known,
-    /// and others may be further away.
-    pub(super) fn check_commander(&self, node: &NodeName) -> Result<(), String> {
-        let known = self.listed.as_ref().unwrap_or(&self.described);
-        if known.contains(node) {
-            return Ok(());
-        }
-        let near = nearest(node.as_str(), known.iter().map(NodeName::as_str));
-        let hint = near.map(|near| format!(": did you mean {near}?")).unwrap_or_default();
-        if self.listed.is_some() {
-            return Err(format!("its commander {node} is not in the roster{hint}"));
-        }
-        warn!(%node, "the commander of a policy is no neighbour of this node{hint}");
-        Ok(())
     }
 
     /// All whom it has met, or was told of.
@@ -151,8 +130,6 @@ impl NodeAssembly {
         services: Vec<Result<Carried, ServiceSpecError>>,
     ) -> Result<(), StartError> {
         let services: Vec<_> = services.into_iter().collect::<Result<_, _>>()?;
-        services.iter().try_for_each(check_service)?;
-        check_service_order(&services)?;
         for carried in services {
             let name = carried.body.clone();
             let roster = self.environment.services();
@@ -186,7 +163,7 @@ fn make_networks(
     let FaultChainParts { guardian, chain, monitor, .. } = parts;
     let (mut specs, mut cables) = (Vec::new(), SortedMap::new());
     let (mut neighbours, mut enrolments) = (SortedSet::new(), Vec::new());
-    let (has_keys, listed) = (keys.is_some(), keys.as_ref().map(|keys| keys.listed()));
+    let has_keys = keys.is_some();
     let mut links = Vec::new();
     let rows: Vec<_> = networks.iter().map(|network| network.row(has_keys)).collect();
     rows.iter().for_each(NetworkRow::log);
@@ -266,7 +243,7 @@ fn make_networks(
     }
     let transports = transports.clone();
     let networks =
-        Networks { handle, cables, rows, transports, arbiter, described, listed, links, silence };
+        Networks { handle, cables, rows, transports, arbiter, described, links, silence };
     Ok((networks, enrolments))
 }
 
