@@ -11,16 +11,18 @@ use crate::description::{
     AnswerDescription, ChildDescription, ComponentDescription, ConnectionDescription,
     ElementOrigin, EndpointDescription, NodeDescription, RobotDescription,
 };
-use crate::finding::{ElementPart, ElementPlaces, FilePlace, RobotFinding, RobotSources, offset};
+use crate::finding::{ElementPart, ElementPlaces, FilePlace, RobotFinding, RobotSources};
 use crate::types::{Types, UnknownPort, end_of};
 use crate::value::{fault_word, hint};
+use blastema::core::detection::dependencies::circle;
 use blastema::core::port::{ConnectionRole, PortAddress, resolve};
+use blastema::core::sorted::SortedMap;
 use blastema::prelude::*;
 use blastema::recovery::PlanError;
-use blastema::trees::{BehaviorTree, TreeErrors};
+use blastema::trees::{BehaviorTree, TreeErrors, byte_at};
 use blastema::{ParameterError, SpecError};
 use std::borrow::Cow;
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -327,7 +329,7 @@ impl<'a> RobotChecker<'a> {
                 self.files.push((shown, text.into()));
                 self.files.len() - 1
             });
-            let start = offset(&self.files[file].1, error.line, error.column);
+            let start = byte_at(&self.files[file].1, error.line, error.column);
             let (sentence, help) = (error.problem.to_string(), error.suggestion.as_ref());
             let help =
                 Some(help.map_or("correct the tree".into(), |near| format!("write `{near}`")));
@@ -587,7 +589,21 @@ impl<'a> RobotChecker<'a> {
                 needs.entry(full(&component.name)).or_default().extend(of);
             }
         }
-        let mut circles = BTreeSet::new();
+        let edges = needs.iter().map(|(object, needed)| {
+            (object, needed.iter().map(|(other, _)| other).collect::<Vec<_>>())
+        });
+        let (mut edges, mut circles): (SortedMap<_, _>, _) = (edges.collect(), BTreeSet::new());
+        while let Some(way) = circle(&edges) {
+            let Some((object, needed)) = needs.get_key_value(&way[0]) else { break };
+            for (_, component) in needed.iter().filter(|(other, _)| *other == way[1]) {
+                let sentence = format!("{}: each waits for the next", way.join(" -> "));
+                let at = (component.origin, "depends-on");
+                let help = "leave out one of these dependencies";
+                self.find("robot::cycle", sentence, at, help, "here");
+            }
+            edges.entry(object).or_default().retain(|other| **other != way[1]);
+            circles.extend(way.windows(2).map(<[String]>::to_vec));
+        }
         for (object, needed) in &needs {
             for (other, component) in needed {
                 let at = (component.origin, "depends-on");
@@ -607,15 +623,8 @@ impl<'a> RobotChecker<'a> {
                 if place.0 == here.0 && place.1 < here.1 {
                     continue;
                 }
-                if let Some(path) = path(&needs, other, object) {
-                    let members: BTreeSet<&str> = path.iter().map(String::as_str).collect();
-                    if circles.insert(members.into_iter().map(str::to_owned).collect::<Vec<_>>()) {
-                        let shown = [std::slice::from_ref(object), &path].concat().join(" -> ");
-                        let sentence = format!("{shown}: each waits for the next");
-                        let help = "leave out one of these dependencies";
-                        self.find("robot::cycle", sentence, at, help, "here");
-                    }
-                } else if place.0 == here.0 {
+                let edge = [object.clone(), other.clone()];
+                if place.0 == here.0 && !circles.contains(&edge[..]) {
                     let sentence =
                         format!("`{}` depends on `{own}`, which starts after it", component.name);
                     let help = format!("move `{own}` before `{}`", component.name);
@@ -680,33 +689,4 @@ fn number(children: &[ChildDescription], started: &mut usize, entry: &mut impl F
         *started += 1;
         entry(child.identity().0, *started);
     }
-}
-
-/// The way from one object to another along what they need, with both of them.
-fn path(
-    needs: &BTreeMap<String, Vec<(String, &ComponentDescription)>>,
-    from: &str,
-    to: &str,
-) -> Option<Vec<String>> {
-    let mut before = BTreeMap::from([(from, "")]);
-    let mut open = VecDeque::from([from]);
-    while let Some(object) = open.pop_front() {
-        if object == to {
-            let mut path = vec![object.to_owned()];
-            let mut at = object;
-            while let Some(previous) = before.get(at).filter(|previous| !previous.is_empty()) {
-                path.push((*previous).to_owned());
-                at = previous;
-            }
-            path.reverse();
-            return Some(path);
-        }
-        for (next, _) in needs.get(object).into_iter().flatten() {
-            if !before.contains_key(next.as_str()) {
-                before.insert(next, object);
-                open.push_back(next);
-            }
-        }
-    }
-    None
 }

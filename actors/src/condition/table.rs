@@ -140,7 +140,7 @@ impl Conditions {
         let object = object_of(name)?;
         let refused = |reason: String| {
             let condition = name.to_owned();
-            ConditionError::Refused { condition, reason }
+            ConditionError::Refused { condition, place: None, reason }
         };
         let mut table = self.lock();
         let (Some(wiring), false) = (self.0.wiring.get(), table.ended) else {
@@ -167,8 +167,7 @@ impl Conditions {
                 Presence::Rate { window, .. } => window,
             });
             Ok(ConnectionJudge::new(channel.to_string(), rules))
-        });
-        let judges = judges.map_err(|unfit| unfit.error)?;
+        })?;
         let cause = "nothing was measured yet".to_owned();
         let status = ConditionStatus { state: ConditionState::Lost, since: now, cause };
         let entry = Entry {
@@ -292,12 +291,13 @@ impl Connected {
         &self,
         condition: &str,
         environment: &ComponentEnvironment,
-    ) -> Result<(), UnfitChannel> {
+    ) -> Result<(), ConditionError> {
         let node = (environment.topics(), &environment.registry);
-        let object = object_of(condition).map_err(|error| UnfitChannel { place: None, error })?;
-        let tapped =
-            self.try_map(condition, &mut |_, channel| channel.tap(node, &object, Arc::default()));
-        tapped.map(drop)
+        let object = object_of(condition)?;
+        let tap = &mut |_: &_, channel: &ConnectedChannel| {
+            channel.tap(node, &object, Arc::default()).map(drop)
+        };
+        self.try_map(condition, tap).map(drop)
     }
 
     /// What is made of each channel that can be judged.
@@ -305,22 +305,18 @@ impl Connected {
         &self,
         condition: &str,
         make: &mut impl FnMut(&ChannelSpec, &ConnectedChannel) -> Result<T, String>,
-    ) -> Result<Combination<T>, UnfitChannel> {
-        let condition = condition.to_owned();
+    ) -> Result<Combination<T>, ConditionError> {
         let refused = |place, reason| {
-            let condition = condition.clone();
-            UnfitChannel { place, error: ConditionError::Refused { condition, reason } }
+            let condition = condition.to_owned();
+            ConditionError::Refused { condition, place, reason }
         };
         let mut places = 0..;
         let mut checked = |spec: &ChannelSpec| {
             let place = places.next().unwrap_or_default();
-            let at = |setting| Some((place, setting));
-            let channel = spec.channel.as_ref().map_err(|error| {
-                let (condition, error) = (condition.clone(), error.clone());
-                UnfitChannel { place: at(""), error: ConditionError::Name { condition, error } }
-            })?;
-            check(spec, channel).map_err(|(setting, reason)| refused(at(setting), reason))?;
-            make(spec, channel).map_err(|reason| refused(at(""), reason))
+            let at = |setting| move |reason| refused(Some((place, setting)), reason);
+            let channel = spec.channel.as_ref().map_err(|error| at("")(error.to_string()))?;
+            check(spec, channel).map_err(|(setting, reason)| at(setting)(reason))?;
+            make(spec, channel).map_err(at(""))
         };
         self.0.try_map(&mut checked, &|least, all| {
             let reason = format!(
@@ -329,14 +325,6 @@ impl Connected {
             refused(None, reason)
         })
     }
-}
-
-/// What cannot be judged.
-pub(crate) struct UnfitChannel {
-    /// The place of the channel, from 0, and the setting of it, empty for the channel itself;
-    /// `None` where it is how many are to be connected.
-    pub(crate) place: Option<(usize, &'static str)>,
-    pub(crate) error: ConditionError,
 }
 
 /// Finds a setting that cannot be judged.

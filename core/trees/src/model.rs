@@ -15,6 +15,9 @@ pub(crate) enum PortDirection {
     InOut,
 }
 
+/// What right values are called, and which they are.
+type PortLimit = (&'static str, fn(&Value) -> bool);
+
 /// A port of a type of node.
 #[derive(Clone, Debug)]
 pub struct Port {
@@ -23,8 +26,7 @@ pub struct Port {
     pub(crate) kind: PortType,
     pub(crate) default: Option<&'static str>,
     pub(crate) optional: bool,
-    /// The values that are right, and what they are called.
-    pub(crate) limit: Option<(&'static str, fn(&Value) -> bool)>,
+    pub(crate) limit: Option<PortLimit>,
     pub(crate) role: PortRole,
     pub(crate) about: &'static str,
 }

@@ -136,7 +136,7 @@ pub(super) fn place_of(
     match part {
         PolicyPart::Commander => (policy.origin, "commander".into()),
         PolicyPart::AtLeast => (policy.origin, "at-least".into()),
-        PolicyPart::Need { place, setting } => {
+        PolicyPart::Need(place, setting) => {
             let NeedDescription { channel, origin, .. } = &policy.needs[*place];
             let channel = match channel {
                 NeedChannel::Heartbeat(_) => "heartbeat",
@@ -146,8 +146,8 @@ pub(super) fn place_of(
             };
             (*origin, ElementPart::of_setting(if setting.is_empty() { channel } else { setting }))
         }
-        PolicyPart::RungTime { rung } => (policy.rungs[*rung].origin, "time".into()),
-        PolicyPart::Rung { rung } => (policy.rungs[*rung].origin, "do".into()),
+        PolicyPart::RungTime(rung) => (policy.rungs[*rung].origin, "time".into()),
+        PolicyPart::Rung(rung) => (policy.rungs[*rung].origin, "do".into()),
         PolicyPart::Command { rung, command, field } => {
             let command = &policy.rungs[*rung].commands[*command];
             let field = field.as_ref().map(|of| ElementPart::below("field", "name", of, "value"));

@@ -5,14 +5,13 @@ use super::{NodeAssembly, middleware, named};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
 use crate::directory::actor::{DirectoryActor, DirectorySetup};
-use crate::net::keys::NodeKeys;
 use crate::net::safe_state::{RestSetup, SafeStateActor};
-use crate::net::{self, NetEnvironment, NetHandle, NetworkSpec};
+use crate::net::{self, NetEnvironment, NetHandle};
 use crate::node::builder::ActorPlacement;
 use crate::node::controller::SubscribeSafeState;
 use crate::node::error::StartError;
+use crate::node::network::Cable;
 use crate::node::network::description::NetworkDescription;
-use crate::node::network::{Cable, Network};
 use crate::node::network_row::NetworkRow;
 use crate::platform::own_arbiter;
 use crate::service::{Carried, ReplicaBody, ServiceSpecError};
@@ -21,11 +20,8 @@ use blastema_contract::monitor::Register;
 use blastema_contract::notifier::AddPort;
 use blastema_contract::transport::Close;
 use blastema_core::detection::RecovererPort;
-use blastema_core::net::discovery::DiscoveryAdmission;
-use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{Incarnation, NodeName};
-use std::sync::Arc;
 use std::time::Duration;
 
 /// The networks of a node that runs.
@@ -95,17 +91,14 @@ impl NodeAssembly {
         &mut self,
         description: &mut NetworkDescription,
     ) -> Result<(), StartError> {
-        let networks = std::mem::take(&mut description.networks);
         let who = (&self.node, self.incarnation);
-        if networks.is_empty() {
+        if description.networks.is_empty() {
             let setup = directory_setup(who, &self.parts, &self.environment);
             let arbiter = self.parts.chain.arbiter.as_ref();
             let directory = DirectoryActor::start(setup, &self.parts.guardian, arbiter);
             self.enrolments.push(middleware(named("net/directory"), Some(directory.pings)));
             return Ok(());
         }
-        let judges = description.judges()?;
-        let networks = (networks, description.keys.take(), judges, description.session_timeout);
         let arbiter = match self.placement {
             ActorPlacement::Here => None,
             ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => Some(own_arbiter()?),
@@ -113,7 +106,7 @@ impl NodeAssembly {
         self.undone.own.extend(arbiter.clone());
         let transports = &mut self.undone.transports;
         let (networks, enrolments) =
-            make_networks(networks, (arbiter, transports), who, &self.parts, &self.environment)?;
+            make_networks(description, (arbiter, transports), who, &self.parts, &self.environment)?;
         self.enrolments.extend(enrolments);
         self.networks = Some(networks);
         Ok(())
@@ -133,9 +126,6 @@ impl NodeAssembly {
         for carried in services {
             let name = carried.body.clone();
             let roster = self.environment.services();
-            if let Some(networks) = &mut self.networks {
-                networks.described.extend(carried.config.members.iter().cloned());
-            }
             roster.enter(carried.name.clone(), &carried.config);
             let place = self.networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
             let place = place.or(self.parts.chain.arbiter.as_ref());
@@ -149,18 +139,16 @@ impl NodeAssembly {
 
 /// Starts transports, links, router, sessions and gateway, and connects them to the fault chain.
 fn make_networks(
-    (networks, keys, judges, session_timeout): (
-        Vec<Network>,
-        Option<Arc<NodeKeys>>,
-        IsolationAuthority,
-        Duration,
-    ),
+    description: &mut NetworkDescription,
     (arbiter, transports): (Option<ArbiterHandle>, &mut Vec<Recipient<Close>>),
     (node, incarnation): (&NodeName, Incarnation),
     parts: &FaultChainParts,
     environment: &ComponentEnvironment,
 ) -> Result<(Networks, Vec<Register>), StartError> {
     let FaultChainParts { guardian, chain, monitor, .. } = parts;
+    let (judges, described) = (description.judges()?, description.named_nodes());
+    let networks = std::mem::take(&mut description.networks);
+    let (keys, session_timeout) = (description.keys.take(), description.session_timeout);
     let (mut specs, mut cables) = (Vec::new(), SortedMap::new());
     let (mut neighbours, mut enrolments) = (SortedSet::new(), Vec::new());
     let has_keys = keys.is_some();
@@ -184,11 +172,6 @@ fn make_networks(
             links.push(format!("{}/", started.spec.name));
         }
         specs.push(started.spec);
-    }
-    let mut described = neighbours.clone();
-    described.extend(specs.iter().flat_map(admitted).cloned());
-    if let IsolationAuthority::Named(wardens) = &judges {
-        described.extend(wardens.iter().cloned());
     }
     if let Some(keys) = &keys {
         environment.registry.access().replace(keys.access_policy());
@@ -245,15 +228,6 @@ fn make_networks(
     let networks =
         Networks { handle, cables, rows, transports, arbiter, described, links, silence };
     Ok((networks, enrolments))
-}
-
-/// Those that are admitted by name where they are met.
-fn admitted(spec: &NetworkSpec) -> impl Iterator<Item = &NodeName> {
-    let names = match spec.discovery.as_ref().map(|discovery| &discovery.admission) {
-        Some(DiscoveryAdmission::Only(names)) => Some(names),
-        Some(DiscoveryAdmission::AnyNode) | None => None,
-    };
-    names.into_iter().flatten()
 }
 
 /// The setup of the directory for a node without a network.

@@ -4,7 +4,7 @@ use crate::actuator::table::{DeclaredActuator, FieldError, FieldTexts};
 use crate::actuator::{ActuatorKey, ActuatorTable, encoded};
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
-use crate::condition::{ConditionError, Connected, UnfitChannel};
+use crate::condition::{ConditionError, Connected};
 use crate::host::spec::ChildSpec;
 use crate::node::conditions::{NodeSlot, keep_while};
 use crate::settings::LAST_RUNG_AFTER;
@@ -86,23 +86,13 @@ pub enum PolicyPart {
     Commander,
     /// How many channels must be connected.
     AtLeast,
-    /// A channel that must be connected.
-    Need {
-        /// Which one.
-        place: usize,
-        /// A setting of it, such as `max_loss`; empty for the channel itself.
-        setting: &'static str,
-    },
+    /// A channel that must be connected, and a setting of it, such as `max_loss`; empty for the
+    /// channel itself.
+    Need(usize, &'static str),
     /// When a rung begins.
-    RungTime {
-        /// Which one.
-        rung: usize,
-    },
+    RungTime(usize),
     /// What a rung does.
-    Rung {
-        /// Which one.
-        rung: usize,
-    },
+    Rung(usize),
     /// A command of a rung.
     Command {
         /// The rung.
@@ -226,14 +216,12 @@ impl LostCommunicationPolicy {
                           ladder ends: let it need a heartbeat, a session or a node";
             return Err((PolicyPart::Whole, reason.to_owned()));
         }
-        let checked = self.needs.check(&self.name, environment);
-        checked.map_err(|UnfitChannel { place, error }| {
-            let at = |(place, setting)| PolicyPart::Need { place, setting };
-            let reason = match error {
-                ConditionError::Refused { reason, .. } => reason,
-                error => error.to_string(),
-            };
-            (place.map_or(PolicyPart::AtLeast, at), reason)
+        self.needs.check(&self.name, environment).map_err(|error| match error {
+            ConditionError::Refused { place: Some((place, setting)), reason, .. } => {
+                (PolicyPart::Need(place, setting), reason)
+            }
+            ConditionError::Refused { reason, .. } => (PolicyPart::AtLeast, reason),
+            error => (PolicyPart::Whole, error.to_string()),
         })
     }
 
@@ -242,18 +230,18 @@ impl LostCommunicationPolicy {
         let (after, rung) = &self.rungs[place];
         if place > 0 && self.rungs[place - 1].0 >= *after {
             let reason = "its rungs do not rise in time: write the earlier ones first";
-            return vec![(PolicyPart::RungTime { rung: place }, reason.to_owned())];
+            return vec![(PolicyPart::RungTime(place), reason.to_owned())];
         }
         if let Err(error) = LAST_RUNG_AFTER.check(*after) {
             let reason = format!("{} {}: {}", error.setting, error.value, error.cure);
-            return vec![(PolicyPart::RungTime { rung: place }, reason)];
+            return vec![(PolicyPart::RungTime(place), reason)];
         }
         if place + 1 == self.rungs.len() && rung.component.is_some() {
             let reason = format!(
                 "its last rung, {}, runs a component, which may die: let the last one be a command",
                 rung.name
             );
-            return vec![(PolicyPart::Rung { rung: place }, reason)];
+            return vec![(PolicyPart::Rung(place), reason)];
         }
         rung.check(place, table)
     }
@@ -300,8 +288,8 @@ impl Rung {
     pub fn and_command<M: Contract + Clone>(mut self, actuator: &str, command: M) -> Self {
         let command = encoded(&command).map(Bytes::from);
         let command = Box::new(move |_: &_| {
-            let refused = |why: &_| vec![FieldError { field: None, why: format!("{why}") }];
-            command.as_ref().map(Bytes::clone).map_err(refused)
+            let refused = |why| vec![FieldError { field: None, why: format!("{why}") }];
+            command.clone().map_err(refused)
         });
         let actuator = actuator.to_owned();
         self.commands.push(RungCommand { actuator, contract: M::NAME.into(), command });
@@ -336,7 +324,7 @@ impl Rung {
         let (rung, mut seen, mut wrong) = (&self.name, SortedSet::new(), Vec::new());
         if self.commands.is_empty() && self.component.is_none() {
             let reason = format!("the rung {rung} does nothing: give it a command");
-            return vec![(PolicyPart::Rung { rung: place }, reason)];
+            return vec![(PolicyPart::Rung(place), reason)];
         }
         for (at, command) in self.commands.iter().enumerate() {
             let part = |field| PolicyPart::Command { rung: place, command: at, field };

@@ -65,6 +65,19 @@ impl NetworkDescription {
         check_networks(&self.networks, node, self.keys.as_deref())
     }
 
+    /// The other nodes that it names.
+    pub(in crate::node) fn named_nodes(&self) -> SortedSet<NodeName> {
+        let names = self.networks.iter().flat_map(Network::named_nodes);
+        let services = self.services.iter().flatten();
+        let members = services.flat_map(|service| service.config.members.iter().cloned());
+        let wardens = match self.judges() {
+            Ok(IsolationAuthority::Named(wardens)) => wardens,
+            _ => SortedSet::new(),
+        };
+        let known = names.filter_map(|name| NodeName::new(name).ok());
+        known.chain(members).chain(wardens).collect()
+    }
+
     /// Finds a commander that is no node of the robot. Without keys only the nodes that are
     /// described are known, and others may be further away.
     pub(in crate::node) fn check_commander(&self, node: &NodeName) -> Result<(), String> {
@@ -74,23 +87,13 @@ impl NetworkDescription {
             ));
         }
         let listed = self.keys.as_ref().map(|keys| keys.listed());
-        let near = match &listed {
-            Some(listed) if listed.contains(node) => return Ok(()),
-            Some(listed) => nearest(node.as_str(), listed.iter().map(NodeName::as_str)),
-            None => {
-                let services = self.services.iter().flatten();
-                let members = services.flat_map(|service| &service.config.members);
-                let known = members.map(NodeName::as_str);
-                let known = known.chain(self.networks.iter().flat_map(Network::named_nodes));
-                let mut known = known.chain(self.wardens.iter().map(String::as_str));
-                if known.clone().any(|known| known == node.as_str()) {
-                    return Ok(());
-                }
-                nearest(node.as_str(), &mut known)
-            }
-        };
+        let (has_roster, known) = (listed.is_some(), listed.unwrap_or_else(|| self.named_nodes()));
+        if known.contains(node) {
+            return Ok(());
+        }
+        let near = nearest(node.as_str(), known.iter().map(NodeName::as_str));
         let hint = near.map(|near| format!(": did you mean {near}?")).unwrap_or_default();
-        if listed.is_some() {
+        if has_roster {
             return Err(format!("its commander {node} is not in the roster{hint}"));
         }
         warn!(%node, "the commander of a policy is no neighbour of this node{hint}");
