@@ -221,11 +221,22 @@ impl<'a> RobotChecker<'a> {
     fn refused(&mut self, node: &'a NodeDescription, error: StartError) {
         let text = error.to_string();
         let sentence = text.lines().next().unwrap_or_default().to_owned();
-        let (object, sentence, part, help) = match error {
+        let origin_of = |object: &str| {
+            let mut found = None;
+            node.root.visit(&mut |child| {
+                if child.identity().0 == object {
+                    found.get_or_insert(child.identity().1);
+                }
+            });
+            found.unwrap_or(node.origin)
+        };
+        let (code, at, sentence, help) = match error {
             StartError::Spec(SpecError::Setting { name, setting, value, cure }) => {
                 let part = ElementPart::of_setting(setting);
+                let is_actuators = setting.starts_with("actuator.");
+                let code = if is_actuators { "robot::actuator" } else { "robot::setting" };
                 let sentence = format!("`{}` of {name} is {value}", part.attribute);
-                (name, sentence, part, cure.to_owned())
+                (code, (origin_of(&name), part), sentence, cure.to_owned())
             }
             StartError::Spec(SpecError::Parameters { name, error }) => {
                 let (key, name) = (error.key().to_owned(), name.to_string());
@@ -236,7 +247,8 @@ impl<'a> RobotChecker<'a> {
                     }
                     error => (format!("of {name}, {error}"), "value"),
                 };
-                (name, sentence, ElementPart::below("param", "name", &key, attribute), help)
+                let part = ElementPart::below("param", "name", &key, attribute);
+                ("robot::parameter", (origin_of(&name), part), sentence, help)
             }
             StartError::Spec(SpecError::Device { name, setting, why }) => {
                 let part = match setting {
@@ -246,67 +258,59 @@ impl<'a> RobotChecker<'a> {
                     other => other,
                 };
                 let help = "correct it; see the manual's page on small devices".to_owned();
-                (name.to_string(), format!("of {name}, {why}"), part.into(), help)
+                let at = (origin_of(name.as_str()), part.into());
+                ("robot::setting", at, format!("of {name}, {why}"), help)
             }
             StartError::Spec(SpecError::ActuatorSettings { name, contract, field, why }) => {
-                self.actuator(node, name.to_string(), (&contract, field.as_deref()), &why)
+                let settings = (&*contract, field.as_deref());
+                let (sentence, part, help) = self.actuator(node, name.as_str(), settings, &why);
+                ("robot::actuator", (origin_of(name.as_str()), part), sentence, help)
             }
             StartError::Spec(SpecError::Ports { name, .. }) => {
-                (name.to_string(), sentence, "type".into(), "mend its `ports`".to_owned())
+                let at = (origin_of(name.as_str()), "type".into());
+                ("robot::setting", at, sentence, "mend its `ports`".to_owned())
             }
             StartError::Setting { setting, value, cure } => {
                 let part = ElementPart::of_setting(setting);
                 let sentence = format!("`{}` of node {} is {value}", part.attribute, node.name);
-                return self.find("robot::setting", sentence, (node.origin, part), cure, "here");
+                ("robot::setting", (node.origin, part), sentence, cure.to_owned())
             }
             StartError::Endpoint { network, neighbour, error } => {
                 let of = neighbour.as_ref().and_then(|other| self.robot.node(other.as_str()));
                 let mut ends = of.unwrap_or(node).endpoints.iter();
                 let at = ends.find(|end| end.network == network).map(|end| {
                     let is_told = of.is_some() && end.reached_at.is_some();
-                    (end.origin, if is_told { "reached-at" } else { "at" })
+                    (end.origin, if is_told { "reached-at" } else { "at" }.into())
                 });
-                let (sentence, help) = (error.problem().to_string(), MEDIA);
-                let at = at.unwrap_or((node.origin, "name"));
-                return self.find("robot::network", sentence, at, help, "here");
+                let at = at.unwrap_or((node.origin, "name".into()));
+                ("robot::network", at, error.problem().to_string(), MEDIA.to_owned())
             }
+            // It is found at the network.
+            StartError::Insecure { .. } => return,
             StartError::Link { network, setting, value, cure, .. } => {
                 let part = ElementPart::of_setting(setting);
                 let sentence = format!("`{}` of network {network} is {value}", part.attribute);
                 let mut networks = self.robot.networks.iter();
                 let of = networks.find(|of| of.name == network).map_or(node.origin, |of| of.origin);
-                return self.find("robot::network", sentence, (of, part), cure, "here");
+                ("robot::network", (of, part), sentence, cure.to_owned())
             }
             StartError::LostCommunication { policy, part, reason } => {
                 let mut policies = node.lost_communication.iter();
-                let described = policies.find(|of| of.name == policy);
-                let at = described.map(|of| place_of(of, &part));
+                let at = policies.find(|of| of.name == policy).map(|of| place_of(of, &part));
                 let at = at.unwrap_or((node.origin, "name".into()));
-                let sentence = format!("of `{policy}`, {reason}");
-                return self.find("robot::lost", sentence, at, "correct it", "here");
+                ("robot::lost", at, format!("of `{policy}`, {reason}"), "correct it".to_owned())
             }
             error => {
-                let help = "change the description of the node";
                 let part = match error {
                     StartError::Shown(_) => "shown-at",
                     StartError::Variables { .. } => "keep-variables",
                     _ => "name",
                 };
-                return self.find("robot::node", sentence, (node.origin, part), help, "here");
+                let help = "change the description of the node".to_owned();
+                ("robot::node", (node.origin, part.into()), sentence, help)
             }
         };
-        let code = match part.below.as_ref().map_or("", |(element, _)| element) {
-            "param" => "robot::parameter",
-            "actuator" | "field" => "robot::actuator",
-            _ => "robot::setting",
-        };
-        let mut found = None;
-        node.root.visit(&mut |child| {
-            if child.identity().0 == object {
-                found.get_or_insert(child.identity().1);
-            }
-        });
-        self.find(code, sentence, (found.unwrap_or(node.origin), part), help, "here");
+        self.find(code, sentence, at, help, "here");
     }
 
     /// Finds what is wrong with a tree, at its places in the tree's files. False: something is.
@@ -370,15 +374,15 @@ impl<'a> RobotChecker<'a> {
         }
     }
 
-    /// What is wrong with the settings of an actuator, which are of this contract: the component,
-    /// the sentence, the port or the field, and what to write.
+    /// What is wrong with the settings of an actuator, which are of this contract: the sentence, the
+    /// port or the field, and what to write.
     fn actuator(
         &self,
         node: &NodeDescription,
-        name: String,
+        name: &str,
         (contract, field): (&str, Option<&str>),
         why: &str,
-    ) -> (String, String, ElementPart, String) {
+    ) -> (String, ElementPart, String) {
         let components = node.components();
         let component = components.iter().find(|component| component.name == name);
         let of = component.and_then(|component| self.types.description(&component.type_name));
@@ -397,13 +401,13 @@ impl<'a> RobotChecker<'a> {
         match field {
             _ if !known.contains(&port) => {
                 let sentence = format!("{name} is commanded at no port `{port}`");
-                (name, sentence, at_port, hint(port, known))
+                (sentence, at_port, hint(port, known))
             }
             Some(field) => {
                 let part = ElementPart::below("field", "name", field, "value");
-                (name, sentence, part, "correct the field".to_owned())
+                (sentence, part, "correct the field".to_owned())
             }
-            None => (name, sentence, at_port, "correct the settings".to_owned()),
+            None => (sentence, at_port, "correct the settings".to_owned()),
         }
     }
 
@@ -497,9 +501,10 @@ impl<'a> RobotChecker<'a> {
     /// Tries each node as its start does, with all in which nothing was found.
     fn try_nodes(&mut self) {
         let mut robot = self.robot.clone();
-        // Plans and dependencies have rules of their own.
+        // Plans and dependencies have rules of their own, and keys need not be here.
+        let has_keys = robot.nodes.iter().any(|node| robot.keys_of(node).is_some());
+        robot.networks.iter_mut().for_each(|network| network.insecure |= has_keys);
         (robot.keys, robot.plan) = Default::default();
-        robot.networks.iter_mut().for_each(|network| network.insecure = true);
         let labels = self.findings.iter().flat_map(|finding| &finding.labels);
         let is_right = |origin| !labels.clone().any(|(place, _)| self.places.holds(origin, place));
         let is_whole = |end: &PortAddress| {

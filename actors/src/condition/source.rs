@@ -103,20 +103,20 @@ impl ConnectedChannel {
     /// channel that this node cannot have.
     pub(super) fn tap(
         &self,
-        (topics, registry): (&Topics, &Registry),
+        node: (&Topics, &Registry),
         listener: &ObjectName,
         measured: Arc<Mutex<TopicEstimator>>,
     ) -> Result<Option<Box<dyn Any + Send>>, String> {
         match self {
             ConnectedChannel::Topic(topic, events) => {
-                let tapped = (events.listen)(topics, topic, listener, measured);
+                let tapped = (events.listen)(node.0, topic, listener, measured);
                 tapped.map(Some).map_err(|why| why.to_string())
             }
             #[cfg(feature = "network")]
-            ConnectedChannel::Node(node) | ConnectedChannel::Session(node)
-                if registry.elsewhere(node.clone()).is_none() =>
+            ConnectedChannel::Node(name) | ConnectedChannel::Session(name)
+                if node.1.elsewhere(name.clone()).is_none() =>
             {
-                Err(format!("{node} is this node itself: name another one"))
+                Err(format!("{name} is this node itself: name another one"))
             }
             _ => Ok(None),
         }

@@ -14,12 +14,12 @@ use self::chain::{FaultChainParts, callbacks_of, make_chain, reports};
 use super::builder::{ActorPlacement, Configuration, NodeBuilder};
 use super::checks::{check_names, check_settings, dependencies};
 use super::controller::{NodeController, StartRoot};
-use super::error::StartError;
+use super::error::{PolicyPart, StartError};
 #[cfg(feature = "unix")]
 use super::inspection::InspectionActor;
 #[cfg(feature = "unix")]
 use super::inspection::StartInspection;
-use super::lost_communication::{KeptPolicy, LostCommunicationPolicy, PolicyPart};
+use super::lost_communication::{KeptPolicy, LostCommunicationPolicy};
 use super::safety::{EndCause, SignalWait};
 use super::tree::{PreparedTree, SupervisorSpec, TreeEnvironment};
 use super::watchdogs::ProcessWatchdogs;
@@ -122,7 +122,7 @@ impl NodeBuilder {
     /// of variables or journal is opened; keys and files of parameters are read.
     pub fn check(self) -> Vec<StartError> {
         let mut refused = check_settings(&self);
-        refused.extend(check(self).err().into_iter().flatten());
+        refused.extend(check(self).unwrap_or_else(|refused| refused));
         refused
     }
 
@@ -151,7 +151,7 @@ impl NodeBuilder {
 }
 
 /// Finds what is wrong with the networks, or else the tree, or else the rest of the description.
-fn check(mut builder: NodeBuilder) -> Result<(), Vec<StartError>> {
+fn check(mut builder: NodeBuilder) -> Result<Vec<StartError>, Vec<StartError>> {
     let node = builder.checked_name()?;
     // The chain is made for the names of its objects alone.
     builder.placement = ActorPlacement::Here;
@@ -162,7 +162,7 @@ fn check(mut builder: NodeBuilder) -> Result<(), Vec<StartError>> {
     let parameters = assembly.check_parameters(&builder.policies).err().into_iter();
     let connections = assembly.connect_ports(&builder.policies, &builder.connections);
     let policies = assembly.wrong_policies(&builder.policies);
-    Err(parameters.chain(connections).chain(policies).collect())
+    Ok(parameters.chain(connections).chain(policies).collect())
 }
 
 /// Puts a node together, and starts it; undoes that if `end` resolves meanwhile.

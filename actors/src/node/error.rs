@@ -1,6 +1,5 @@
 //! Why a node does not start.
 
-use super::lost_communication::PolicyPart;
 use crate::component::spec_error::SpecError;
 #[cfg(feature = "network")]
 use crate::service::ServiceSpecError;
@@ -195,6 +194,34 @@ pub enum StartError {
     Interrupted {
         /// The signal, or the program.
         by: String,
+    },
+}
+
+/// A part of a [`LostCommunicationPolicy`](crate::LostCommunicationPolicy), by places that count from 0.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum PolicyPart {
+    /// The whole.
+    Whole,
+    /// The commander.
+    Commander,
+    /// How many channels must be connected.
+    AtLeast,
+    /// A channel that must be connected, and a setting of it, such as `max_loss`; empty for the
+    /// channel itself.
+    Need(usize, &'static str),
+    /// When a rung begins.
+    RungTime(usize),
+    /// What a rung does.
+    Rung(usize),
+    /// A command of a rung.
+    Command {
+        /// The rung.
+        rung: usize,
+        /// Which of its commands.
+        command: usize,
+        /// A field of it; `None` for the actuator.
+        field: Option<String>,
     },
 }
 

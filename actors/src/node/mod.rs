@@ -46,10 +46,10 @@ pub use bridge::ZenohBridge;
 pub use builder::NodeBuilder;
 pub use conditions::Heartbeats;
 pub use controller::NodeState;
-pub use error::StartError;
+pub use error::{PolicyPart, StartError};
 pub use faults::FaultEvents;
 pub use lost_communication::{
-    AcknowledgeError, LostCommunicationPolicy, LostCommunicationRow, PolicyPart, Rung,
+    AcknowledgeError, LostCommunicationPolicy, LostCommunicationRow, Rung,
 };
 #[cfg(feature = "network")]
 pub use medium_row::MediumRow;

@@ -11,11 +11,11 @@
 
 mod policy;
 
-pub use policy::{LostCommunicationPolicy, PolicyPart, Rung};
+pub use policy::{LostCommunicationPolicy, Rung};
 
 use super::Node;
 use super::conditions::NodeSlot;
-use super::error::StartError;
+use super::error::{PolicyPart, StartError};
 use crate::actuator::{ActuatorKey, ActuatorTable};
 use crate::component::environment::ComponentEnvironment;
 use crate::platform;

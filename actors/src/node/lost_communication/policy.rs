@@ -7,6 +7,7 @@ use crate::component::environment::ComponentEnvironment;
 use crate::condition::{ConditionError, Connected};
 use crate::host::spec::ChildSpec;
 use crate::node::conditions::{NodeSlot, keep_while};
+use crate::node::error::PolicyPart;
 use crate::settings::LAST_RUNG_AFTER;
 use blastema_core::connection::LostCommunicationEnd;
 use blastema_core::sorted::SortedSet;
@@ -74,34 +75,6 @@ pub struct LostCommunicationPolicy {
     pub(super) commander: Option<String>,
     pub(super) rungs: Vec<(Duration, Rung)>,
     pub(super) end: LostCommunicationEnd,
-}
-
-/// A part of a [`LostCommunicationPolicy`], by places that count from 0.
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum PolicyPart {
-    /// The whole.
-    Whole,
-    /// The commander.
-    Commander,
-    /// How many channels must be connected.
-    AtLeast,
-    /// A channel that must be connected, and a setting of it, such as `max_loss`; empty for the
-    /// channel itself.
-    Need(usize, &'static str),
-    /// When a rung begins.
-    RungTime(usize),
-    /// What a rung does.
-    Rung(usize),
-    /// A command of a rung.
-    Command {
-        /// The rung.
-        rung: usize,
-        /// Which of its commands.
-        command: usize,
-        /// A field of it; `None` for the actuator.
-        field: Option<String>,
-    },
 }
 
 /// Why a policy cannot work: the part that is wrong, and what to write.
