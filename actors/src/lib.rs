@@ -207,7 +207,9 @@ pub use blastema_core::connection::ConditionState;
 pub use condition::{
     Condition, ConditionChanges, ConditionError, ConditionStatus, Connected, Heartbeat,
 };
-pub use node::{AcknowledgeError, Heartbeats, LostCommunicationPolicy, LostCommunicationRow, Rung};
+pub use node::{
+    AcknowledgeError, Heartbeats, LostCommunicationPolicy, LostCommunicationRow, PolicyPart, Rung,
+};
 
 // Microcontrollers.
 #[cfg(feature = "device")]

@@ -14,6 +14,8 @@ pub(crate) mod systemd;
 pub(crate) mod wall_time;
 pub(crate) mod watchdog_device;
 
+pub use signals::{Termination, Terminations};
+
 use blastema_core::{Incarnation, Instant};
 use std::hash::{BuildHasher, RandomState};
 use std::io::Write;

@@ -201,7 +201,7 @@ pub(crate) const WATCH_INTERVAL: Setting<Duration, ()> = Setting {
     name: "liveness.interval",
     default: (),
     range: MS..=Duration::from_secs(24 * 60 * 60),
-    cure: "write 1 ms to 24 h, or Liveness::Guard",
+    cure: "write 1 ms to 24 h, or the model guard without any",
 };
 
 /// Signs of life that may be missing. A thousand is an hour of one in four seconds.
@@ -245,5 +245,5 @@ pub(crate) const COMMAND_TIMEOUT: Setting<Duration, ()> = Setting {
     name: "actuator.command_timeout",
     default: (),
     range: Duration::from_millis(10)..=MINUTE,
-    cure: "write 10 ms to 60 s, or Hold for commands that run for long",
+    cure: "write 10 ms to 60 s, or hold for commands that run for long",
 };

@@ -191,6 +191,24 @@ impl Component for Driver {
     }
 }
 
+/// Takes a minute to leave its work.
+#[derive(Default)]
+struct Slow;
+
+impl Component for Slow {
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        println!("{} works", cx.name());
+        Ok(())
+    }
+
+    async fn on_deactivated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        println!("{} slows down", cx.name());
+        blastema::sleep(Duration::from_secs(60)).await;
+        println!("{} rests", cx.name());
+        Ok(())
+    }
+}
+
 fn main() -> ExitCode {
     Types::new()
         .component::<Counter>("Counter")
@@ -199,5 +217,7 @@ fn main() -> ExitCode {
         .component::<Broken>("Broken")
         .component::<Wheels>("Wheels")
         .component::<Driver>("Driver")
+        .component::<Slow>("Slow")
+        .safe_outputs("brakes", |_| println!("the brakes are on"))
         .main()
 }

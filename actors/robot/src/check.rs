@@ -5,20 +5,24 @@
 
 mod lost_communication;
 
+use self::lost_communication::place_of;
+
 use crate::description::{
     AnswerDescription, ChildDescription, ComponentDescription, ConnectionDescription,
     ElementOrigin, EndpointDescription, NodeDescription, RobotDescription,
 };
-use crate::finding::{ElementPart, ElementPlaces, FilePlace, RobotFinding, RobotSources, offset};
-use crate::types::{Types, UnknownPort, network_of};
+use crate::finding::{ElementPart, ElementPlaces, FilePlace, RobotFinding, RobotSources};
+use crate::types::{Types, UnknownPort, end_of};
 use crate::value::{fault_word, hint};
-use blastema::core::port::{ConnectionRole, resolve};
+use blastema::core::detection::dependencies::circle;
+use blastema::core::port::{ConnectionRole, PortAddress, resolve};
+use blastema::core::sorted::SortedMap;
 use blastema::prelude::*;
 use blastema::recovery::PlanError;
-use blastema::trees::{BehaviorTree, TreeErrors};
+use blastema::trees::{BehaviorTree, TreeErrors, byte_at};
 use blastema::{ParameterError, SpecError};
 use std::borrow::Cow;
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -33,7 +37,8 @@ pub(crate) fn check(
 ) -> Vec<RobotFinding> {
     let files = sources.files.clone();
     let places = ElementPlaces::of(sources);
-    let mut checker = RobotChecker { robot, types, places, files, findings };
+    let whole = BTreeSet::new();
+    let mut checker = RobotChecker { robot, types, places, files, findings, whole };
     checker.names("node", "robot", robot.nodes.iter().map(|node| (&*node.name, node.origin)));
     let networks = robot.networks.iter().map(|network| (&*network.name, network.origin));
     checker.names("network", "robot", networks);
@@ -50,10 +55,14 @@ pub(crate) fn check(
     checker.networks();
     checker.dependencies(&groups);
     checker.connections(&groups);
+    checker.try_nodes();
     let RobotChecker { files, findings, .. } = checker;
     sources.files = files;
     findings
 }
+
+/// What helps against a wrong endpoint.
+const MEDIA: &str = "see the manual's page on media";
 
 struct RobotChecker<'a> {
     robot: &'a RobotDescription,
@@ -62,6 +71,8 @@ struct RobotChecker<'a> {
     /// The robot's files, and those of its trees.
     files: Vec<(String, Arc<str>)>,
     findings: Vec<RobotFinding>,
+    /// The nodes in whose trees nothing was found.
+    whole: BTreeSet<&'a str>,
 }
 
 impl<'a> RobotChecker<'a> {
@@ -80,9 +91,16 @@ impl<'a> RobotChecker<'a> {
     }
 
     /// Adds a finding about one attribute of two elements.
-    fn twice(&mut self, sentence: String, part: &str, at: [ElementOrigin; 2], help: &str) {
+    fn twice(
+        &mut self,
+        sentence: String,
+        part: impl Into<ElementPart>,
+        at: [ElementOrigin; 2],
+        help: &str,
+    ) {
+        let part = part.into();
         let labels = at.into_iter().zip(["first", "again"]).filter_map(|(origin, label)| {
-            Some((self.places.find(origin, &part.into())?, label.to_owned()))
+            Some((self.places.find(origin, &part)?, label.to_owned()))
         });
         let (labels, help) = (labels.collect(), Some(help.to_owned()));
         self.add(RobotFinding { code: "robot::twice", sentence, help, labels });
@@ -165,6 +183,17 @@ impl<'a> RobotChecker<'a> {
             }
             self.answers(&component.plan);
         }
+        let claims = node.components().into_iter().flat_map(|component| {
+            component.claims.iter().map(|(name, _)| (name, component.origin))
+        });
+        let mut known = BTreeMap::new();
+        for (name, again) in claims {
+            if let Some(first) = known.insert(name, again) {
+                let sentence = format!("two components of node {} claim `{name}`", node.name);
+                let part = ElementPart::below("claim", "name", name, "name");
+                self.twice(sentence, part, [first, again], "delete one");
+            }
+        }
         // Dependencies have rules of their own here, and names that two have were found.
         let mut trial = node.clone();
         trial.lost_communication.clear();
@@ -180,7 +209,7 @@ impl<'a> RobotChecker<'a> {
             Ok(builder) => {
                 let refused = builder.check();
                 if refused.is_empty() && is_whole {
-                    self.policies(node, trial);
+                    self.whole.insert(&node.name);
                 }
                 refused.into_iter().for_each(|error| self.refused(node, error));
             }
@@ -192,11 +221,22 @@ impl<'a> RobotChecker<'a> {
     fn refused(&mut self, node: &'a NodeDescription, error: StartError) {
         let text = error.to_string();
         let sentence = text.lines().next().unwrap_or_default().to_owned();
-        let (object, sentence, part, help) = match error {
+        let origin_of = |object: &str| {
+            let mut found = None;
+            node.root.visit(&mut |child| {
+                if child.identity().0 == object {
+                    found.get_or_insert(child.identity().1);
+                }
+            });
+            found.unwrap_or(node.origin)
+        };
+        let (code, at, sentence, help) = match error {
             StartError::Spec(SpecError::Setting { name, setting, value, cure }) => {
                 let part = ElementPart::of_setting(setting);
+                let is_actuators = setting.starts_with("actuator.");
+                let code = if is_actuators { "robot::actuator" } else { "robot::setting" };
                 let sentence = format!("`{}` of {name} is {value}", part.attribute);
-                (name, sentence, part, cure.to_owned())
+                (code, (origin_of(&name), part), sentence, cure.to_owned())
             }
             StartError::Spec(SpecError::Parameters { name, error }) => {
                 let (key, name) = (error.key().to_owned(), name.to_string());
@@ -207,7 +247,8 @@ impl<'a> RobotChecker<'a> {
                     }
                     error => (format!("of {name}, {error}"), "value"),
                 };
-                (name, sentence, ElementPart::below("param", "name", &key, attribute), help)
+                let part = ElementPart::below("param", "name", &key, attribute);
+                ("robot::parameter", (origin_of(&name), part), sentence, help)
             }
             StartError::Spec(SpecError::Device { name, setting, why }) => {
                 let part = match setting {
@@ -217,37 +258,59 @@ impl<'a> RobotChecker<'a> {
                     other => other,
                 };
                 let help = "correct it; see the manual's page on small devices".to_owned();
-                (name.to_string(), format!("of {name}, {why}"), part.into(), help)
+                let at = (origin_of(name.as_str()), part.into());
+                ("robot::setting", at, format!("of {name}, {why}"), help)
             }
-            StartError::Spec(SpecError::ActuatorSettings { name, contract, why }) => {
-                self.actuator(node, name.to_string(), &contract, &why)
+            StartError::Spec(SpecError::ActuatorSettings { name, contract, field, why }) => {
+                let settings = (&*contract, field.as_deref());
+                let (sentence, part, help) = self.actuator(node, name.as_str(), settings, &why);
+                ("robot::actuator", (origin_of(name.as_str()), part), sentence, help)
             }
             StartError::Spec(SpecError::Ports { name, .. }) => {
-                (name.to_string(), sentence, "type".into(), "mend its `ports`".to_owned())
+                let at = (origin_of(name.as_str()), "type".into());
+                ("robot::setting", at, sentence, "mend its `ports`".to_owned())
             }
             StartError::Setting { setting, value, cure } => {
                 let part = ElementPart::of_setting(setting);
                 let sentence = format!("`{}` of node {} is {value}", part.attribute, node.name);
-                return self.find("robot::setting", sentence, (node.origin, part), cure, "here");
+                ("robot::setting", (node.origin, part), sentence, cure.to_owned())
             }
-            _ => {
-                let help = "change the description of the node";
-                let at = (node.origin, "name");
-                return self.find("robot::node", sentence, at, help, "this node");
+            StartError::Endpoint { network, neighbour, error } => {
+                let of = neighbour.as_ref().and_then(|other| self.robot.node(other.as_str()));
+                let mut ends = of.unwrap_or(node).endpoints.iter();
+                let at = ends.find(|end| end.network == network).map(|end| {
+                    let is_told = of.is_some() && end.reached_at.is_some();
+                    (end.origin, if is_told { "reached-at" } else { "at" }.into())
+                });
+                let at = at.unwrap_or((node.origin, "name".into()));
+                ("robot::network", at, error.problem().to_string(), MEDIA.to_owned())
+            }
+            // It is found at the network.
+            StartError::Insecure { .. } => return,
+            StartError::Link { network, setting, value, cure, .. } => {
+                let part = ElementPart::of_setting(setting);
+                let sentence = format!("`{}` of network {network} is {value}", part.attribute);
+                let mut networks = self.robot.networks.iter();
+                let of = networks.find(|of| of.name == network).map_or(node.origin, |of| of.origin);
+                ("robot::network", (of, part), sentence, cure.to_owned())
+            }
+            StartError::LostCommunication { policy, part, reason } => {
+                let mut policies = node.lost_communication.iter();
+                let at = policies.find(|of| of.name == policy).map(|of| place_of(of, &part));
+                let at = at.unwrap_or((node.origin, "name".into()));
+                ("robot::lost", at, format!("of `{policy}`, {reason}"), "correct it".to_owned())
+            }
+            error => {
+                let part = match error {
+                    StartError::Shown(_) => "shown-at",
+                    StartError::Variables { .. } => "keep-variables",
+                    _ => "name",
+                };
+                let help = "change the description of the node".to_owned();
+                ("robot::node", (node.origin, part.into()), sentence, help)
             }
         };
-        let code = match part.below.as_ref().map_or("", |(element, _)| element) {
-            "param" => "robot::parameter",
-            "actuator" | "field" => "robot::actuator",
-            _ => "robot::setting",
-        };
-        let mut found = None;
-        node.root.visit(&mut |child| {
-            if child.identity().0 == object {
-                found.get_or_insert(child.identity().1);
-            }
-        });
-        self.find(code, sentence, (found.unwrap_or(node.origin), part), help, "here");
+        self.find(code, sentence, at, help, "here");
     }
 
     /// Finds what is wrong with a tree, at its places in the tree's files. False: something is.
@@ -270,7 +333,7 @@ impl<'a> RobotChecker<'a> {
                 self.files.push((shown, text.into()));
                 self.files.len() - 1
             });
-            let start = offset(&self.files[file].1, error.line, error.column);
+            let start = byte_at(&self.files[file].1, error.line, error.column);
             let (sentence, help) = (error.problem.to_string(), error.suggestion.as_ref());
             let help =
                 Some(help.map_or("correct the tree".into(), |near| format!("write `{near}`")));
@@ -311,15 +374,15 @@ impl<'a> RobotChecker<'a> {
         }
     }
 
-    /// What is wrong with the settings of an actuator, which are of this contract: the component,
-    /// the sentence, the port or the field, and what to write.
+    /// What is wrong with the settings of an actuator, which are of this contract: the sentence, the
+    /// port or the field, and what to write.
     fn actuator(
         &self,
         node: &NodeDescription,
-        name: String,
-        contract: &str,
+        name: &str,
+        (contract, field): (&str, Option<&str>),
         why: &str,
-    ) -> (String, String, ElementPart, String) {
+    ) -> (String, ElementPart, String) {
         let components = node.components();
         let component = components.iter().find(|component| component.name == name);
         let of = component.and_then(|component| self.types.description(&component.type_name));
@@ -333,20 +396,18 @@ impl<'a> RobotChecker<'a> {
         let written = written.find(|(port, _)| named(port));
         let port = written.map_or(contract, |(port, _)| port.as_str());
         let known: Vec<&str> = ports.clone().map(|port| port.name.as_str()).collect();
-        let mut fields = written.into_iter().flat_map(|(_, settings)| &settings.safe);
-        let field = fields.find(|(field, _)| why.contains(&format!("`{field}`")));
         let at_port = ElementPart::below("actuator", "port", port, "port");
         let sentence = format!("of {name}, {why}");
         match field {
             _ if !known.contains(&port) => {
                 let sentence = format!("{name} is commanded at no port `{port}`");
-                (name, sentence, at_port, hint(port, known))
+                (sentence, at_port, hint(port, known))
             }
-            Some((field, _)) => {
+            Some(field) => {
                 let part = ElementPart::below("field", "name", field, "value");
-                (name, sentence, part, "correct the field".to_owned())
+                (sentence, part, "correct the field".to_owned())
             }
-            None => (name, sentence, at_port, "correct the settings".to_owned()),
+            None => (sentence, at_port, "correct the settings".to_owned()),
         }
     }
 
@@ -409,14 +470,12 @@ impl<'a> RobotChecker<'a> {
             );
             return self.find(code, sentence, at, help, "every address of its computer");
         }
-        let network = match network_of(self.robot, node, end) {
-            Ok(network) => network,
-            Err(error) => return self.find(code, error, at, "", ""),
-        };
-        let described = self.robot.networks.iter().find(|known| known.name == end.network);
-        let origin = described.map_or(end.origin, |network| network.origin);
+        let mut networks = self.robot.networks.iter();
+        let Some(described) = networks.find(|known| known.name == end.network) else { return };
+        let origin = described.origin;
         // Keys need not be on the computer that checks.
         let has_keys = self.robot.keys_of(node).is_some();
+        let network = end_of(described, end);
         let network = if has_keys { network.insecure() } else { network };
         for error in Node::builder(&node.name).network(network).check() {
             if let StartError::Insecure { network, .. } = error {
@@ -424,16 +483,60 @@ impl<'a> RobotChecker<'a> {
                 let help = "add `keys=\"…\"` to `robot`, or `insecure=\"true\"` here if every station \
                             on it may command this robot";
                 self.find(code, sentence, (origin, "name"), help, "here");
+            } else if let StartError::Endpoint { error, .. } = error {
+                self.find(code, error.problem().to_string(), at, MEDIA, "here");
             } else {
                 let text = error.to_string();
                 let sentence = text.lines().next().unwrap_or_default();
-                self.find(code, sentence, at, "see the manual's page on media", "here");
+                self.find(code, sentence, at, MEDIA, "here");
             }
         }
-        if has_keys && described.is_some_and(|network| network.insecure) {
+        if has_keys && described.insecure {
             let sentence =
                 format!("`{}` is insecure, and node `{}` has keys", end.network, node.name);
             self.find(code, sentence, (origin, "insecure"), "delete `insecure`", "insecure");
+        }
+    }
+
+    /// Tries each node as its start does, with all in which nothing was found.
+    fn try_nodes(&mut self) {
+        let mut robot = self.robot.clone();
+        // Plans and dependencies have rules of their own, and keys need not be here.
+        let has_keys = robot.nodes.iter().any(|node| robot.keys_of(node).is_some());
+        robot.networks.iter_mut().for_each(|network| network.insecure |= has_keys);
+        (robot.keys, robot.plan) = Default::default();
+        let labels = self.findings.iter().flat_map(|finding| &finding.labels);
+        let is_right = |origin| !labels.clone().any(|(place, _)| self.places.holds(origin, place));
+        let is_whole = |end: &PortAddress| {
+            end.node.as_ref().is_some_and(|node| self.whole.contains(node.as_str()))
+        };
+        robot.connections.retain(|ConnectionDescription { ports, origin }| {
+            is_right(*origin) && is_whole(&ports.from) && is_whole(&ports.to)
+        });
+        for node in &mut robot.nodes {
+            let is_whole = self.whole.contains(&*node.name);
+            (node.keys, node.safe_outputs, node.plan) = Default::default();
+            node.endpoints.retain(|end| is_right(end.origin));
+            let (own, has_networks) = (&node.name, !node.endpoints.is_empty());
+            node.lost_communication.retain(|policy| {
+                let can_be_lost =
+                    has_networks || policy.commander.as_ref().is_none_or(|of| of == own);
+                is_whole && can_be_lost && is_right(policy.origin)
+            });
+            node.root.retain(&mut |child| {
+                if let ChildDescription::Component(component) = child {
+                    (component.depends_on, component.plan) = Default::default();
+                }
+                is_whole
+            });
+        }
+        for node in &self.robot.nodes {
+            match self.types.node(&robot, &node.name) {
+                Ok(builder) => {
+                    builder.check().into_iter().for_each(|error| self.refused(node, error));
+                }
+                Err(error) => self.find("robot::node", error, (node.origin, "name"), "", ""),
+            }
         }
     }
 
@@ -491,7 +594,21 @@ impl<'a> RobotChecker<'a> {
                 needs.entry(full(&component.name)).or_default().extend(of);
             }
         }
-        let mut circles = BTreeSet::new();
+        let edges = needs.iter().map(|(object, needed)| {
+            (object, needed.iter().map(|(other, _)| other).collect::<Vec<_>>())
+        });
+        let (mut edges, mut circles): (SortedMap<_, _>, _) = (edges.collect(), BTreeSet::new());
+        while let Some(way) = circle(&edges) {
+            let Some((object, needed)) = needs.get_key_value(&way[0]) else { break };
+            for (_, component) in needed.iter().filter(|(other, _)| *other == way[1]) {
+                let sentence = format!("{}: each waits for the next", way.join(" -> "));
+                let at = (component.origin, "depends-on");
+                let help = "leave out one of these dependencies";
+                self.find("robot::cycle", sentence, at, help, "here");
+            }
+            edges.entry(object).or_default().retain(|other| **other != way[1]);
+            circles.extend(way.windows(2).map(<[String]>::to_vec));
+        }
         for (object, needed) in &needs {
             for (other, component) in needed {
                 let at = (component.origin, "depends-on");
@@ -511,15 +628,8 @@ impl<'a> RobotChecker<'a> {
                 if place.0 == here.0 && place.1 < here.1 {
                     continue;
                 }
-                if let Some(path) = path(&needs, other, object) {
-                    let members: BTreeSet<&str> = path.iter().map(String::as_str).collect();
-                    if circles.insert(members.into_iter().map(str::to_owned).collect::<Vec<_>>()) {
-                        let shown = [std::slice::from_ref(object), &path].concat().join(" -> ");
-                        let sentence = format!("{shown}: each waits for the next");
-                        let help = "leave out one of these dependencies";
-                        self.find("robot::cycle", sentence, at, help, "here");
-                    }
-                } else if place.0 == here.0 {
+                let edge = [object.clone(), other.clone()];
+                if place.0 == here.0 && !circles.contains(&edge[..]) {
                     let sentence =
                         format!("`{}` depends on `{own}`, which starts after it", component.name);
                     let help = format!("move `{own}` before `{}`", component.name);
@@ -584,33 +694,4 @@ fn number(children: &[ChildDescription], started: &mut usize, entry: &mut impl F
         *started += 1;
         entry(child.identity().0, *started);
     }
-}
-
-/// The way from one object to another along what they need, with both of them.
-fn path(
-    needs: &BTreeMap<String, Vec<(String, &ComponentDescription)>>,
-    from: &str,
-    to: &str,
-) -> Option<Vec<String>> {
-    let mut before = BTreeMap::from([(from, "")]);
-    let mut open = VecDeque::from([from]);
-    while let Some(object) = open.pop_front() {
-        if object == to {
-            let mut path = vec![object.to_owned()];
-            let mut at = object;
-            while let Some(previous) = before.get(at).filter(|previous| !previous.is_empty()) {
-                path.push((*previous).to_owned());
-                at = previous;
-            }
-            path.reverse();
-            return Some(path);
-        }
-        for (next, _) in needs.get(object).into_iter().flatten() {
-            if !before.contains_key(next.as_str()) {
-                before.insert(next, object);
-                open.push_back(next);
-            }
-        }
-    }
-    None
 }

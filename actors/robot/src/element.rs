@@ -5,7 +5,7 @@
 
 use crate::description::ElementOrigin;
 use crate::finding::{FilePlace, RobotFinding, tag_name, value_place};
-use crate::value::ParsedValue;
+use crate::value::{ParsedValue, ValueError};
 use blastema::core::suggestion::nearest;
 use roxmltree::Node;
 use std::cell::{Cell, RefCell};
@@ -127,7 +127,14 @@ impl<'a> RobotElement<'a> {
 
     /// The path that is the value of an attribute.
     pub(crate) fn path(&self, name: &'static str) -> Option<PathBuf> {
-        self.take(name, |text| Ok(self.reading.root.join(text)))
+        self.take(name, |text| match text {
+            "" => Err(ValueError {
+                sentence: format!("`{name}` is empty"),
+                label: "a path".to_owned(),
+                help: "write a path, or delete it".to_owned(),
+            }),
+            text => Ok(self.reading.root.join(text)),
+        })
     }
 
     /// The children of these names, in the order of the file.

@@ -1,15 +1,17 @@
 //! All nodes of a robot on one computer: each is a process, which is started again when it dies.
 
 use blastema::core::recovery::{Backoff, RestartWindow};
-use blastema::{platform, sleep};
+use blastema::platform::{self, Terminations};
+use blastema::sleep;
+use rustix::process::{Pid, Signal, kill_process};
 use std::ffi::OsString;
 use std::io::Write;
+use std::pin::pin;
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, BufReader};
 use tokio::process::{Child, Command};
-use tokio::signal::unix::{SignalKind, signal};
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::{JoinHandle, spawn_local};
 
 /// The file has a mistake, or the robot did not run to its end.
@@ -28,6 +30,8 @@ const STOP_WITHIN: Duration = Duration::from_secs(30);
 /// What a process has written is in the pipe when it ends. A process that it has started may hold
 /// the pipe open for ever.
 const PRINTED_WITHIN: Duration = Duration::from_secs(1);
+/// Between two signals to a node that is to end at once: longer than it takes to see one.
+const SIGNAL_INTERVAL: Duration = Duration::from_millis(50);
 /// A longer line is printed in several.
 const LINE_MAX: u64 = 16 * 1024;
 
@@ -62,19 +66,17 @@ impl Launch<'_> {
     /// Which node did not come up, could not be kept, or did not stop. All others have been
     /// stopped.
     pub(crate) async fn run(self) -> Result<(), LaunchFailure> {
-        let listen = |kind| signal(kind).map_err(|error| failed(format!("signals: {error}")));
-        let mut interrupt = listen(SignalKind::interrupt())?;
-        let mut terminate = listen(SignalKind::terminate())?;
-        let mut hang_up = listen(SignalKind::hangup())?;
+        let mut signals = Terminations::listen().map_err(|e| failed(format!("signals: {e}")))?;
+        let hurry = watch::Sender::new(false);
         let (ends, mut failures) = mpsc::channel(self.nodes.len().max(1));
         let mut kept: Vec<KeptNode> = Vec::new();
         for name in &self.nodes {
             let (stop, stopped) = oneshot::channel();
             let (name, arguments) = ((*name).to_owned(), self.arguments.clone());
-            let ends = ends.clone();
+            let (ends, hurried) = (ends.clone(), hurry.subscribe());
             let ended = spawn_local(async move {
                 if let Err(LaunchFailure { status, reason }) =
-                    keep(&name, &arguments, stopped).await
+                    keep(&name, &arguments, stopped, hurried).await
                 {
                     let reason = format!("node {name}: {reason}");
                     // There is capacity for a failure of each node.
@@ -85,15 +87,34 @@ impl Launch<'_> {
         }
         drop(ends);
         let failure = tokio::select! {
-            _ = interrupt.recv() => None,
-            _ = terminate.recv() => None,
-            _ = hang_up.recv() => None,
+            _ = signals.next() => None,
             failure = failures.recv() => failure,
         };
-        // As children of a supervisor: the last that was started stops first.
-        for KeptNode { stop, ended } in kept.into_iter().rev() {
-            let _ = stop.send(());
-            let _ = ended.await;
+        let is_failure = failure.is_some();
+        let stopped = async {
+            // As children of a supervisor: the last that was started stops first.
+            for KeptNode { stop, ended } in kept.into_iter().rev() {
+                let _ = stop.send(());
+                let _ = ended.await;
+            }
+        };
+        let again = async {
+            if is_failure {
+                signals.next().await;
+            }
+            let signal = signals.next().await;
+            hurry.send_replace(true);
+            signal
+        };
+        let (mut stopped, mut again) = (pin!(stopped), pin!(again));
+        tokio::select! {
+            () = &mut stopped => {}
+            signal = &mut again => {
+                stopped.await;
+                let status = u8::try_from(signal.exit_code()).unwrap_or(FAILED);
+                let reason = "a second signal ended the nodes at once".to_owned();
+                return Err(LaunchFailure { status, reason });
+            }
         }
         // One that did not stop is the failure of a robot that had none before.
         failure.or_else(|| failures.try_recv().ok()).map_or(Ok(()), Err)
@@ -105,6 +126,7 @@ async fn keep(
     name: &str,
     arguments: &[OsString],
     mut stopped: oneshot::Receiver<()>,
+    mut hurried: watch::Receiver<bool>,
 ) -> Result<(), LaunchFailure> {
     let (mut deaths, mut attempt) = (RestartWindow::new(RESTARTS, PERIOD), 1);
     loop {
@@ -116,9 +138,11 @@ async fn keep(
         let status = tokio::select! {
             status = process.wait() => Some(status.map_err(|error| failed(error.to_string()))?),
             _ = &mut stopped => None,
+            _ = hurried.wait_for(|hurried| *hurried) => None,
         };
         let Some(status) = status else {
             drop(stdin);
+            let id = process.id();
             let stopped = tokio::select! {
                 ended = process.wait() => match ended.is_ok_and(is_not_up) {
                     true if attempt == 1 => Err(LaunchFailure {
@@ -127,6 +151,7 @@ async fn keep(
                     }),
                     _ => Ok(()),
                 },
+                () = end_at_once(id, &mut hurried) => Ok(()),
                 () = sleep(STOP_WITHIN) => {
                     let _ = process.kill().await;
                     Err(failed(format!("it did not stop within {STOP_WITHIN:?}, and was killed")))
@@ -157,6 +182,19 @@ async fn keep(
             _ = &mut stopped => return Ok(()),
         }
     }
+}
+
+/// Has a node end at once, after its cut-offs, as soon as the launcher is in a hurry.
+async fn end_at_once(id: Option<u32>, hurried: &mut watch::Receiver<bool>) {
+    let id = id.and_then(|id| Pid::from_raw(id.cast_signed()));
+    if let (Ok(_), Some(id)) = (hurried.wait_for(|hurried| *hurried).await, id) {
+        // A node ends in order at the first signal and at once at the second, and signals that come
+        // before it has seen the first are one.
+        while kill_process(id, Signal::TERM).is_ok() {
+            sleep(SIGNAL_INTERVAL).await;
+        }
+    }
+    std::future::pending().await
 }
 
 fn is_not_up(status: ExitStatus) -> bool {

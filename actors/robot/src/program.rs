@@ -109,9 +109,15 @@ fn name_and_value(text: &str) -> Result<(String, String), String> {
 }
 
 /// Prints to standard output; a reader that has gone is no fault of the robot.
-fn print(text: &str) {
+fn print(text: &str) -> ExitCode {
     let mut out = io::stdout().lock();
-    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            complain(&format!("standard output: {error}"));
+            ExitCode::from(FAILED)
+        }
+        _ => ExitCode::SUCCESS,
+    }
 }
 
 fn complain(text: &str) {
@@ -180,17 +186,12 @@ impl Types {
                 let components: usize =
                     robot.nodes.iter().map(|node| node.components().len()).sum();
                 let (name, nodes) = (&robot.name, robot.nodes.len());
-                print(&format!("{name}: {nodes} nodes, {components} components, no mistake\n"));
-                ExitCode::SUCCESS
+                print(&format!("{name}: {nodes} nodes, {components} components, no mistake\n"))
             }),
-            RobotCommand::Graph { file, format } => self.with_robot(&file, |robot| {
-                print(&graph(&robot, format));
-                ExitCode::SUCCESS
-            }),
-            RobotCommand::Describe => {
-                print(&self.describe());
-                ExitCode::SUCCESS
+            RobotCommand::Graph { file, format } => {
+                self.with_robot(&file, |robot| print(&graph(&robot, format)))
             }
+            RobotCommand::Describe => print(&self.describe()),
         }
     }
 

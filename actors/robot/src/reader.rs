@@ -7,11 +7,12 @@ use crate::description::{
     RungDescription, SupervisorDescription,
 };
 use crate::element::{ArgumentValues, FileReading, RobotElement};
-use crate::finding::{FilePlace, RobotFinding, RobotSources, offset};
-use crate::value::{self, ParsedValue};
+use crate::finding::{FilePlace, RobotFinding, RobotSources};
+use crate::value::{self, ParsedValue, hint};
 use blastema::core::port::{ConnectError, PortAddress, PortConnection};
 use blastema::detection::{Liveness, Pull, Push};
 use blastema::recovery::{Backoff, Ladder, RecoveryAction, Restart, Strategy, WhenExceeded};
+use blastema::trees::byte_at;
 use blastema::{ActuatorSettings, ClaimPolicy, NodeName, WhenFull};
 use roxmltree::{Document, Error, ParsingOptions};
 use std::cell::{Cell, RefCell};
@@ -133,10 +134,14 @@ impl RobotReader<'_> {
             components: self.components,
         };
         let root = RobotElement::new(document.root_element(), &reading, None);
-        if root.name() != "robot" {
+        let namespace = root.node.tag_name().namespace();
+        if root.name() != "robot" || namespace.is_some() {
+            let namespace = namespace.map(|of| format!(" of the namespace `{of}`"));
+            let (name, namespace) = (root.name(), namespace.unwrap_or_default());
             let at = [(crate::finding::tag_name(root.node), "here".to_owned())];
-            let sentence = format!("a robot file begins with `robot`, not with `{}`", root.name());
-            root.find("robot::unknown", sentence, at, Some("write `<robot …>`".to_owned()));
+            let sentence =
+                format!("a robot file begins with `robot`, not with `{name}`{namespace}");
+            root.find("robot::schema", sentence, at, Some("write `<robot …>`".to_owned()));
             return root.leave();
         }
         self.open.push(path);
@@ -179,10 +184,7 @@ impl RobotReader<'_> {
     }
 
     fn include(&mut self, element: &RobotElement<'_>) {
-        let set = element.distinct("set", "argument").into_iter().filter_map(|set| {
-            Some((set.need("argument", value::text)?, set.need("value", value::text)?))
-        });
-        let set: Vec<_> = set.collect();
+        let set = texts(element.distinct("set", "argument"), ["argument", "value"]);
         let Some(name) = element.need("file", value::text) else { return };
         let wrong = |sentence: String, help: &str| {
             let at = [(element.place("file"), "here".to_owned())];
@@ -259,7 +261,6 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
         ArgumentSource::Outer(given) | ArgumentSource::Include(given) => *given,
     };
     for element in root.distinct("argument", "name") {
-        let Some(name) = element.need("name", value::node_name) else { continue };
         let kinds: [(&str, CheckValue); 5] = [
             ("text", |_| Ok(())),
             ("count", |text| value::count::<u64>(text).map(drop)),
@@ -270,6 +271,7 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
         let kind = element.take("type", |text| value::word("a type of arguments", &kinds, text));
         element.take("help", value::text);
         let default = element.take("default", value::text);
+        let Some(name) = element.need("name", value::node_name) else { continue };
         let variable = format!("BLASTEMA_ARG_{}", name.to_uppercase().replace(['-', '.'], "_"));
         let told = given.iter().rev().find(|(key, _)| *key == name).map(|(_, value)| value.clone());
         let environment =
@@ -294,16 +296,22 @@ fn arguments(root: &RobotElement<'_>, set: &ArgumentSource<'_>) -> ArgumentValue
             }
             None => {
                 let at = [(element.place("name"), "without a value".to_owned())];
-                let help = format!("give it by `--set {name}=…` or {variable}, or add `default`");
+                let how = match set {
+                    ArgumentSource::Outer(_) => format!("`--set {name}=…` or {variable}"),
+                    ArgumentSource::Include(_) => {
+                        format!("`<set argument=\"{name}\" value=…/>` in the `include`")
+                    }
+                };
+                let help = format!("give it by {how}, or add `default`");
                 element.find("robot::argument", format!("`{name}` has no value"), at, Some(help));
                 arguments.missing.push(name);
             }
         }
     }
     for (name, _) in given {
-        if !arguments.values.contains_key(name) && !arguments.missing.contains(name) {
-            let declared: Vec<&str> = arguments.values.keys().map(String::as_str).collect();
-            let help = format!("declared are {}", declared.join(", "));
+        let declared = arguments.values.keys().chain(&arguments.missing).map(String::as_str);
+        if !declared.clone().any(|known| known == name) {
+            let help = hint(name, declared);
             let at = [(root.place("name"), "this file".to_owned())];
             let sentence = format!("there is no argument `{name}` to set");
             root.find("robot::argument", sentence, at, Some(help));
@@ -429,7 +437,10 @@ fn needs(element: &RobotElement<'_>) -> Option<NeedDescription> {
         element.take("link", value::text).map(NeedChannel::Link),
     ];
     let rate = element.take("rate", value::rate);
-    let window = rate.and_then(|_| element.need("window", value::duration));
+    let window = match element.node.has_attribute("rate") {
+        true => element.need("window", value::duration),
+        false => None,
+    };
     let mut channels = channels.into_iter().flatten();
     let channel = channels.next();
     if channel.is_none() || channels.next().is_some() {
@@ -471,6 +482,9 @@ fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
         if !element.count_components(copies.as_ref().map_or(1, Vec::len), COMPONENTS_MAX) {
             return element.leave();
         }
+        // Of one whose copies are wrong, the rest is read as that of a single copy.
+        let is_wrong = copies.is_none() && element.node.has_attribute("copies");
+        let copies = copies.or_else(|| is_wrong.then(|| vec!["0".to_owned()]));
         let Some(copies) = copies else { return children.push(component(element)) };
         for copy in &copies {
             let copied = element.copy(copy);
@@ -506,12 +520,8 @@ fn component(element: &RobotElement<'_>) -> ChildDescription {
     let is_device = element.name() == "device";
     let parameters = match is_device {
         true => Vec::new(),
-        false => element.distinct("param", "name"),
+        false => texts(element.distinct("param", "name"), ["name", "value"]),
     };
-    let parameters = parameters.into_iter().filter_map(|param| {
-        Some((param.need("name", value::text)?, param.need("value", value::text)?))
-    });
-    let parameters = parameters.collect();
     let actuators = element.distinct("actuator", "port").iter().filter_map(actuator).collect();
     let claims = element.distinct("claim", "name").into_iter().filter_map(|claim| {
         let policies = [("refuse", ClaimPolicy::Refuse), ("standby", ClaimPolicy::Standby)];
@@ -520,9 +530,9 @@ fn component(element: &RobotElement<'_>) -> ChildDescription {
     });
     let claims = claims.collect();
     let tree = if is_device { None } else { element.path("tree") };
-    let type_name = match tree {
-        None => element.need("type", value::text),
-        Some(_) => element.take("type", |text| {
+    let type_name = match !is_device && element.node.has_attribute("tree") {
+        false => element.need("type", value::text),
+        true => element.take("type", |text| {
             let (sentence, help) = ("a component has a `type` or a `tree`", "delete one");
             let label = format!("{text}, beside a tree");
             Err(value::ValueError { sentence: sentence.into(), label, help: help.into() })
@@ -614,10 +624,18 @@ fn actuator(element: &RobotElement<'_>) -> Option<(String, ActuatorSettings)> {
 
 /// Fields of a command, each with its value as it is written.
 fn fields(element: &RobotElement<'_>) -> Vec<(String, String)> {
-    let field = |field: &RobotElement<'_>| {
-        Some((field.need("name", value::text)?, field.need("value", value::text)?))
-    };
-    element.distinct("field", "name").iter().filter_map(field).collect()
+    texts(element.distinct("field", "name"), ["name", "value"])
+}
+
+/// Two attributes of each of these elements.
+fn texts(
+    elements: Vec<RobotElement<'_>>,
+    [one, other]: [&'static str; 2],
+) -> Vec<(String, String)> {
+    let both = elements
+        .iter()
+        .map(|element| (element.need(one, value::text), element.need(other, value::text)));
+    both.filter_map(|(one, other)| one.zip(other)).collect()
 }
 
 /// The elements `on` of a plan, or of a component.
@@ -675,7 +693,7 @@ fn answer(element: &RobotElement<'_>) -> Option<AnswerDescription> {
 /// What the parser says of a file that is no XML.
 fn syntax_finding(file: usize, text: &str, error: &Error) -> RobotFinding {
     let position = error.pos();
-    let at = offset(text, position.row as usize, position.col as usize);
+    let at = byte_at(text, position.row as usize, position.col as usize);
     let place = |start: usize, length: usize| FilePlace {
         file,
         range: start.min(text.len())..(start + length).min(text.len()),

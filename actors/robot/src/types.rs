@@ -553,6 +553,13 @@ fn plan_of(robot: &RobotDescription, node: &NodeDescription) -> Plan {
     })
 }
 
+/// A network with its own end alone.
+pub(crate) fn end_of(network: &RobotNetwork, endpoint: &EndpointDescription) -> Network {
+    let end = Network::new(&network.name, &endpoint.at);
+    let end = endpoint.interface.iter().fold(end, |end, name| end.interface(name));
+    if network.insecure { end.insecure() } else { end }
+}
+
 /// A network as this node has it: every other node with an endpoint of it is a neighbour.
 pub(crate) fn network_of(
     robot: &RobotDescription,
@@ -561,13 +568,9 @@ pub(crate) fn network_of(
 ) -> Result<Network, String> {
     let unknown = || format!("there is no network `{}`", endpoint.network);
     let described = robot.networks.iter().find(|network| network.name == endpoint.network);
-    let RobotNetwork { name, insecure, cost, hello_every, expected_within, .. } =
-        described.ok_or_else(unknown)?;
-    let mut network = Network::new(name, &endpoint.at);
-    network = endpoint.interface.iter().fold(network, |network, name| network.interface(name));
-    if *insecure {
-        network = network.insecure();
-    }
+    let described = described.ok_or_else(unknown)?;
+    let RobotNetwork { name, cost, hello_every, expected_within, .. } = described;
+    let mut network = end_of(described, endpoint);
     for other in robot.nodes.iter().filter(|other| other.name != node.name) {
         for end in other.endpoints.iter().filter(|end| end.network == *name) {
             let mut link = Link::to(&other.name, &address_of(end));

@@ -1,7 +1,7 @@
 //! How components are commanded, and command.
 
 use super::settings::{ActuatorSettings, apply};
-use super::table::{ActuatorTable, DeclaredActuator};
+use super::table::{ActuatorTable, DeclaredActuator, FieldError};
 use super::{ActuatorSpec, Commander};
 use crate::component::cell::ComponentCell;
 use crate::component::context::Context;
@@ -39,7 +39,7 @@ type ActuatorPort<C> = (Result<DeclaredActuator, DeliveryError>, PortConstructor
 struct ActuatorPorts<C: Component> {
     declared: Vec<ActuatorPort<C>>,
     /// The contracts of settings that do not apply, and why.
-    refused: Vec<(String, String)>,
+    refused: Vec<(String, FieldError)>,
 }
 
 impl<C: Component> Default for ActuatorPorts<C> {
@@ -49,7 +49,11 @@ impl<C: Component> Default for ActuatorPorts<C> {
 }
 
 impl<C: Component> ActuatorPorts<C> {
-    fn apply(&mut self, contract: &str, settings: &ActuatorSettings) -> Result<(), Vec<String>> {
+    fn apply(
+        &mut self,
+        contract: &str,
+        settings: &ActuatorSettings,
+    ) -> Result<(), Vec<FieldError>> {
         let mut known = Vec::new();
         for (actuator, _) in &mut self.declared {
             let Ok(actuator) = actuator else { continue };
@@ -58,11 +62,12 @@ impl<C: Component> ActuatorPorts<C> {
             }
             known.push(actuator.identity.name);
         }
-        Err(vec![match (nearest(contract, known.iter().copied()), known.is_empty()) {
+        let why = match (nearest(contract, known.iter().copied()), known.is_empty()) {
             (Some(nearest), _) => format!("there is none: did you mean `{nearest}`?"),
             (None, true) => "there is none, as the component has no actuator".to_owned(),
             (None, false) => format!("there is none: there are `{}`", known.join("`, `")),
-        }])
+        };
+        Err(vec![FieldError { field: None, why }])
     }
 
     /// The shortest command timeout that can be.
@@ -132,9 +137,10 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
     }
 
     fn refused(&self, name: &ObjectName, limits: &ComponentLimits) -> Vec<SpecError> {
-        let unknown = self.refused.iter().map(|(contract, why)| {
-            let (name, contract, why) = (name.clone(), contract.clone(), why.clone());
-            SpecError::ActuatorSettings { name, contract, why }
+        let unknown = self.refused.iter().map(|(contract, FieldError { field, why })| {
+            let (name, contract) = (name.clone(), contract.clone());
+            let (field, why) = (field.clone(), why.clone());
+            SpecError::ActuatorSettings { name, contract, field, why }
         });
         let declared = || self.declared.iter().filter_map(|(actuator, ..)| actuator.as_ref().ok());
         let settings = declared().flat_map(|actuator| {

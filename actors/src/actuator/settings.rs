@@ -1,6 +1,6 @@
 //! Settings of an actuator that a robot's description gives, over those of the component's code.
 
-use super::table::{DeclaredActuator, FieldTexts};
+use super::table::{DeclaredActuator, FieldError, FieldTexts};
 use super::{CommandTimeout, encoded};
 use blastema_core::contract::codec;
 use blastema_core::contract::layout::Shape;
@@ -29,7 +29,7 @@ pub struct ActuatorSettings {
 pub(super) fn apply(
     actuator: &mut DeclaredActuator,
     settings: &ActuatorSettings,
-) -> Result<(), Vec<String>> {
+) -> Result<(), Vec<FieldError>> {
     if let Some(span) = settings.lease {
         actuator.rules.span = span;
     }
@@ -50,12 +50,17 @@ pub(super) fn apply(
 pub(super) fn with_fields<M: Contract>(
     safe: &Bytes,
     fields: &FieldTexts,
-) -> Result<Bytes, Vec<String>> {
-    let unreadable = |error: &dyn std::fmt::Display| vec![format!("its safe command: {error}")];
+) -> Result<Bytes, Vec<FieldError>> {
+    let unreadable = |error: &dyn std::fmt::Display| {
+        vec![FieldError { field: None, why: format!("its safe command: {error}") }]
+    };
     let safe = codec::decode::<M>(safe).map_err(|error| unreadable(&error))?;
     let mut command = serde_json::to_value(&safe).map_err(|error| unreadable(&error))?;
-    let set = |(name, text): &(String, String)| set_field::<M>(&mut command, name, text).err();
-    let refused: Vec<String> = fields.iter().filter_map(set).collect();
+    let set = |(name, text): &(String, String)| {
+        let why = set_field::<M>(&mut command, name, text).err()?;
+        Some(FieldError { field: Some(name.clone()), why })
+    };
+    let refused: Vec<FieldError> = fields.iter().filter_map(set).collect();
     if !refused.is_empty() {
         return Err(refused);
     }

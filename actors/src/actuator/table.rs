@@ -33,6 +33,15 @@ use tracing::{error, info, warn};
 /// Brings outputs to rest without the component.
 pub(crate) type SafeOutputFn = Arc<dyn Fn() + Send + Sync>;
 
+/// Why fields of a command cannot be set.
+#[derive(Debug)]
+pub(crate) struct FieldError {
+    /// The field; `None` where it is the whole command.
+    pub(crate) field: Option<String>,
+    /// What is wrong, and what to write.
+    pub(crate) why: String,
+}
+
 /// Fields of a command with their values as text.
 pub(crate) type FieldTexts = [(String, String)];
 
@@ -45,7 +54,7 @@ pub(crate) struct DeclaredActuator {
     /// The command that brings it to rest, encoded.
     pub(crate) safe: Bytes,
     /// Makes a command of the safe one by other values of fields.
-    pub(crate) with_fields: fn(&Bytes, &FieldTexts) -> Result<Bytes, Vec<String>>,
+    pub(crate) with_fields: fn(&Bytes, &FieldTexts) -> Result<Bytes, Vec<FieldError>>,
     /// The command that stops it, encoded.
     pub(crate) stop: Bytes,
     pub(crate) settle_within: Duration,

@@ -69,6 +69,8 @@ pub enum SpecError {
         name: ObjectName,
         /// The contract of the actuator's commands, as the settings name it.
         contract: String,
+        /// The field of the safe command that is wrong, where it is one.
+        field: Option<String>,
         /// What is wrong, and what to write.
         why: String,
     },

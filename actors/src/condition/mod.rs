@@ -84,7 +84,7 @@ impl fmt::Debug for Condition {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConditionError {
-    /// The name of the condition, or of what it needs, does not parse.
+    /// The name of the condition does not parse.
     #[error("condition {condition:?}: {error}")]
     Name {
         /// The condition.
@@ -98,12 +98,15 @@ pub enum ConditionError {
         /// The condition.
         condition: String,
     },
-    /// A topic carries another contract, a number makes no sense, the node has too many conditions
-    /// or has ended.
+    /// A name does not parse, a topic carries another contract, a number makes no sense, the node
+    /// has too many conditions or has ended.
     #[error("condition {condition:?}: {reason}")]
     Refused {
         /// The condition.
         condition: String,
+        /// The channel that is wrong, by its place, from 0, and the setting of it, such as
+        /// `max_loss`; empty for the channel itself.
+        place: Option<(usize, &'static str)>,
         /// What is wrong, and what to write.
         reason: String,
     },

@@ -98,6 +98,31 @@ pub(super) struct NetworkRows {
 #[cfg(feature = "network")]
 const ROWS_INTERVAL: Duration = Duration::from_millis(100);
 
+impl ConnectedChannel {
+    /// Begins to measure the events of a topic, until what is returned is dropped. Refuses a
+    /// channel that this node cannot have.
+    pub(super) fn tap(
+        &self,
+        node: (&Topics, &Registry),
+        listener: &ObjectName,
+        measured: Arc<Mutex<TopicEstimator>>,
+    ) -> Result<Option<Box<dyn Any + Send>>, String> {
+        match self {
+            ConnectedChannel::Topic(topic, events) => {
+                let tapped = (events.listen)(node.0, topic, listener, measured);
+                tapped.map(Some).map_err(|why| why.to_string())
+            }
+            #[cfg(feature = "network")]
+            ConnectedChannel::Node(name) | ConnectedChannel::Session(name)
+                if node.1.elsewhere(name.clone()).is_none() =>
+            {
+                Err(format!("{name} is this node itself: name another one"))
+            }
+            _ => Ok(None),
+        }
+    }
+}
+
 impl ChannelSource {
     /// Begins to measure the channel for the condition of this name.
     pub(super) fn open(
@@ -111,13 +136,8 @@ impl ChannelSource {
             wiring.check_link(link)?;
         }
         let measured = Arc::<Mutex<TopicEstimator>>::default();
-        let tapped = match channel {
-            ConnectedChannel::Topic(topic, events) => {
-                let tapped = (events.listen)(&wiring.topics, topic, listener, measured.clone());
-                Some(tapped.map_err(|why| why.to_string())?)
-            }
-            _ => None,
-        };
+        let node = (&wiring.topics, &wiring.registry);
+        let tapped = channel.tap(node, listener, measured.clone())?;
         Ok(ChannelSource {
             channel: channel.clone(),
             last: ChannelReading::default(),

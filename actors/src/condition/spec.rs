@@ -145,28 +145,30 @@ impl ChannelSpec {
         self.limits.latency.is_some() || self.clocks_within.is_some()
     }
 
-    /// A figure that is limited and not measured on this channel.
+    /// The limit of a figure that is not measured on this channel.
     pub(super) fn unmeasured(&self, channel: &ConnectedChannel) -> Option<&'static str> {
         let measured: &[&str] = match channel {
             ConnectedChannel::Topic(_, events) if events.contract == Heartbeat::NAME => {
-                &["latency", "jitter", "loss", "rate"]
+                &["max_latency", "max_jitter", "max_loss", "rate"]
             }
-            ConnectedChannel::Topic(..) => &["latency", "jitter", "rate"],
+            ConnectedChannel::Topic(..) => &["max_latency", "max_jitter", "rate"],
             #[cfg(feature = "network")]
-            ConnectedChannel::Node(_) | ConnectedChannel::Session(_) => &["latency", "loss"],
+            ConnectedChannel::Node(_) | ConnectedChannel::Session(_) => {
+                &["max_latency", "max_loss"]
+            }
             #[cfg(feature = "network")]
-            ConnectedChannel::Link(_) => &["latency", "jitter", "loss"],
-            ConnectedChannel::Commander(_) => &["latency"],
+            ConnectedChannel::Link(_) => &["max_latency", "max_jitter", "max_loss"],
+            ConnectedChannel::Commander(_) => &["max_latency"],
         };
         let limited = [
-            ("latency", self.wants_latency()),
-            ("jitter", self.limits.jitter.is_some()),
-            ("loss", self.limits.loss_permille.is_some()),
+            ("max_latency", self.wants_latency()),
+            ("max_jitter", self.limits.jitter.is_some()),
+            ("max_loss", self.limits.loss_permille.is_some()),
             ("rate", self.limits.rate.is_some() || self.rate.is_some()),
         ];
         let limited = limited.into_iter().filter(|(_, is_limited)| *is_limited);
-        let mut limited = limited.map(|(figure, _)| figure);
-        limited.find(|figure| !measured.contains(figure))
+        let mut limited = limited.map(|(limit, _)| limit);
+        limited.find(|limit| !measured.contains(limit))
     }
 
     /// How it is judged, where channels without a timeout of their own have this one.
@@ -280,7 +282,11 @@ impl Connected {
     /// Sets which share of the messages may be lost, from 0.0 to 1.0, likewise.
     #[must_use]
     pub fn max_loss(self, limit: f64) -> Self {
-        let permille = (limit.clamp(0.0, 1.0) * 1000.0).round() as u16;
+        // What is no share is refused where the condition is declared.
+        let permille = match (0.0..=1.0).contains(&limit) {
+            true => (limit * 1000.0).round() as u16,
+            false => u16::MAX,
+        };
         self.each(|spec| spec.limits.loss_permille = Some(permille))
     }
 

@@ -140,7 +140,7 @@ impl Conditions {
         let object = object_of(name)?;
         let refused = |reason: String| {
             let condition = name.to_owned();
-            ConditionError::Refused { condition, reason }
+            ConditionError::Refused { condition, place: None, reason }
         };
         let mut table = self.lock();
         let (Some(wiring), false) = (self.0.wiring.get(), table.ended) else {
@@ -160,7 +160,7 @@ impl Conditions {
         let default = wiring.timeout.unwrap_or(TIMEOUT);
         let (mut sources, mut patience) = (Vec::new(), Duration::ZERO);
         let judges = needs.try_map(name, &mut |spec, channel| {
-            sources.push(ChannelSource::open(spec, channel, wiring, &object).map_err(refused)?);
+            sources.push(ChannelSource::open(spec, channel, wiring, &object)?);
             let rules = spec.rules(default);
             patience = patience.max(match rules.presence {
                 Presence::Heard { .. } => spec.timeout.unwrap_or(default),
@@ -286,49 +286,66 @@ impl Entry {
 }
 
 impl Connected {
-    /// Finds what cannot be judged, for the condition of this name.
-    pub(crate) fn check(&self, condition: &str) -> Result<(), ConditionError> {
-        self.try_map(condition, &mut |_, _| Ok(())).map(drop)
+    /// Finds what cannot be judged on this node, for the condition of this name.
+    pub(crate) fn check(
+        &self,
+        condition: &str,
+        environment: &ComponentEnvironment,
+    ) -> Result<(), ConditionError> {
+        let node = (environment.topics(), &environment.registry);
+        let object = object_of(condition)?;
+        let tap = &mut |_: &_, channel: &ConnectedChannel| {
+            channel.tap(node, &object, Arc::default()).map(drop)
+        };
+        self.try_map(condition, tap).map(drop)
     }
 
     /// What is made of each channel that can be judged.
     fn try_map<T>(
         &self,
         condition: &str,
-        make: &mut impl FnMut(&ChannelSpec, &ConnectedChannel) -> Result<T, ConditionError>,
+        make: &mut impl FnMut(&ChannelSpec, &ConnectedChannel) -> Result<T, String>,
     ) -> Result<Combination<T>, ConditionError> {
-        let condition = condition.to_owned();
-        let refused = |reason| ConditionError::Refused { condition: condition.clone(), reason };
+        let refused = |place, reason| {
+            let condition = condition.to_owned();
+            ConditionError::Refused { condition, place, reason }
+        };
+        let mut places = 0..;
         let mut checked = |spec: &ChannelSpec| {
-            let channel = spec.channel.as_ref().map_err(|error| ConditionError::Name {
-                condition: condition.clone(),
-                error: error.clone(),
-            })?;
-            check(spec, channel).map_err(refused)?;
-            make(spec, channel)
+            let place = places.next().unwrap_or_default();
+            let at = |setting| move |reason| refused(Some((place, setting)), reason);
+            let channel = spec.channel.as_ref().map_err(|error| at("")(error.to_string()))?;
+            check(spec, channel).map_err(|(setting, reason)| at(setting)(reason))?;
+            make(spec, channel).map_err(at(""))
         };
         self.0.try_map(&mut checked, &|least, all| {
-            refused(format!(
-                "{least} of {all} channels are no condition: write 1 to the number of channels \
-                 that follow"
-            ))
+            let reason = format!(
+                "{least} of {all} channels are no condition: write 1 to the number of channels"
+            );
+            refused(None, reason)
         })
     }
 }
 
-/// Finds what cannot be judged.
-fn check(spec: &ChannelSpec, channel: &ConnectedChannel) -> Result<(), String> {
-    if let Some(figure) = spec.unmeasured(channel) {
-        return Err(format!("the {figure} of {channel} is not measured: {CURE}"));
+/// Finds a setting that cannot be judged.
+fn check(spec: &ChannelSpec, channel: &ConnectedChannel) -> Result<(), (&'static str, String)> {
+    if let Some(limit) = spec.unmeasured(channel) {
+        let figure = limit.trim_start_matches("max_");
+        return Err((limit, format!("the {figure} of {channel} is not measured: {CURE}")));
     }
-    spec.timeout.map_or(Ok(()), |timeout| CONDITION_TIMEOUT.check(timeout)).map_err(text_of)?;
+    if spec.limits.loss_permille.is_some_and(|most| most > 1000) {
+        return Err(("max_loss", "its largest loss is no share: write 0.0 to 1.0".to_owned()));
+    }
+    let timeout = spec.timeout.map_or(Ok(()), |timeout| CONDITION_TIMEOUT.check(timeout));
+    timeout.map_err(|error| ("timeout", text_of(error)))?;
     for (hz, window) in spec.rate.into_iter().chain(spec.limits.rate) {
-        CONDITION_WINDOW.check(window).map_err(text_of)?;
+        CONDITION_WINDOW.check(window).map_err(|error| ("window", text_of(error)))?;
         if !(hz.is_finite() && hz > 0.0 && hz * window.as_secs_f64() >= 1.0) {
-            return Err(format!(
+            let reason = format!(
                 "{hz} messages a second in {window:?} are less than one: write a greater rate or a \
                  longer window"
-            ));
+            );
+            return Err(("rate", reason));
         }
     }
     Ok(())

@@ -192,6 +192,9 @@ impl DeviceSpec {
     /// Sets how many unanswered tries in a row declare the device lost. Unless set, it follows the
     /// measured loss: at least 3, and as many as keep false alarms below one a day.
     pub fn tries(mut self, tries: u8) -> Self {
+        self.refuse_unless("tries", tries > 0, || {
+            "without a try it would be lost at once: write 1 at least".to_owned()
+        });
         self.host.tries = Tries::Fixed(tries);
         self
     }

@@ -129,7 +129,7 @@ impl ComponentLimits {
             Some(round) if round > interval.saturating_mul(tolerance) => {
                 let missing = format!("{interval:?} with {tolerance} missing");
                 let value = format!("{missing}, but its rounds come every {round:?}");
-                let cure = "write Liveness::push with the period of rate_hz, or a higher rate";
+                let cure = "write the time of a round at least, or a higher rate";
                 Err(WATCH_INTERVAL.refuse(value, cure))
             }
             _ => Ok(()),

@@ -14,7 +14,7 @@ use self::chain::{FaultChainParts, callbacks_of, make_chain, reports};
 use super::builder::{ActorPlacement, Configuration, NodeBuilder};
 use super::checks::{check_names, check_settings, dependencies};
 use super::controller::{NodeController, StartRoot};
-use super::error::StartError;
+use super::error::{PolicyPart, StartError};
 #[cfg(feature = "unix")]
 use super::inspection::InspectionActor;
 #[cfg(feature = "unix")]
@@ -117,44 +117,52 @@ impl NodeBuilder {
     }
 
     /// Returns what [`start`](Self::start) would refuse in the description: everything that is wrong
-    /// with the node, its components and its supervisors, or all policies for lost communication
-    /// that are, else the first other error. Connections, services, and links and commanders of
-    /// networks are tried by the start alone. No component is made, and no medium, file of variables
-    /// or journal is opened; keys and files of parameters are read.
+    /// with the node, its components and its supervisors, or all connections and policies for lost
+    /// communication that are, else the first other error. No component is made, and no medium, file
+    /// of variables or journal is opened; keys and files of parameters are read.
     pub fn check(self) -> Vec<StartError> {
         let mut refused = check_settings(&self);
-        refused.extend(check(self).unwrap_or_else(|error| vec![error]));
+        refused.extend(check(self).unwrap_or_else(|refused| refused));
         refused
     }
 
     /// Finds what can be known to be wrong before anything is made.
-    fn checked_name(&mut self) -> Result<NodeName, StartError> {
+    fn checked_name(&mut self) -> Result<NodeName, Vec<StartError>> {
         if actix_rt::System::try_current().is_none() {
-            return Err(StartError::Runtime);
+            return Err(StartError::Runtime.into());
         }
         let node =
             NodeName::new(&self.name).map_err(StartError::name_of("the name of the node"))?;
         #[cfg(feature = "network")]
         self.networks.check(&node)?;
+        for policy in &self.policies {
+            // One that is this node is refused with the policies.
+            let other = policy.commander_node()?.filter(|commander| *commander != node);
+            let Some(commander) = other else { continue };
+            #[cfg(feature = "network")]
+            let known = self.networks.check_commander(&commander);
+            #[cfg(not(feature = "network"))]
+            let known =
+                Err(format!("its commander {commander} cannot reach a node without networks"));
+            known.map_err(|reason| policy.refused(PolicyPart::Commander, reason))?;
+        }
         Ok(node)
     }
 }
 
-/// Finds what is wrong with the tree, or else with the rest of the description.
-fn check(mut builder: NodeBuilder) -> Result<Vec<StartError>, StartError> {
+/// Finds what is wrong with the networks, or else the tree, or else the rest of the description.
+fn check(mut builder: NodeBuilder) -> Result<Vec<StartError>, Vec<StartError>> {
     let node = builder.checked_name()?;
     // The chain is made for the names of its objects alone.
     builder.placement = ActorPlacement::Here;
     let assembly = NodeAssembly::begin(&mut builder, (node, Incarnation::FIRST))?;
     assembly.read_parameters(builder.parameters)?;
-    match assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies) {
-        // Its actuators are there as long as it is.
-        Ok(_preparation) => {
-            let parameters = assembly.check_parameters(&builder.policies).err();
-            Ok(parameters.into_iter().chain(assembly.wrong_policies(&builder.policies)).collect())
-        }
-        Err(refused) => Ok(refused),
-    }
+    // Its actuators are there as long as it is.
+    let _preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies)?;
+    let parameters = assembly.check_parameters(&builder.policies).err().into_iter();
+    let connections = assembly.connect_ports(&builder.policies, &builder.connections);
+    let policies = assembly.wrong_policies(&builder.policies);
+    Ok(parameters.chain(connections).chain(policies).collect())
 }
 
 /// Puts a node together, and starts it; undoes that if `end` resolves meanwhile.
@@ -163,7 +171,8 @@ async fn start(
     end: impl Future<Output = EndCause>,
 ) -> Result<Node, StartError> {
     panics::install_hook();
-    let node = builder.checked_name()?;
+    let first = |mut refused: Vec<StartError>| refused.swap_remove(0);
+    let node = builder.checked_name().map_err(first)?;
     check_settings(&builder).into_iter().next().map_or(Ok(()), Err)?;
     #[cfg(feature = "network")]
     let incarnation = builder.networks.begin_incarnation();
@@ -177,14 +186,11 @@ async fn start(
     #[cfg(feature = "network")]
     assembly.start_networks(&mut builder.networks)?;
     let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies);
-    let preparation = preparation.map_err(|mut refused| refused.swap_remove(0))?;
+    let preparation = preparation.map_err(first)?;
     assembly.check_parameters(&builder.policies)?;
-    let components = builder.policies.iter().flat_map(LostCommunicationPolicy::components);
-    components.for_each(|name| assembly.environment.registry.keep_connections(name));
-    for (from, to) in builder.connections {
-        let connected = assembly.environment.registry.connect_ports(&from, &to);
-        connected.map_err(|why| StartError::Connection { from, to, why: Box::new(why) })?;
-    }
+    let mut refused = assembly.connect_ports(&builder.policies, &builder.connections);
+    refused.next().map_or(Ok(()), Err)?;
+    drop(refused);
     #[cfg(feature = "network")]
     assembly.carry_services(builder.networks.services)?;
     assembly.keep_leases();
@@ -343,15 +349,15 @@ impl NodeAssembly {
         };
         let mut tree = PreparedTree::default();
         let root = root.prepare(&tree_environment, &mut tree);
-        let root = root.map_err(|error| vec![error.into()])?;
+        let root = root.map_err(StartError::from)?;
         if !tree.refused.is_empty() {
             return Err(tree.refused.into_iter().map(StartError::from).collect());
         }
         let names: Vec<&ObjectName> = tree.components.iter().map(|facts| &facts.name).collect();
         let answered = self.plan.check(names, own_kinds, strategies.names());
-        answered.map_err(|error| vec![error.into()])?;
+        answered.map_err(StartError::from)?;
         let dependencies = dependencies(&self.node, &tree);
-        dependencies.check().map_err(|error| vec![error.into()])?;
+        dependencies.check().map_err(StartError::from)?;
         Ok(TreePreparation { root, tree, dependencies })
     }
 
@@ -394,11 +400,6 @@ impl NodeAssembly {
     fn keep_policies(&mut self, policies: Vec<LostCommunicationPolicy>) -> Result<(), StartError> {
         let who = (&self.node, self.incarnation);
         self.wrong_policies(&policies).next().map_or(Ok(()), Err)?;
-        for policy in &policies {
-            if let Some(node) = policy.commander_node()? {
-                self.check_commander(&node).map_err(|reason| policy.refused(None, reason))?;
-            }
-        }
         for policy in policies {
             let arbiter = self.parts.chain.arbiter.as_ref();
             self.policies.push(policy.start(who, &self.environment, arbiter)?);
@@ -411,19 +412,23 @@ impl NodeAssembly {
         &self,
         policies: &[LostCommunicationPolicy],
     ) -> impl Iterator<Item = StartError> {
-        let actuators = self.environment.actuators();
         let policies =
             policies.iter().enumerate().map(|(place, policy)| (policy, &policies[..place]));
-        policies.flat_map(|(policy, before)| policy.wrong(before, &self.node, actuators))
+        policies.flat_map(|(policy, before)| policy.wrong(before, &self.node, &self.environment))
     }
 
-    /// Finds a commander that cannot be: it is of this robot where that has keys.
-    fn check_commander(&self, node: &NodeName) -> Result<(), String> {
-        #[cfg(feature = "network")]
-        if let Some(networks) = &self.networks {
-            return networks.check_commander(node);
-        }
-        Err(format!("its commander {node} cannot reach this node, which has no networks: add one"))
+    /// Connects ports, and returns which cannot be connected.
+    fn connect_ports(
+        &self,
+        policies: &[LostCommunicationPolicy],
+        connections: &[(String, String)],
+    ) -> impl Iterator<Item = StartError> {
+        let components = policies.iter().flat_map(LostCommunicationPolicy::components);
+        components.for_each(|name| self.environment.registry.keep_connections(name));
+        connections.iter().filter_map(|(from, to)| {
+            let why = Box::new(self.environment.registry.connect_ports(from, to).err()?);
+            Some(StartError::Connection { from: from.clone(), to: to.clone(), why })
+        })
     }
 
     /// It is opened when there is something to be seen.

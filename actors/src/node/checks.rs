@@ -8,6 +8,8 @@ use crate::settings::{CALLBACK_LIMIT, GRACE, WORK_THREADS};
 use blastema_core::detection::dependencies::Dependencies;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{NodeName, ObjectName};
+#[cfg(feature = "unix")]
+use blastema_transports::endpoint::{EndpointProblem, SOCKET_PATH};
 use std::path::Path;
 
 /// Who needs whom of the objects of this node.
@@ -111,5 +113,11 @@ pub(super) fn check_names<'a>(
 
 #[cfg(feature = "unix")]
 fn check_socket(path: &Path) -> Result<(), StartError> {
-    check_absolute(path).map_err(StartError::Shown)
+    let length = path.as_os_str().len();
+    let too_long = EndpointProblem::LongPath { length, limit: SOCKET_PATH };
+    let checked = check_file(path).and_then(|()| match length <= SOCKET_PATH {
+        true => Ok(()),
+        false => Err(too_long.to_string()),
+    });
+    checked.map_err(StartError::Shown)
 }

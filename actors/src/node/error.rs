@@ -5,12 +5,12 @@ use crate::component::spec_error::SpecError;
 use crate::service::ServiceSpecError;
 use crate::settings::SettingError;
 use blastema_core::NameError;
-#[cfg(feature = "network")]
-use blastema_core::ObjectName;
 use blastema_core::detection::RegistrationError;
 use blastema_core::detection::dependencies::DependencyError;
 use blastema_core::port::ConnectError;
 use blastema_core::recovery::PlanError;
+#[cfg(feature = "network")]
+use blastema_core::{NodeName, ObjectName};
 #[cfg(feature = "network")]
 use blastema_transports::EndpointError;
 use std::path::PathBuf;
@@ -55,8 +55,8 @@ pub enum StartError {
     LostCommunication {
         /// The policy.
         policy: String,
-        /// The place of the rung that is wrong, from 0; `None` where it is another part.
-        rung: Option<usize>,
+        /// The part that is wrong.
+        part: PolicyPart,
         /// What is wrong, and what to write.
         reason: String,
     },
@@ -66,8 +66,25 @@ pub enum StartError {
     Endpoint {
         /// The network.
         network: String,
+        /// The neighbour whose address is wrong; `None` where the endpoint is.
+        neighbour: Option<NodeName>,
         /// What is wrong, and where.
         error: EndpointError,
+    },
+    /// A setting of a link makes no sense.
+    #[cfg(feature = "network")]
+    #[error("network {network}: {setting} of the link to {neighbour} is {value}: {cure}")]
+    Link {
+        /// The network.
+        network: String,
+        /// The neighbour.
+        neighbour: String,
+        /// The setting.
+        setting: &'static str,
+        /// Its value.
+        value: String,
+        /// What to write instead.
+        cure: &'static str,
     },
     /// The networks cannot be used together.
     #[cfg(feature = "network")]
@@ -180,6 +197,34 @@ pub enum StartError {
     },
 }
 
+/// A part of a [`LostCommunicationPolicy`](crate::LostCommunicationPolicy), by places that count from 0.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum PolicyPart {
+    /// The whole.
+    Whole,
+    /// The commander.
+    Commander,
+    /// How many channels must be connected.
+    AtLeast,
+    /// A channel that must be connected, and a setting of it, such as `max_loss`; empty for the
+    /// channel itself.
+    Need(usize, &'static str),
+    /// When a rung begins.
+    RungTime(usize),
+    /// What a rung does.
+    Rung(usize),
+    /// A command of a rung.
+    Command {
+        /// The rung.
+        rung: usize,
+        /// Which of its commands.
+        command: usize,
+        /// A field of it; `None` for the actuator.
+        field: Option<String>,
+    },
+}
+
 /// Prints the text of `Display`: a `main` that returns this error, and `unwrap`, print by `Debug`.
 impl fmt::Debug for StartError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -192,6 +237,12 @@ impl StartError {
     pub(crate) fn name_of(of: impl fmt::Display) -> impl FnOnce(NameError) -> StartError {
         let of = of.to_string();
         move |error| StartError::Name { of, error }
+    }
+}
+
+impl From<StartError> for Vec<StartError> {
+    fn from(error: StartError) -> Self {
+        vec![error]
     }
 }
 

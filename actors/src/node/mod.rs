@@ -46,7 +46,7 @@ pub use bridge::ZenohBridge;
 pub use builder::NodeBuilder;
 pub use conditions::Heartbeats;
 pub use controller::NodeState;
-pub use error::StartError;
+pub use error::{PolicyPart, StartError};
 pub use faults::FaultEvents;
 pub use lost_communication::{
     AcknowledgeError, LostCommunicationPolicy, LostCommunicationRow, Rung,

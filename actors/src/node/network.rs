@@ -103,7 +103,7 @@ enum Admitted {
 
 enum Medium {
     At(Endpoint),
-    /// The endpoint does not parse. The node's start returns the error.
+    /// The endpoint does not parse. The check of the node returns the error.
     Unreadable(EndpointError),
     Memory(MemoryConfig),
     Own {

@@ -4,9 +4,9 @@ use super::start_thread;
 use std::{fs, io};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
-/// One of them.
+/// A signal by which a person or a service manager asks a process to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Termination {
+pub enum Termination {
     /// SIGTERM: from a service manager, or `kill`.
     Terminate,
     /// SIGINT: Ctrl-C at a terminal.
@@ -17,7 +17,7 @@ pub(crate) enum Termination {
 
 impl Termination {
     /// Its name.
-    pub(crate) fn name(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Termination::Terminate => "SIGTERM",
             Termination::Interrupt => "SIGINT",
@@ -26,7 +26,7 @@ impl Termination {
     }
 
     /// What a process that ends by it is known by: 128 and the signal's number, as a shell says it.
-    pub(crate) fn exit_code(self) -> i32 {
+    pub fn exit_code(self) -> i32 {
         128 + match self {
             Termination::Terminate => SignalKind::terminate(),
             Termination::Interrupt => SignalKind::interrupt(),
@@ -36,8 +36,9 @@ impl Termination {
     }
 }
 
-/// All of them, from now on: the process does not end by itself any more.
-pub(crate) struct Terminations {
+/// All [signals](Termination) of that kind, from now on: the process does not end by itself any more.
+#[derive(Debug)]
+pub struct Terminations {
     terminate: Signal,
     interrupt: Signal,
     /// `None` where the process was started to outlive its terminal.
@@ -49,7 +50,7 @@ impl Terminations {
     ///
     /// # Errors
     /// The system refuses it.
-    pub(crate) fn listen() -> io::Result<Self> {
+    pub fn listen() -> io::Result<Self> {
         Ok(Terminations {
             terminate: signal(SignalKind::terminate())?,
             interrupt: signal(SignalKind::interrupt())?,
@@ -58,7 +59,7 @@ impl Terminations {
     }
 
     /// The next one.
-    pub(crate) async fn next(&mut self) -> Termination {
+    pub async fn next(&mut self) -> Termination {
         tokio::select! {
             _ = self.terminate.recv() => Termination::Terminate,
             _ = self.interrupt.recv() => Termination::Interrupt,

@@ -216,7 +216,7 @@ impl<C: Stateful> ServiceSpec<C> {
 }
 
 /// Why a service cannot be described as it is.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) enum ServiceSpecError {
     /// A name does not parse.
     Name { of: String, error: NameError },

@@ -17,7 +17,7 @@ pub(crate) const SESSION_TIMEOUT: Setting<Duration> = Setting {
 /// More hellos are taken for an attack by the neighbour, and a link must be known to be down
 /// within a minute.
 pub(crate) const HELLO_INTERVAL: Setting<Duration> = Setting {
-    name: "the hello interval",
+    name: "hello_every",
     default: blastema_core::net::HELLO_INTERVAL,
     range: HELLO_INTERVAL_RANGE,
     cure: "write 1 ms to 15 s",
@@ -28,5 +28,5 @@ pub(crate) const EXPECTED_WITHIN: Setting<Duration> = Setting {
     name: "expected_within",
     default: PEER_TIMEOUT,
     range: Duration::ZERO..=Duration::MAX,
-    cure: "give it the time of some hellos, or Duration::MAX if it need not come",
+    cure: "give it the time of some hellos, or no end if it need not come",
 };

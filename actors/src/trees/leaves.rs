@@ -169,13 +169,13 @@ impl TreeLeaves {
     /// is written. A request that fails, or whose reply is an `Err`, is a FAILURE.
     #[must_use]
     pub fn request<M: Request>(self, name: &str) -> Self {
-        let deadline = Port::input::<f64>("deadline_sec").optional().about("by default 5 s");
+        let deadline = connected::span("deadline_sec").optional().about("by default 5 s");
         let mut ports = vec![COMPONENT, deadline];
         ports.extend(message::inputs::<M>().into_iter().chain(message::outputs::<M::Reply>()));
         self.task(name, ports, |mut leaf| async move {
             let (component, message) = (leaf.input::<String>("component")?, leaf.message::<M>()?);
             let deadline = leaf.optional_input::<f64>("deadline_sec")?;
-            let deadline = deadline.map_or(Ok(DEFAULT_DEADLINE), Duration::try_from_secs_f64)?;
+            let deadline = deadline.map_or(DEFAULT_DEADLINE, Duration::from_secs_f64);
             let sender = leaf.context().sender::<M>(&component);
             let asked = async {
                 sender?.ask_within(message, deadline).await.map_err(|refused| refused.kind)
@@ -223,10 +223,10 @@ impl TreeLeaves {
     /// it is given back, or the tree is halted as a whole.
     #[must_use]
     pub fn actuator<M: Contract>(self, name: &str) -> Self {
-        let within = Port::input::<f64>("within_sec").or("1.0").about("waits so long, in s");
+        let within = connected::span("within_sec").or("1.0").about("waits so long, in s");
         let claim = format!("Claim{name}");
         let claims = self.task(&claim, [ACTUATOR, within], |mut leaf| async move {
-            let within = Duration::try_from_secs_f64(leaf.input("within_sec")?)?;
+            let within = Duration::from_secs_f64(leaf.input("within_sec")?);
             let commander = leaf.commander::<M>()?;
             let claimed = async { commander?.claim_within(within).await.map(drop) };
             leaf.done(claimed.await)

@@ -23,7 +23,7 @@ mod task;
 pub use actor::BehaviorTree;
 pub use blastema_trees::{
     Halt, Leaf, LeafContext, LeafError, LeafResult, Port, PortType, PortValue, Status, TreeErrors,
-    Value,
+    Value, byte_at,
 };
 pub use leaves::{LeafFault, LeafRules, TreeLeaves};
 pub(crate) use rows::TreeTable;

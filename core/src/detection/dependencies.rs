@@ -165,8 +165,8 @@ impl Dependencies {
 /// assert_eq!(circle(&[(&a, vec![&b]), (&b, vec![&a])].into()), Some(vec![a.clone(), b.clone(), a]));
 /// # Ok::<(), blastema_core::NameError>(())
 /// ```
-pub fn circle(needs: &SortedMap<&ObjectName, Vec<&ObjectName>>) -> Option<Vec<ObjectName>> {
-    let needs_of = |name: &ObjectName| needs.get(name).map_or(&[][..], Vec::as_slice).iter();
+pub fn circle<T: Ord + Clone>(needs: &SortedMap<&T, Vec<&T>>) -> Option<Vec<T>> {
+    let needs_of = |name: &T| needs.get(name).map_or(&[][..], Vec::as_slice).iter();
     // Every object that was visited, and whether it is still on the path.
     let mut met = SortedMap::new();
     for start in needs.keys().copied() {

@@ -86,7 +86,10 @@ impl Factory {
                 free && may_be_name(port_name) && is_port(port_name),
                 "{name} cannot have a port `{port_name}`"
             );
-            let fits = |text: &str| port.kind.admit(&Value::text(text)).is_some();
+            let fits = |text: &str| {
+                let value = port.kind.admit(&Value::text(text));
+                value.is_some_and(|value| port.refuses(&value).is_none())
+            };
             let right = port.default.is_none_or(|text| key_of("", text).is_some() || fits(text));
             assert!(right, "the default of `{port_name}` of {name} is no {}", port.kind.name());
         }

@@ -61,7 +61,7 @@ mod value;
 pub mod differences {}
 
 pub use factory::Factory;
-pub use load::{Problem, TreeError, TreeErrors};
+pub use load::{Problem, TreeError, TreeErrors, byte_at};
 pub use model::{LeafKind, Port};
 pub use script::ScriptError;
 pub use status::Status;

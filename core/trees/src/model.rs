@@ -1,7 +1,7 @@
 //! The types of nodes: their names, ports and numbers of children.
 
 use crate::status::Status;
-use crate::value::{PortType, PortValue};
+use crate::value::{PortType, PortValue, Value};
 use std::ops::RangeInclusive;
 
 /// The direction of a port.
@@ -15,6 +15,9 @@ pub(crate) enum PortDirection {
     InOut,
 }
 
+/// What right values are called, and which they are.
+type PortLimit = (&'static str, fn(&Value) -> bool);
+
 /// A port of a type of node.
 #[derive(Clone, Debug)]
 pub struct Port {
@@ -23,6 +26,7 @@ pub struct Port {
     pub(crate) kind: PortType,
     pub(crate) default: Option<&'static str>,
     pub(crate) optional: bool,
+    pub(crate) limit: Option<PortLimit>,
     pub(crate) role: PortRole,
     pub(crate) about: &'static str,
 }
@@ -35,6 +39,7 @@ impl Port {
             kind,
             default: None,
             optional: false,
+            limit: None,
             role: PortRole::Value,
             about: "",
         }
@@ -70,6 +75,18 @@ impl Port {
     pub const fn optional(mut self) -> Port {
         self.optional = true;
         self
+    }
+
+    /// Only values that are right are taken, which are called so: `share from 0 to 1`. Another one
+    /// in a file is an error of the file, and one that is read from an entry is an error of the leaf.
+    pub const fn only(mut self, kind: &'static str, is_right: fn(&Value) -> bool) -> Port {
+        self.limit = Some((kind, is_right));
+        self
+    }
+
+    /// What values are called that this one is not, if it may not be given.
+    pub(crate) fn refuses(&self, value: &Value) -> Option<&'static str> {
+        self.limit.and_then(|(kind, is_right)| (!is_right(value)).then_some(kind))
     }
 
     /// A sentence for editors of trees.

@@ -316,7 +316,7 @@ fn a_wrong_endpoint_or_address_is_refused_at_start_with_the_wrong_part_underline
         let start = async |network: Network| {
             let error = Node::builder("module1").network(network).start().await;
             match error.expect_err("it is wrong") {
-                StartError::Endpoint { network, error } => {
+                StartError::Endpoint { network, error, .. } => {
                     assert_eq!(network, "cable");
                     error
                 }

@@ -168,6 +168,32 @@ fn all_nodes_run_until_an_interrupt_and_stop_in_reverse_order() {
 }
 
 #[test]
+fn a_second_interrupt_ends_all_nodes_at_once_with_safe_outputs() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("slow.robot.xml");
+    let node = |name: &str| {
+        format!(
+            r#"<node name="{name}" safe-outputs="brakes">
+            <component name="slow" type="Slow" shutdown-within="10min"/></node>"#
+        )
+    };
+    let text = format!("<robot schema=\"1\" name=\"r\">{}{}</robot>", node("base"), node("arm"));
+    fs::write(&file, text).expect("it can be written");
+
+    let mut robot = RunningRobot::start(&file, &[]);
+    robot.until_each(&["[base] slow works", "[arm] slow works"]);
+    robot.interrupt();
+    robot.until("[arm] slow slows down");
+    robot.interrupt();
+
+    assert_eq!(robot.status(), 130, "{:#?}", robot.seen);
+    assert_eq!(robot.lines_with("the brakes are on").len(), 2, "{:#?}", robot.seen);
+    assert_eq!(robot.lines_with("a second signal ended the nodes at once").len(), 1);
+    assert_eq!(robot.lines_with("slow rests"), [""; 0]);
+}
+
+#[test]
 fn a_process_that_dies_is_started_again() {
     let _turn = blastema_doubles::turn();
     let folder = tempfile::tempdir().expect("a folder");
@@ -433,6 +459,12 @@ fn check_graph_and_describe_say_what_there_is() {
     assert_eq!(checked.status.code(), Some(1), "{errors}");
     assert!(errors.contains("two.robot.xml:10:") && errors.contains("`many`"), "{errors}");
     assert_eq!(run(&["check", "/nowhere.xml"]).status.code(), Some(2));
+    let full = fs::File::options().write(true).open("/dev/full").expect("Linux has it");
+    let described = Command::new(program()).arg("describe").stdout(full).output();
+    let described = described.expect("it starts");
+    let errors = String::from_utf8_lossy(&described.stderr);
+    assert_eq!(described.status.code(), Some(1), "{errors}");
+    assert!(errors.starts_with("standard output: "), "{errors}");
 
     fs::write(&file, fs::read_to_string(&file).unwrap().replace("many", "0")).unwrap();
     let drawn = run(&["graph", &file, "--format", "dot"]);

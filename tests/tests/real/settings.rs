@@ -83,7 +83,7 @@ fn spans_of_a_component_that_are_never_or_always_over_are_refused() {
         refused(lamp().max_wait(Duration::ZERO), &["max_wait of lamp"]).await;
         refused(lamp().ready_within(Duration::ZERO), &["ready_within of lamp"]).await;
 
-        let interval = &["liveness.interval of lamp is", "Liveness::Guard"];
+        let interval = &["liveness.interval of lamp is", "the model guard"];
         refused(lamp().liveness(Liveness::push(Duration::ZERO, 3)), interval).await;
         refused(lamp().liveness(Liveness::push(Duration::MAX, 3)), interval).await;
         refused(lamp().liveness(Liveness::pull(Duration::ZERO, MS)), interval).await;
@@ -94,7 +94,7 @@ fn spans_of_a_component_that_are_never_or_always_over_are_refused() {
         refused(lamp().max_missed_rounds(0), &["max_missed_rounds of lamp"]).await;
         refused(lamp().max_missed_rounds(101), &["max_missed_rounds of lamp"]).await;
         let rare = lamp().rate_hz(1.0).liveness(Liveness::push(100 * MS, 3));
-        refused(rare, &["liveness.interval of lamp", "every 1s", "rate_hz"]).await;
+        refused(rare, &["liveness.interval of lamp", "every 1s", "a higher rate"]).await;
         let start_up = Push { start_up: Duration::ZERO, ..Push::default() };
         refused(lamp().liveness(Liveness::Push(start_up)), &["start_up of lamp"]).await;
 
@@ -228,7 +228,7 @@ fn ports_of_which_one_could_not_be_reached_or_held_are_refused() {
         refused(told::<5>(), &["a variable of wheel", "faster than it can stop"]).await;
         refused(told::<6>(), &["actuator.lease of wheel is 1ms", "20 ms to 60 s"]).await;
         refused(told::<7>(), &["actuator.lease of wheel"]).await;
-        refused(told::<8>(), &["actuator.command_timeout of wheel is 1ms", "or Hold for"]).await;
+        refused(told::<8>(), &["actuator.command_timeout of wheel is 1ms", "or hold for"]).await;
         taken(told::<9>()).await;
         let claims = lamp().claim("light", ClaimPolicy::Refuse).claim("light", ClaimPolicy::Refuse);
         refused(node().child(claims), &["a claim of lamp is light twice"]).await;
@@ -284,7 +284,7 @@ fn links_of_which_one_would_be_taken_for_another_or_cost_nothing_are_refused() {
         };
         let link = || Link::in_memory("b", "b");
         let one = |link: Link| node().network(network("mem")(link));
-        refused(one(link().cost(0)), &["the link to b costs 0", "1 at least"]).await;
+        refused(one(link().cost(0)), &["cost of the link to b is 0", "1 at least"]).await;
         refused(one(link().named("")), &["an empty name"]).await;
         refused(one(link().hello_every(Duration::ZERO)), &["1 ms to 15 s"]).await;
         refused(one(link().expected_within(Duration::ZERO)), &["the time of some hellos"]).await;

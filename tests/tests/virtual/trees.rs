@@ -510,11 +510,13 @@ async fn leaves_steer_a_life_cycle_and_look_at_components_and_faults() {
     node.advance(3 * SECOND).await;
     assert!(runs("last").await, "the connection was never there");
 
-    let wrong = tree(&leaves, r#"<IsComponentInState component="arm" state="lazy"/>"#);
+    let wrong = r#"<Sequence><Script code="state:='lazy'"/>
+        <IsComponentInState component="arm" state="{state}"/></Sequence>"#;
+    let wrong = tree(&leaves, wrong);
     let builder = Node::builder("rover").child(ChildSpec::new("arm", || Arm));
     let mut node = TestNode::start(builder.child(wrong)).await;
     let fault = node.await_fault(FaultKind::CheckFailed, "tree").await;
-    assert!(fault.detail.contains("`lazy` is no state of a component"), "{}", fault.detail);
+    assert!(fault.detail.contains("`lazy`, which is no state of a component"), "{}", fault.detail);
 }
 
 #[test]

@@ -289,7 +289,7 @@ impl Endpoint {
 
 /// The longest path of a Unix-domain socket on Linux, in bytes, without the closing zero.
 #[cfg(feature = "unix")]
-const SOCKET_PATH: usize = 107;
+pub const SOCKET_PATH: usize = 107;
 /// The largest number on a bus with identifiers of 11 bits.
 const SHORT_MOST: u8 = 30;
 

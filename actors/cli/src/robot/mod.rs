@@ -2,11 +2,12 @@
 
 use crate::args::{NewOptions, RobotOptions};
 use blastema_robot::{XSD, program_of};
-use std::fs;
 use std::io::{self, Write};
+use std::os::unix::fs::MetadataExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::{env, fs};
 
 /// The files of a new robot, and their texts. `{{name}}` stands for its name.
 const FILES: [(&str, &str); 5] = [
@@ -20,9 +21,33 @@ const FILES: [(&str, &str); 5] = [
 /// The sources that this program was built from.
 const SOURCES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
-/// Becomes the program of a robot file.
+/// Names that no package of a robot can have: what Rust reserves or calls its own crates, what
+/// Cargo calls its folders, and what the package depends on.
+const TAKEN: &str = "abstract alloc as async await become blastema blastema_robot blastema_testkit box break \
+    build const continue core crate deps do dyn else enum examples extern false final fn for gen \
+    if impl in incremental let loop macro match mod move mut override priv proc_macro pub ref \
+    return self static std struct super test trait true try type typeof unsafe unsized use \
+    virtual where while";
+
+/// Becomes the program of a robot file. False: the file has mistakes.
 pub(crate) fn run(command: &str, options: &RobotOptions) -> Result<bool, String> {
-    let program = program_of(&options.file).map_err(|error| error.to_string())?;
+    let program = match program_of(&options.file) {
+        Ok(program) => program,
+        Err(error) if error.is_unreadable => return Err(error.to_string()),
+        Err(error) => {
+            // With standard error closed, there is no place left for the mistakes.
+            let _ = writeln!(io::stderr(), "{error}");
+            return Ok(false);
+        }
+    };
+    let file = |path: &Path| fs::metadata(path).ok().map(|about| (about.dev(), about.ino()));
+    let own = env::current_exe().ok().and_then(|own| file(&own));
+    if own.is_some() && own == file(&program) {
+        return Err(format!(
+            "the program {} of the file is `blastema` itself: write the path of the robot's program",
+            program.display()
+        ));
+    }
     let error = Command::new(&program).arg(command).arg(&options.file).args(&options.more).exec();
     Err(format!("the program {} of the file does not start: {error}: build it", program.display()))
 }
@@ -47,6 +72,12 @@ pub(crate) fn new(options: &NewOptions) -> Result<bool, String> {
         return Err(format!(
             "{name:?} cannot be the name of a robot: write up to 32 small letters, digits and `_`, \
              the first a letter"
+        ));
+    }
+    if TAKEN.split_whitespace().any(|taken| taken == name) {
+        return Err(format!(
+            "`{name}` cannot be the name of a robot, as its package is called so too: Rust, Cargo \
+             or a dependency has taken it; write another one, as in `my_{name}`"
         ));
     }
     let sources = options.blastema.clone().unwrap_or_else(|| PathBuf::from(SOURCES));

@@ -30,11 +30,20 @@ fn the_program_of_a_robot_file_is_started_with_its_options_and_gives_its_status(
     assert_eq!((output.status.code(), text.contains("check")), (Some(127), true), "{text}");
     write("");
     let (output, text) = blastema(folder.path(), &["run", "a.xml"]);
-    assert_eq!(output.status.code(), Some(2), "{text}");
+    assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("a.xml names no program: add `program="), "{text}");
     write(" program=\"./none\"");
     let (_, text) = blastema(folder.path(), &["graph", "a.xml"]);
     assert!(text.contains("none of the file does not start"), "{text}");
+    std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_blastema"), folder.path().join("own"))
+        .expect("a link");
+    write(" program=\"own\"");
+    let (output, text) = blastema(folder.path(), &["check", "a.xml"]);
+    assert_eq!(
+        (output.status.code(), text.contains("`blastema` itself")),
+        (Some(2), true),
+        "{text}"
+    );
 }
 
 #[test]
@@ -61,6 +70,11 @@ fn a_new_robot_is_written_once_with_a_file_and_a_test() {
     assert_eq!(output.status.code(), Some(2), "{text}");
     let (_, text) = blastema(folder.path(), &["new", "Rover 2"]);
     assert!(text.contains("small letters"), "{text}");
+    for taken in ["std", "fn", "blastema", "test"] {
+        let (output, text) = blastema(folder.path(), &["new", taken]);
+        assert_eq!(output.status.code(), Some(2), "{text}");
+        assert!(text.contains(&format!("as in `my_{taken}`")), "{text}");
+    }
 }
 
 /// At night: it compiles the product with the features of a user's package.

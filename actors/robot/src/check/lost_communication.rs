@@ -3,12 +3,12 @@
 use super::RobotChecker;
 use crate::description::{
     ChildDescription, ComponentDescription, ElementOrigin, LostCommunicationDescription,
-    NeedChannel, NodeDescription, RobotDescription, RungAction, RungDescription,
+    NeedChannel, NeedDescription, NodeDescription, RungAction, RungDescription,
 };
 use crate::finding::ElementPart;
 use crate::types::{UnknownPort, network_of};
 use crate::value::hint;
-use blastema::StartError;
+use blastema::PolicyPart;
 use blastema::core::port::{ConnectionRole, PortConnection};
 use blastema::recovery::Restart;
 use std::collections::BTreeMap;
@@ -126,49 +126,33 @@ impl<'a> RobotChecker<'a> {
             self.find(CODE, sentence, (origin, "to"), help, "commanded from another node");
         }
     }
-
-    /// Tries the policies in which nothing was found, with all else of the node that is right.
-    pub(super) fn policies(&mut self, node: &'a NodeDescription, mut trial: NodeDescription) {
-        let places = self.findings.iter().filter_map(|finding| finding.labels.first());
-        let is_right = |policy: &&LostCommunicationDescription| {
-            !places.clone().any(|(place, _)| self.places.holds(policy.origin, place))
-        };
-        trial.lost_communication =
-            node.lost_communication.iter().filter(is_right).cloned().collect();
-        // Of the robot the node alone: plans have rules of their own.
-        let robot = RobotDescription { nodes: vec![trial.clone()], ..Default::default() };
-        let refused = match self.types.composed(&robot, &trial) {
-            Ok(builder) => builder.check(),
-            Err(error) => return self.find(CODE, error, (node.origin, "name"), "", ""),
-        };
-        for error in refused {
-            let text = error.to_string();
-            let StartError::LostCommunication { policy: name, rung, reason } = error else {
-                self.find(CODE, text, (node.origin, "name"), "change the node", "this node");
-                continue;
-            };
-            let policy = trial.lost_communication.iter().find(|of| of.name == name);
-            let rung = policy.zip(rung).and_then(|(policy, place)| policy.rungs.get(place));
-            let at = match (rung, policy) {
-                (Some(rung), _) => part_of_rung(rung, &reason),
-                (None, policy) => (policy.map_or(node.origin, |of| of.origin), "name".into()),
-            };
-            self.find(CODE, format!("of `{name}`, {reason}"), at, "correct it", "here");
-        }
-    }
 }
 
-/// The part of a rung that a reason is about.
-fn part_of_rung(rung: &RungDescription, reason: &str) -> (ElementOrigin, ElementPart) {
-    for command in &rung.commands {
-        let mut fields = command.fields.iter();
-        if let Some((field, _)) = fields.find(|(name, _)| reason.contains(&format!("`{name}`"))) {
-            return (command.origin, ElementPart::below("field", "name", field, "value"));
+/// The element and the attribute of a part of a policy.
+pub(super) fn place_of(
+    policy: &LostCommunicationDescription,
+    part: &PolicyPart,
+) -> (ElementOrigin, ElementPart) {
+    match part {
+        PolicyPart::Commander => (policy.origin, "commander".into()),
+        PolicyPart::AtLeast => (policy.origin, "at-least".into()),
+        PolicyPart::Need(place, setting) => {
+            let NeedDescription { channel, origin, .. } = &policy.needs[*place];
+            let channel = match channel {
+                NeedChannel::Heartbeat(_) => "heartbeat",
+                NeedChannel::Node(_) => "node",
+                NeedChannel::Session(_) => "session",
+                NeedChannel::Link(_) => "link",
+            };
+            (*origin, ElementPart::of_setting(if setting.is_empty() { channel } else { setting }))
         }
-        if reason.contains(&format!("{} ", command.actuator.object)) {
-            return (command.origin, "actuator".into());
+        PolicyPart::RungTime(rung) => (policy.rungs[*rung].origin, "time".into()),
+        PolicyPart::Rung(rung) => (policy.rungs[*rung].origin, "do".into()),
+        PolicyPart::Command { rung, command, field } => {
+            let command = &policy.rungs[*rung].commands[*command];
+            let field = field.as_ref().map(|of| ElementPart::below("field", "name", of, "value"));
+            (command.origin, field.unwrap_or_else(|| "actuator".into()))
         }
+        _ => (policy.origin, "name".into()),
     }
-    let is_of_time = reason.contains(" in time") || reason.contains("an hour");
-    (rung.origin, if is_of_time { "time" } else { "do" }.into())
 }

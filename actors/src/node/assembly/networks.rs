@@ -5,15 +5,13 @@ use super::{NodeAssembly, middleware, named};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
 use crate::directory::actor::{DirectoryActor, DirectorySetup};
-use crate::net::keys::NodeKeys;
 use crate::net::safe_state::{RestSetup, SafeStateActor};
-use crate::net::{self, NetEnvironment, NetHandle, NetworkSpec};
+use crate::net::{self, NetEnvironment, NetHandle};
 use crate::node::builder::ActorPlacement;
 use crate::node::controller::SubscribeSafeState;
 use crate::node::error::StartError;
+use crate::node::network::Cable;
 use crate::node::network::description::NetworkDescription;
-use crate::node::network::services::{check_service, check_service_order};
-use crate::node::network::{Cable, Network};
 use crate::node::network_row::NetworkRow;
 use crate::platform::own_arbiter;
 use crate::service::{Carried, ReplicaBody, ServiceSpecError};
@@ -22,14 +20,9 @@ use blastema_contract::monitor::Register;
 use blastema_contract::notifier::AddPort;
 use blastema_contract::transport::Close;
 use blastema_core::detection::RecovererPort;
-use blastema_core::net::discovery::DiscoveryAdmission;
-use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_core::suggestion::nearest;
 use blastema_core::{Incarnation, NodeName};
-use std::sync::Arc;
 use std::time::Duration;
-use tracing::warn;
 
 /// The networks of a node that runs.
 pub(in crate::node) struct Networks {
@@ -40,8 +33,6 @@ pub(in crate::node) struct Networks {
     pub(super) arbiter: Option<ArbiterHandle>,
     /// The nodes that the description names.
     pub(super) described: SortedSet<NodeName>,
-    /// All nodes of the robot, where it has keys.
-    listed: Option<SortedSet<NodeName>>,
     /// The links that the description names; those that begin as one that ends at `/` may come by
     /// themselves.
     pub(super) links: Vec<String>,
@@ -59,22 +50,6 @@ impl Networks {
     /// Whether this node has met another, was told of it, or has heard what others say of it.
     pub(in crate::node) fn know(&self, node: &NodeName) -> bool {
         self.described.contains(node) || self.handle.knows(node)
-    }
-
-    /// Finds a commander that is no node of the robot. Without keys only its neighbours are known,
-    /// and others may be further away.
-    pub(super) fn check_commander(&self, node: &NodeName) -> Result<(), String> {
-        let known = self.listed.as_ref().unwrap_or(&self.described);
-        if known.contains(node) {
-            return Ok(());
-        }
-        let near = nearest(node.as_str(), known.iter().map(NodeName::as_str));
-        let hint = near.map(|near| format!(": did you mean {near}?")).unwrap_or_default();
-        if self.listed.is_some() {
-            return Err(format!("its commander {node} is not in the roster{hint}"));
-        }
-        warn!(%node, "the commander of a policy is no neighbour of this node{hint}");
-        Ok(())
     }
 
     /// All whom it has met, or was told of.
@@ -116,17 +91,14 @@ impl NodeAssembly {
         &mut self,
         description: &mut NetworkDescription,
     ) -> Result<(), StartError> {
-        let networks = std::mem::take(&mut description.networks);
         let who = (&self.node, self.incarnation);
-        if networks.is_empty() {
+        if description.networks.is_empty() {
             let setup = directory_setup(who, &self.parts, &self.environment);
             let arbiter = self.parts.chain.arbiter.as_ref();
             let directory = DirectoryActor::start(setup, &self.parts.guardian, arbiter);
             self.enrolments.push(middleware(named("net/directory"), Some(directory.pings)));
             return Ok(());
         }
-        let judges = description.judges()?;
-        let networks = (networks, description.keys.take(), judges, description.session_timeout);
         let arbiter = match self.placement {
             ActorPlacement::Here => None,
             ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => Some(own_arbiter()?),
@@ -134,7 +106,7 @@ impl NodeAssembly {
         self.undone.own.extend(arbiter.clone());
         let transports = &mut self.undone.transports;
         let (networks, enrolments) =
-            make_networks(networks, (arbiter, transports), who, &self.parts, &self.environment)?;
+            make_networks(description, (arbiter, transports), who, &self.parts, &self.environment)?;
         self.enrolments.extend(enrolments);
         self.networks = Some(networks);
         Ok(())
@@ -151,14 +123,9 @@ impl NodeAssembly {
         services: Vec<Result<Carried, ServiceSpecError>>,
     ) -> Result<(), StartError> {
         let services: Vec<_> = services.into_iter().collect::<Result<_, _>>()?;
-        services.iter().try_for_each(check_service)?;
-        check_service_order(&services)?;
         for carried in services {
             let name = carried.body.clone();
             let roster = self.environment.services();
-            if let Some(networks) = &mut self.networks {
-                networks.described.extend(carried.config.members.iter().cloned());
-            }
             roster.enter(carried.name.clone(), &carried.config);
             let place = self.networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
             let place = place.or(self.parts.chain.arbiter.as_ref());
@@ -172,21 +139,19 @@ impl NodeAssembly {
 
 /// Starts transports, links, router, sessions and gateway, and connects them to the fault chain.
 fn make_networks(
-    (networks, keys, judges, session_timeout): (
-        Vec<Network>,
-        Option<Arc<NodeKeys>>,
-        IsolationAuthority,
-        Duration,
-    ),
+    description: &mut NetworkDescription,
     (arbiter, transports): (Option<ArbiterHandle>, &mut Vec<Recipient<Close>>),
     (node, incarnation): (&NodeName, Incarnation),
     parts: &FaultChainParts,
     environment: &ComponentEnvironment,
 ) -> Result<(Networks, Vec<Register>), StartError> {
     let FaultChainParts { guardian, chain, monitor, .. } = parts;
+    let (judges, described) = (description.judges()?, description.named_nodes());
+    let networks = std::mem::take(&mut description.networks);
+    let (keys, session_timeout) = (description.keys.take(), description.session_timeout);
     let (mut specs, mut cables) = (Vec::new(), SortedMap::new());
     let (mut neighbours, mut enrolments) = (SortedSet::new(), Vec::new());
-    let (has_keys, listed) = (keys.is_some(), keys.as_ref().map(|keys| keys.listed()));
+    let has_keys = keys.is_some();
     let mut links = Vec::new();
     let rows: Vec<_> = networks.iter().map(|network| network.row(has_keys)).collect();
     rows.iter().for_each(NetworkRow::log);
@@ -207,11 +172,6 @@ fn make_networks(
             links.push(format!("{}/", started.spec.name));
         }
         specs.push(started.spec);
-    }
-    let mut described = neighbours.clone();
-    described.extend(specs.iter().flat_map(admitted).cloned());
-    if let IsolationAuthority::Named(wardens) = &judges {
-        described.extend(wardens.iter().cloned());
     }
     if let Some(keys) = &keys {
         environment.registry.access().replace(keys.access_policy());
@@ -266,17 +226,8 @@ fn make_networks(
     }
     let transports = transports.clone();
     let networks =
-        Networks { handle, cables, rows, transports, arbiter, described, listed, links, silence };
+        Networks { handle, cables, rows, transports, arbiter, described, links, silence };
     Ok((networks, enrolments))
-}
-
-/// Those that are admitted by name where they are met.
-fn admitted(spec: &NetworkSpec) -> impl Iterator<Item = &NodeName> {
-    let names = match spec.discovery.as_ref().map(|discovery| &discovery.admission) {
-        Some(DiscoveryAdmission::Only(names)) => Some(names),
-        Some(DiscoveryAdmission::AnyNode) | None => None,
-    };
-    names.into_iter().flatten()
 }
 
 /// The setup of the directory for a node without a network.

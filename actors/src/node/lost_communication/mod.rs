@@ -15,7 +15,7 @@ pub use policy::{LostCommunicationPolicy, Rung};
 
 use super::Node;
 use super::conditions::NodeSlot;
-use super::error::StartError;
+use super::error::{PolicyPart, StartError};
 use crate::actuator::{ActuatorKey, ActuatorTable};
 use crate::component::environment::ComponentEnvironment;
 use crate::platform;
@@ -180,25 +180,24 @@ impl LostCommunicationPolicy {
         &self,
         before: &[LostCommunicationPolicy],
         node: &NodeName,
-        actuators: &ActuatorTable,
+        environment: &ComponentEnvironment,
     ) -> Vec<StartError> {
         let beside = before.iter().filter_map(|other| self.check_beside(other).err());
-        let whole = beside.chain(self.check(node).err()).map(|reason| self.refused(None, reason));
-        let rungs = (0..self.rungs.len()).filter_map(|place| {
-            let reason = self.check_rung(place, actuators).err()?;
-            Some(self.refused(Some(place), reason))
-        });
-        whole.chain(self.commander_node().err()).chain(rungs).collect()
+        let whole = beside.chain(self.check(node, environment).err());
+        let actuators = environment.actuators();
+        let rungs = (0..self.rungs.len()).flat_map(|place| self.check_rung(place, actuators));
+        whole.chain(rungs).map(|(part, reason)| self.refused(part, reason)).collect()
     }
 
-    pub(super) fn refused(&self, rung: Option<usize>, reason: String) -> StartError {
-        StartError::LostCommunication { policy: self.name.clone(), rung, reason }
+    pub(super) fn refused(&self, part: PolicyPart, reason: String) -> StartError {
+        StartError::LostCommunication { policy: self.name.clone(), part, reason }
     }
 
     /// The node whose commanders are lost.
     pub(super) fn commander_node(&self) -> Result<Option<NodeName>, StartError> {
         let node = self.commander.as_deref().map(NodeName::new).transpose();
-        node.map_err(|error| self.refused(None, format!("its commander: {error}")))
+        let reason = |error| format!("its commander: {error}");
+        node.map_err(|error| self.refused(PolicyPart::Commander, reason(error)))
     }
 
     /// Follows the condition from now on. Components of rungs are added and removed on `arbiter`,
@@ -211,9 +210,10 @@ impl LostCommunicationPolicy {
     ) -> Result<Arc<KeptPolicy>, StartError> {
         let conditions = environment.conditions();
         let condition = conditions.declare(&self.name, &self.needs, platform::now(), None);
-        let condition = condition.map_err(|error| self.refused(None, error.to_string()))?;
+        let condition =
+            condition.map_err(|error| self.refused(PolicyPart::Whole, error.to_string()))?;
         let object = ObjectName::new(&format!("conditions/{}", self.name));
-        let object = object.map_err(|error| self.refused(None, error.to_string()))?;
+        let object = object.map_err(|error| self.refused(PolicyPart::Whole, error.to_string()))?;
         let commander = self.commander_node()?;
         let times = self.rungs.iter().map(|(after, _)| *after).collect();
         let (slot, ladder) = (NodeSlot::default(), watch::Sender::new(None));

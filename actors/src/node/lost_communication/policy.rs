@@ -1,11 +1,13 @@
 //! The description of a policy for lost communication.
 
-use crate::actuator::table::{DeclaredActuator, FieldTexts};
+use crate::actuator::table::{DeclaredActuator, FieldError, FieldTexts};
 use crate::actuator::{ActuatorKey, ActuatorTable, encoded};
 use crate::component::Component;
-use crate::condition::{Connected, object_of};
+use crate::component::environment::ComponentEnvironment;
+use crate::condition::{ConditionError, Connected};
 use crate::host::spec::ChildSpec;
 use crate::node::conditions::{NodeSlot, keep_while};
+use crate::node::error::PolicyPart;
 use crate::settings::LAST_RUNG_AFTER;
 use blastema_core::connection::LostCommunicationEnd;
 use blastema_core::sorted::SortedSet;
@@ -75,6 +77,9 @@ pub struct LostCommunicationPolicy {
     pub(super) end: LostCommunicationEnd,
 }
 
+/// Why a policy cannot work: the part that is wrong, and what to write.
+pub(super) type WrongPart = (PolicyPart, String);
+
 /// One step of the ladder: commands to actuators, or a component that runs, or both.
 pub struct Rung {
     pub(super) name: String,
@@ -86,7 +91,7 @@ pub struct Rung {
 }
 
 /// Makes the command for an actuator, encoded.
-type MakeCommand = Box<dyn Fn(&DeclaredActuator) -> Result<Bytes, String> + Send>;
+type MakeCommand = Box<dyn Fn(&DeclaredActuator) -> Result<Bytes, Vec<FieldError>> + Send>;
 
 pub(super) struct RungCommand {
     actuator: String,
@@ -103,7 +108,7 @@ impl RungCommand {
     pub(super) fn resolved(
         &self,
         table: &ActuatorTable,
-    ) -> Option<(ActuatorKey, Result<Bytes, String>)> {
+    ) -> Option<(ActuatorKey, Result<Bytes, Vec<FieldError>>)> {
         table.command_for(self.key(), &self.command)
     }
 }
@@ -167,42 +172,55 @@ impl LostCommunicationPolicy {
     }
 
     /// Finds what cannot work before anything starts, beside its rungs.
-    pub(super) fn check(&self, node: &NodeName) -> Result<(), String> {
+    pub(super) fn check(
+        &self,
+        node: &NodeName,
+        environment: &ComponentEnvironment,
+    ) -> Result<(), WrongPart> {
         if self.commander.as_deref() == Some(node.as_str()) {
-            return Err(format!("its commander {node} is this node: name the one that is lost"));
+            let reason = format!("its commander {node} is this node: name the one that is lost");
+            return Err((PolicyPart::Commander, reason));
         }
         if self.rungs.is_empty() {
-            return Err("it has no rungs: add one by `after`".to_owned());
+            return Err((PolicyPart::Whole, "it has no rungs: add one by `after`".to_owned()));
         }
         if self.needs.has_commander() {
-            return Err("its condition needs a commander, whose claims are refused until the \
-                        ladder ends: let it need a heartbeat, a session or a node"
-                .to_owned());
+            let reason = "its condition needs a commander, whose claims are refused until the \
+                          ladder ends: let it need a heartbeat, a session or a node";
+            return Err((PolicyPart::Whole, reason.to_owned()));
         }
-        object_of(&self.name).map_err(|error| error.to_string())?;
-        self.needs.check(&self.name).map_err(|error| error.to_string())
+        self.needs.check(&self.name, environment).map_err(|error| match error {
+            ConditionError::Refused { place: Some((place, setting)), reason, .. } => {
+                (PolicyPart::Need(place, setting), reason)
+            }
+            ConditionError::Refused { reason, .. } => (PolicyPart::AtLeast, reason),
+            error => (PolicyPart::Whole, error.to_string()),
+        })
     }
 
     /// Finds what cannot work of the rung at this place.
-    pub(super) fn check_rung(&self, place: usize, table: &ActuatorTable) -> Result<(), String> {
+    pub(super) fn check_rung(&self, place: usize, table: &ActuatorTable) -> Vec<WrongPart> {
         let (after, rung) = &self.rungs[place];
         if place > 0 && self.rungs[place - 1].0 >= *after {
-            return Err("its rungs do not rise in time: write the earlier ones first".to_owned());
+            let reason = "its rungs do not rise in time: write the earlier ones first";
+            return vec![(PolicyPart::RungTime(place), reason.to_owned())];
         }
-        LAST_RUNG_AFTER
-            .check(*after)
-            .map_err(|error| format!("{} {}: {}", error.setting, error.value, error.cure))?;
+        if let Err(error) = LAST_RUNG_AFTER.check(*after) {
+            let reason = format!("{} {}: {}", error.setting, error.value, error.cure);
+            return vec![(PolicyPart::RungTime(place), reason)];
+        }
         if place + 1 == self.rungs.len() && rung.component.is_some() {
-            return Err(format!(
+            let reason = format!(
                 "its last rung, {}, runs a component, which may die: let the last one be a command",
                 rung.name
-            ));
+            );
+            return vec![(PolicyPart::Rung(place), reason)];
         }
-        rung.check(table)
+        rung.check(place, table)
     }
 
     /// Finds what two policies of one node would fight for.
-    pub(super) fn check_beside(&self, other: &LostCommunicationPolicy) -> Result<(), String> {
+    pub(super) fn check_beside(&self, other: &LostCommunicationPolicy) -> Result<(), WrongPart> {
         let [own, others] = [self, other].map(LostCommunicationPolicy::actuators);
         let shared = own.into_iter().find(|key| others.contains(key));
         let mut components = self.components();
@@ -217,10 +235,11 @@ impl LostCommunicationPolicy {
             },
         };
         let other = &other.name;
-        Err(format!(
+        let reason = format!(
             "it has {what} in common with the policy {other}: make one policy of both, whose \
              condition needs all that theirs do"
-        ))
+        );
+        Err((PolicyPart::Whole, reason))
     }
 }
 
@@ -240,8 +259,12 @@ impl Rung {
     /// Commands one more actuator.
     #[must_use]
     pub fn and_command<M: Contract + Clone>(mut self, actuator: &str, command: M) -> Self {
-        let command = encoded(&command).map(Bytes::from).map_err(|why| why.to_string());
-        let (actuator, command) = (actuator.to_owned(), Box::new(move |_: &_| command.clone()));
+        let command = encoded(&command).map(Bytes::from);
+        let command = Box::new(move |_: &_| {
+            let refused = |why| vec![FieldError { field: None, why: format!("{why}") }];
+            command.clone().map_err(refused)
+        });
+        let actuator = actuator.to_owned();
         self.commands.push(RungCommand { actuator, contract: M::NAME.into(), command });
         self
     }
@@ -252,9 +275,7 @@ impl Rung {
     pub fn and_fields(mut self, actuator: &str, contract: &str, fields: &FieldTexts) -> Self {
         let (actuator, contract) = (actuator.to_owned(), contract.to_owned().into());
         let fields = fields.to_vec();
-        let command = Box::new(move |of: &DeclaredActuator| {
-            (of.with_fields)(&of.safe, &fields).map_err(|why| why.join("; "))
-        });
+        let command = Box::new(move |of: &DeclaredActuator| (of.with_fields)(&of.safe, &fields));
         self.commands.push(RungCommand { actuator, contract, command });
         self
     }
@@ -271,32 +292,38 @@ impl Rung {
         Rung { name: name.to_owned(), commands: Vec::new(), component, run: Some(run) }
     }
 
-    fn check(&self, table: &ActuatorTable) -> Result<(), String> {
-        let (rung, mut seen) = (&self.name, SortedSet::new());
+    /// Finds what cannot work of it at this place.
+    fn check(&self, place: usize, table: &ActuatorTable) -> Vec<WrongPart> {
+        let (rung, mut seen, mut wrong) = (&self.name, SortedSet::new(), Vec::new());
         if self.commands.is_empty() && self.component.is_none() {
-            return Err(format!("the rung {rung} does nothing: give it a command"));
+            let reason = format!("the rung {rung} does nothing: give it a command");
+            return vec![(PolicyPart::Rung(place), reason)];
         }
-        for command in &self.commands {
+        for (at, command) in self.commands.iter().enumerate() {
+            let part = |field| PolicyPart::Command { rung: place, command: at, field };
             let RungCommand { actuator, contract, .. } = command;
             let Some((key, encoded)) = command.resolved(table) else {
                 let rows = table.rows();
                 let known = rows.iter().filter(|row| row.contract == *contract);
                 let hint = nearest(actuator, known.map(|row| row.object.as_str()));
                 let hint = hint.map(|near| format!("; did you mean {near}?")).unwrap_or_default();
-                return Err(format!(
+                let reason = format!(
                     "the rung {rung} commands {actuator} by `{contract}`, and the node has no \
                      such actuator: name one of its own{hint}"
-                ));
+                );
+                wrong.push((part(None), reason));
+                continue;
             };
-            if let Err(why) = encoded {
-                return Err(format!("the command of the rung {rung} to {actuator}: {why}"));
+            for FieldError { field, why } in encoded.err().into_iter().flatten() {
+                let reason = format!("the command of the rung {rung} to {actuator}: {why}");
+                wrong.push((part(field), reason));
             }
             if !seen.insert(key) {
-                return Err(format!(
-                    "the rung {rung} has two commands for {actuator}: leave one out"
-                ));
+                let reason =
+                    format!("the rung {rung} has two commands for {actuator}: leave one out");
+                wrong.push((part(None), reason));
             }
         }
-        Ok(())
+        wrong
     }
 }

@@ -33,7 +33,7 @@ impl Network {
         if let Some((interface, bind)) = self.medium.socket() {
             let endpoint = format!("udp://{group}").parse();
             if let Endpoint::Udp(mut socket) =
-                endpoint.map_err(|error| self.endpoint_error(error))?
+                endpoint.map_err(|error| self.endpoint_error(None, error))?
                 && let Some(group) = socket.group
             {
                 socket.bind = SocketAddr::new(bind.ip(), 0);

@@ -1,6 +1,6 @@
 //! What can be known to be wrong with a network before anything is started.
 
-use super::{Link, Medium, Network, Remote};
+use super::{Admitted, Link, Medium, Network, Remote};
 use crate::net::Interface;
 use crate::net::keys::NodeKeys;
 use crate::node::error::StartError;
@@ -18,17 +18,20 @@ pub(in crate::node) fn check_networks(
     networks: &[Network],
     node: &NodeName,
     keys: Option<&NodeKeys>,
-) -> Result<(), StartError> {
-    let mut names = SortedSet::new();
+) -> Result<(), Vec<StartError>> {
+    let (mut names, mut refused) = (SortedSet::new(), Vec::new());
     for network in networks {
         if !names.insert(network.name()) {
             let text = format!(
                 "two networks are called {}: give one of them another name",
                 network.name()
             );
-            return Err(StartError::Network(text));
+            refused.push(StartError::Network(text));
         }
-        network.check(node, keys)?;
+        refused.extend(network.check(node, keys).err());
+    }
+    if !refused.is_empty() {
+        return Err(refused);
     }
     let neighbours: SortedSet<_> = networks.iter().flat_map(Network::neighbours).collect();
     if neighbours.len() > NEIGHBOURS_MAX {
@@ -37,7 +40,7 @@ pub(in crate::node) fn check_networks(
              leave out those that are reached over another one",
             neighbours.len()
         );
-        return Err(StartError::Network(text));
+        return Err(StartError::Network(text).into());
     }
     let mut links = SortedMap::new();
     for network in networks {
@@ -49,7 +52,7 @@ pub(in crate::node) fn check_networks(
                      name, by Link::named",
                     network.name()
                 );
-                return Err(StartError::Network(text));
+                return Err(StartError::Network(text).into());
             }
         }
     }
@@ -64,6 +67,16 @@ impl Network {
     /// Whom its links lead to.
     pub(in crate::node) fn neighbours(&self) -> impl Iterator<Item = &str> {
         self.links.iter().map(|link| link.neighbour.as_str())
+    }
+
+    /// The nodes that it names: its neighbours, and those that are discovered.
+    pub(in crate::node) fn named_nodes(&self) -> impl Iterator<Item = &str> + Clone {
+        let admitted = match &self.admission {
+            Some(Admitted::Only(nodes)) => nodes.as_slice(),
+            Some(Admitted::AnyNode) | None => &[],
+        };
+        let neighbours = self.links.iter().map(|link| link.neighbour.as_str());
+        neighbours.chain(admitted.iter().map(String::as_str))
     }
 
     /// What people call its links.
@@ -87,15 +100,23 @@ impl Network {
         keys: Option<&NodeKeys>,
     ) -> Result<(), StartError> {
         let wrong = |what| Err(StartError::Network(format!("network {}: {what}", self.name)));
+        if let Medium::Unreadable(error) = &self.medium {
+            return Err(self.endpoint_error(None, error.clone()));
+        }
         if let Some(what) = self.own_fault() {
             return wrong(what);
         }
         for link in &self.links {
+            self.check_settings(link)?;
             let what = self.link_fault(link, node).or_else(|| self.remote_fault(link));
             if let Some(what) = what {
                 return wrong(what);
             }
         }
+        self.object("transport")?;
+        self.link_specs()?;
+        self.beacon_socket()?;
+        self.admission()?;
         if let Some(keys) = keys.filter(|_| self.leaves_process()) {
             self.check_sealed(keys)?;
         }
@@ -155,35 +176,39 @@ impl Network {
         let bound_to = self.medium.socket().and_then(|(named, _)| named);
         let other = bound_to.filter(|bound_to| *bound_to != name)?;
         Some(format!(
-            "its endpoint says interface={other}, and interface() says {name}: say one of them only"
+            "its endpoint says interface={other}, and its interface is {name}: say one of them only"
         ))
     }
 
     fn link_fault(&self, link: &Link, node: &NodeName) -> Option<String> {
-        let Link { name, neighbour, cost, hello_interval, expected_within, .. } = link;
+        let Link { name, neighbour, .. } = link;
         if neighbour == node.as_str() {
             return Some(format!(
                 "{neighbour} is this node itself, and no neighbour: write the neighbour's name, or \
                  leave the link out"
             ));
         }
-        if name.as_ref().is_some_and(String::is_empty) {
-            return Some(format!("the link to {neighbour} has an empty name: leave named() out"));
-        }
+        let is_empty = name.as_ref().is_some_and(String::is_empty);
+        is_empty.then(|| format!("the link to {neighbour} has an empty name: leave named() out"))
+    }
+
+    fn check_settings(&self, link: &Link) -> Result<(), StartError> {
+        let Link { neighbour, cost, hello_interval, expected_within, .. } = link;
+        let refused = |SettingError { setting, value, cure }| {
+            let (network, neighbour) = (self.name.clone(), neighbour.clone());
+            Err(StartError::Link { network, neighbour, setting, value, cure })
+        };
         // Over a link that costs nothing, two nodes may each take the other for the shorter way.
         if *cost == Some(0) {
-            return Some(format!("the link to {neighbour} costs 0: a link costs 1 at least"));
+            let (value, cure) = ("0".to_owned(), "a link costs 1 at least");
+            return refused(SettingError { setting: "cost", value, cure });
         }
-        let refused = |SettingError { setting, value, cure }| {
-            format!("{setting} of the link to {neighbour} is {value}: {cure}")
-        };
-        if let Err(error) = HELLO_INTERVAL.check(*hello_interval) {
-            return Some(refused(error));
-        }
-        (expected_within < hello_interval).then(|| {
+        HELLO_INTERVAL.check(*hello_interval).or_else(refused)?;
+        if expected_within < hello_interval {
             let value = format!("{expected_within:?}, less than its {hello_interval:?}");
-            refused(EXPECTED_WITHIN.refuse(value, EXPECTED_WITHIN.cure))
-        })
+            return refused(EXPECTED_WITHIN.refuse(value, EXPECTED_WITHIN.cure));
+        }
+        Ok(())
     }
 
     /// Why the neighbour cannot be where the link leads.

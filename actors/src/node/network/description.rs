@@ -3,6 +3,7 @@
 use super::Network;
 use super::checks::check_networks;
 use super::file::NetworkFile;
+use super::services::{check_service, check_service_order};
 use crate::net::keys::NodeKeys;
 use crate::node::error::StartError;
 use crate::platform;
@@ -11,11 +12,13 @@ use crate::settings::network::SESSION_TIMEOUT;
 use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::net::trust::policy::Role;
 use blastema_core::sorted::SortedSet;
+use blastema_core::suggestion::nearest;
 use blastema_core::{Incarnation, NodeName};
 use std::env;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
+use tracing::warn;
 
 /// The networks of a node, and what it does by way of them.
 pub(in crate::node) struct NetworkDescription {
@@ -49,12 +52,52 @@ impl Default for NetworkDescription {
 
 impl NetworkDescription {
     /// Reads the keys, and finds what can be known to be wrong before anything is started.
-    pub(in crate::node) fn check(&mut self, node: &NodeName) -> Result<(), StartError> {
-        SESSION_TIMEOUT.check(self.session_timeout)?;
+    pub(in crate::node) fn check(&mut self, node: &NodeName) -> Result<(), Vec<StartError>> {
+        SESSION_TIMEOUT.check(self.session_timeout).map_err(StartError::from)?;
         self.read_file()?;
         self.read_keys(node)?;
         self.judges()?;
+        let services = self.services.iter().map(|service| service.as_ref().map_err(Clone::clone));
+        let services: Result<Vec<&Carried>, _> = services.collect();
+        let services = services.map_err(StartError::from)?;
+        services.iter().try_for_each(|service| check_service(service))?;
+        check_service_order(&services)?;
         check_networks(&self.networks, node, self.keys.as_deref())
+    }
+
+    /// The other nodes that it names.
+    pub(in crate::node) fn named_nodes(&self) -> SortedSet<NodeName> {
+        let names = self.networks.iter().flat_map(Network::named_nodes);
+        let services = self.services.iter().flatten();
+        let members = services.flat_map(|service| service.config.members.iter().cloned());
+        let wardens = match self.judges() {
+            Ok(IsolationAuthority::Named(wardens)) => wardens,
+            _ => SortedSet::new(),
+        };
+        let known = names.filter_map(|name| NodeName::new(name).ok());
+        known.chain(members).chain(wardens).collect()
+    }
+
+    /// Finds a commander that is no node of the robot. Without keys only the nodes that are
+    /// described are known, and others may be further away.
+    pub(in crate::node) fn check_commander(&self, node: &NodeName) -> Result<(), String> {
+        if self.networks.is_empty() {
+            return Err(format!(
+                "its commander {node} cannot reach this node, which has no networks: add one"
+            ));
+        }
+        let listed = self.keys.as_ref().map(|keys| keys.listed());
+        let (has_roster, known) = (listed.is_some(), listed.unwrap_or_else(|| self.named_nodes()));
+        if known.contains(node) {
+            return Ok(());
+        }
+        let near = nearest(node.as_str(), known.iter().map(NodeName::as_str));
+        let hint = near.map(|near| format!(": did you mean {near}?")).unwrap_or_default();
+        if has_roster {
+            return Err(format!("its commander {node} is not in the roster{hint}"));
+        }
+        warn!(%node, "the commander of a policy is no neighbour of this node{hint}");
+        Ok(())
     }
 
     /// The incarnation of the node that starts now.

@@ -33,7 +33,7 @@ impl Network {
     /// How far its frames travel, beacons included.
     fn reach(&self) -> Reach {
         let reach = self.medium.reach();
-        // A group that cannot be read is refused when the network is started.
+        // A group that cannot be read is refused by the check of the network.
         let beacons = self.beacon_socket().ok().flatten();
         beacons.map_or(reach, |beacons| reach.max(beacons.reach()))
     }

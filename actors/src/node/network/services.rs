@@ -62,7 +62,7 @@ pub(in crate::node) fn check_service(carried: &Carried) -> Result<(), StartError
 
 /// Of services that wait for each other, none would ever serve. What the services of other nodes
 /// wait for is not known here.
-pub(in crate::node) fn check_service_order(carried: &[Carried]) -> Result<(), StartError> {
+pub(in crate::node) fn check_service_order(carried: &[&Carried]) -> Result<(), StartError> {
     let needs = carried.iter();
     let needs = needs.map(|service| (&service.name, service.depends_on.iter().collect()));
     let Some(way) = circle(&needs.collect()) else { return Ok(()) };

@@ -29,13 +29,16 @@ pub(in crate::node) struct StartedNetwork {
     pub(in crate::node) transports: Vec<ObjectName>,
 }
 
+/// What the check of the networks does with an endpoint that does not parse.
+const REFUSED: &str = "a wrong endpoint is refused before the start";
+
 impl Medium {
     /// The address of a neighbour as this medium has it.
     fn remote(&self, remote: &Remote) -> Result<MediumAddress, EndpointError> {
         match (remote, self) {
             (Remote::At(address), _) => Ok(address.clone()),
             (Remote::Written(text), Medium::At(endpoint)) => endpoint.peer(text),
-            (Remote::Written(_), Medium::Unreadable(error)) => Err(error.clone()),
+            (Remote::Written(_), Medium::Unreadable(error)) => unreachable!("{REFUSED}: {error}"),
             (Remote::Written(text), Medium::Memory(_)) => {
                 Ok(MediumAddress::Memory(text.as_str().into()))
             }
@@ -154,9 +157,7 @@ impl Medium {
                 let make = move |_: &mut Context<FrameTransport>| make();
                 Transport::from(guardian.start(object, arbiter, make))
             }
-            Medium::Unreadable(error) => {
-                return Err(StartError::Endpoint { network: network.to_owned(), error });
-            }
+            Medium::Unreadable(error) => unreachable!("{REFUSED}: {error}"),
         })
     }
 }
@@ -169,11 +170,8 @@ impl Network {
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<StartedNetwork, StartError> {
-        let named = |kind: &str| {
-            let object = ObjectName::new(&format!("{kind}/{}", self.name));
-            object.map_err(StartError::name_of(format!("the name of network {:?}", self.name)))
-        };
-        let (object, sender, cable) = (named("transport")?, named("beacons")?, named("cable")?);
+        let [object, sender, cable] = ["transport", "beacons", "cable"].map(|of| self.object(of));
+        let (object, sender, cable) = (object?, sender?, cable?);
         let seal = self.seal_terms().filter(|_| has_keys);
         let links = self.link_specs()?;
         let beacons = self.beacon_socket()?;
@@ -213,14 +211,20 @@ impl Network {
         Ok(StartedNetwork { spec, cable, transports })
     }
 
-    fn link_specs(&self) -> Result<Vec<LinkSpec>, StartError> {
+    /// The name of an object of this network.
+    pub(super) fn object(&self, kind: &str) -> Result<ObjectName, StartError> {
+        let object = ObjectName::new(&format!("{kind}/{}", self.name));
+        object.map_err(StartError::name_of(format!("the name of network {:?}", self.name)))
+    }
+
+    pub(super) fn link_specs(&self) -> Result<Vec<LinkSpec>, StartError> {
         let spec = |link: &Link| {
             let of = format!("the name of a neighbour on network {}", self.name);
             let neighbour = NodeName::new(&link.neighbour).map_err(StartError::name_of(of))?;
             let remote = self.medium.remote(&link.remote);
             Ok(LinkSpec {
                 name: self.link_name(link).into(),
-                remote: remote.map_err(|error| self.endpoint_error(error))?,
+                remote: remote.map_err(|error| self.endpoint_error(Some(&neighbour), error))?,
                 neighbour: Some(neighbour),
                 cost: link.cost,
                 hello_interval: link.hello_interval,
@@ -230,11 +234,18 @@ impl Network {
         self.links.iter().map(spec).collect()
     }
 
-    pub(super) fn endpoint_error(&self, error: EndpointError) -> StartError {
-        StartError::Endpoint { network: self.name.clone(), error }
+    /// An address is wrong: our own, or that of a neighbour.
+    pub(super) fn endpoint_error(
+        &self,
+        neighbour: Option<&NodeName>,
+        error: EndpointError,
+    ) -> StartError {
+        let neighbour = neighbour.cloned();
+        StartError::Endpoint { network: self.name.clone(), neighbour, error }
     }
 
-    fn admission(&self) -> Result<Option<DiscoveryAdmission>, StartError> {
+    /// Who is admitted, but for those that are described.
+    pub(super) fn admission(&self) -> Result<Option<DiscoveryAdmission>, StartError> {
         let name = &self.name;
         match &self.admission {
             None if self.beacons.is_some() => {

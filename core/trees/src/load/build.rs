@@ -319,6 +319,9 @@ impl<'a> Builder<'a> {
             self.sources.no_value(place, text, port.kind.name());
             return PortBinding::Missing;
         };
+        if let Some(kind) = port.refuses(&value) {
+            self.sources.no_value(place, text, kind);
+        }
         PortBinding::Literal(value)
     }
 

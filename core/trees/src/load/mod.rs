@@ -6,6 +6,7 @@ mod problem;
 mod source;
 
 pub use problem::{Problem, TreeError, TreeErrors};
+pub use source::byte_at;
 
 use crate::factory::Factory;
 use crate::model::{BUILTINS, Kind, Port};

@@ -89,7 +89,8 @@ impl Sources {
         let document = match roxmltree::Document::parse(&text) {
             Ok(document) => document,
             Err(error) => {
-                let at = offset(&text, error.pos());
+                let roxmltree::TextPos { row, col } = error.pos();
+                let at = byte_at(&text, row as usize, col as usize);
                 return self.error(Place { file, at }, Problem::Xml(error.to_string()));
             }
         };
@@ -241,11 +242,12 @@ impl Sources {
     }
 }
 
-/// The byte at a line and column, which count from 1.
-fn offset(text: &str, position: roxmltree::TextPos) -> usize {
-    let line = text.split_inclusive('\n').take(position.row as usize - 1).map(str::len).sum();
-    let rest: &str = &text[line..];
-    line + rest.chars().take(position.col as usize - 1).map(char::len_utf8).sum::<usize>()
+/// Returns the byte of a text at a line and a column, which count from 1, as [`TreeError`] has
+/// them; the end where there is none.
+pub fn byte_at(text: &str, line: usize, column: usize) -> usize {
+    let start: usize = text.split_inclusive('\n').take(line - 1).map(str::len).sum();
+    let before = text[start..].chars().take(column - 1);
+    start + before.map(char::len_utf8).sum::<usize>()
 }
 
 /// The path without `.` and `..`, so that one file has one name.

@@ -224,13 +224,20 @@ impl LeafContext<'_> {
     ///
     /// # Errors
     ///
-    /// It is not written yet, or does not convert.
+    /// It is not written yet, does not convert, or is none of the [right](Port::only) values.
     pub fn optional_input<T: PortValue>(&self, port: &str) -> Result<Option<T>, PortError> {
-        let bound = self.bound(port)?;
+        let (port, bound) = self.bound(port)?;
         if let PortBinding::Missing = bound.binding {
             return Ok(None);
         }
-        read(self.tree, bound).map(Some)
+        let value = value_of(self.tree, bound)?;
+        match port.refuses(value) {
+            Some(kind) => {
+                let (port, value) = (port.name.to_owned(), value.to_string());
+                Err(PortError::Type { port, value, kind })
+            }
+            None => converted(bound, value).map(Some),
+        }
     }
 
     /// Writes a port; nothing is written where the tree does not connect it.
@@ -239,7 +246,7 @@ impl LeafContext<'_> {
     ///
     /// The entry keeps another type.
     pub fn output<T: PortValue>(&mut self, port: &str, value: T) -> Result<(), PortError> {
-        let PortBinding::Key(key) = self.bound(port)?.binding else { return Ok(()) };
+        let PortBinding::Key(key) = self.bound(port)?.1.binding else { return Ok(()) };
         self.tree.board.set(key, value).map_err(|kind| PortError::Type {
             port: port.into(),
             value: T::TYPE.name().into(),
@@ -247,27 +254,34 @@ impl LeafContext<'_> {
         })
     }
 
-    fn bound(&self, port: &str) -> Result<&BoundPort, PortError> {
-        let count = self.tree.leaf(self.run.node).model.ports.len();
-        let ports = (0..count).map(|index| self.tree.bound(self.run.node, index));
-        let found = ports.into_iter().find(|bound| bound.name == port);
-        found.ok_or_else(|| PortError::Undeclared(port.into()))
+    fn bound(&self, port: &str) -> Result<(&Port, &BoundPort), PortError> {
+        let mut ports = self.tree.leaf(self.run.node).model.ports.iter().enumerate();
+        let found = ports.find(|(_, known)| known.name == port);
+        let bound = found.map(|(index, known)| (known, self.tree.bound(self.run.node, index)));
+        bound.ok_or_else(|| PortError::Undeclared(port.into()))
     }
 }
 
 /// The value that a port reads.
 pub(super) fn read<T: PortValue>(tree: &Tree, bound: &BoundPort) -> Result<T, PortError> {
+    converted(bound, value_of(tree, bound)?)
+}
+
+fn value_of<'t>(tree: &'t Tree, bound: &'t BoundPort) -> Result<&'t Value, PortError> {
     let port = || bound.name.to_owned();
-    let value = match &bound.binding {
-        PortBinding::Missing | PortBinding::Entry(_) => return Err(PortError::Missing(port())),
-        PortBinding::Literal(value) => value,
+    match &bound.binding {
+        PortBinding::Missing | PortBinding::Entry(_) => Err(PortError::Missing(port())),
+        PortBinding::Literal(value) => Ok(value),
         PortBinding::Key(key) => tree.board.value(*key).ok_or_else(|| {
             let key = tree.board.name(*key).to_string();
             PortError::Unset { port: port(), key }
-        })?,
-    };
+        }),
+    }
+}
+
+fn converted<T: PortValue>(bound: &BoundPort, value: &Value) -> Result<T, PortError> {
     T::from_value(value).ok_or_else(|| {
-        let (value, kind) = (value.to_string(), T::TYPE.name());
-        PortError::Type { port: port(), value, kind }
+        let (port, value, kind) = (bound.name.to_owned(), value.to_string(), T::TYPE.name());
+        PortError::Type { port, value, kind }
     })
 }
