@@ -117,14 +117,8 @@ impl Condition {
 
     /// How the condition is. It is lost once the node has ended.
     pub fn state(&self) -> ConditionState {
-        match self.has_ended() {
-            true => ConditionState::Lost,
-            false => self.status.borrow().state,
-        }
-    }
-
-    fn has_ended(&self) -> bool {
-        self.status.has_changed().is_err()
+        let known = self.status.has_changed().map(|_| self.status.borrow().state);
+        known.unwrap_or(ConditionState::Lost)
     }
 
     /// Whether what the condition needs is there, also beyond its limits.

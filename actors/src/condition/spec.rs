@@ -280,7 +280,9 @@ impl Connected {
     /// Sets which share of the messages may be lost, from 0.0 to 1.0, likewise.
     #[must_use]
     pub fn max_loss(self, limit: f64) -> Self {
-        let permille = (limit.clamp(0.0, 1.0) * 1000.0).round() as u16;
+        let is_share = (0.0..=1.0).contains(&limit);
+        // What is no share is refused where the condition is declared.
+        let permille = if is_share { (limit * 1000.0).round() as u16 } else { u16::MAX };
         self.each(|spec| spec.limits.loss_permille = Some(permille))
     }
 

@@ -10,7 +10,7 @@ use crate::component::extension::Extension;
 use crate::runtime::guardian::Guardian;
 use crate::runtime::reports::FaultReports;
 use crate::runtime::timekeeper::Timekeeper;
-use crate::settings::{CONDITION_TIMEOUT, CONDITION_WINDOW, SettingError};
+use crate::settings::{CONDITION_TIMEOUT, CONDITION_WINDOW};
 use actix::prelude::{ArbiterHandle, Recipient};
 use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
 use blastema_core::connection::{Combination, ConditionState, ConnectionJudge, Presence};
@@ -321,9 +321,13 @@ fn check(spec: &ChannelSpec, channel: &ConnectedChannel) -> Result<(), String> {
     if let Some(figure) = spec.unmeasured(channel) {
         return Err(format!("the {figure} of {channel} is not measured: {CURE}"));
     }
-    spec.timeout.map_or(Ok(()), |timeout| CONDITION_TIMEOUT.check(timeout)).map_err(text_of)?;
+    let timeout = spec.timeout.map_or(Ok(()), |timeout| CONDITION_TIMEOUT.check(timeout));
+    timeout.map_err(|error| error.to_string())?;
+    if spec.limits.loss_permille.is_some_and(|permille| permille > 1000) {
+        return Err("the share of lost messages makes no sense: write 0.0 to 1.0".to_owned());
+    }
     for (hz, window) in spec.rate.into_iter().chain(spec.limits.rate) {
-        CONDITION_WINDOW.check(window).map_err(text_of)?;
+        CONDITION_WINDOW.check(window).map_err(|error| error.to_string())?;
         if !(hz.is_finite() && hz > 0.0 && hz * window.as_secs_f64() >= 1.0) {
             return Err(format!(
                 "{hz} messages a second in {window:?} are less than one: write a greater rate or a \
@@ -332,10 +336,6 @@ fn check(spec: &ChannelSpec, channel: &ConnectedChannel) -> Result<(), String> {
         }
     }
     Ok(())
-}
-
-fn text_of(SettingError { setting, value, cure }: SettingError) -> String {
-    format!("{setting} {value} makes no sense: {cure}")
 }
 
 /// What to write where a figure is not measured.

@@ -7,7 +7,6 @@ use crate::condition::heartbeat;
 use crate::condition::{Condition, ConditionError, ConditionStatus, Connected, Heartbeat};
 use crate::host::spec::ChildSpec;
 use crate::platform;
-use crate::settings::HEARTBEAT_INTERVAL;
 use blastema_core::DeliveryError;
 use blastema_core::connection::ConditionState;
 use std::sync::{Arc, OnceLock, Weak};
@@ -53,11 +52,8 @@ impl Node {
     /// range.
     #[track_caller]
     pub fn heartbeat(&self, topic: &str, interval: Duration) -> Result<Heartbeats, DeliveryError> {
-        HEARTBEAT_INTERVAL.check(interval).map_err(|error| DeliveryError::CheckFailed {
-            reason: format!("{} {}: {}", error.setting, error.value, error.cure),
-        })?;
         let publisher = self.publisher::<Heartbeat>(topic)?;
-        Ok(Heartbeats(actix_rt::spawn(heartbeat::publish(publisher, interval))))
+        Ok(Heartbeats(actix_rt::spawn(heartbeat::publish(publisher, interval)?)))
     }
 
     /// Runs a component under the root supervisor only while the condition is
