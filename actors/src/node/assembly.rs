@@ -411,10 +411,9 @@ impl NodeAssembly {
         &self,
         policies: &[LostCommunicationPolicy],
     ) -> impl Iterator<Item = StartError> {
-        let actuators = self.environment.actuators();
         let policies =
             policies.iter().enumerate().map(|(place, policy)| (policy, &policies[..place]));
-        policies.flat_map(|(policy, before)| policy.wrong(before, &self.node, actuators))
+        policies.flat_map(|(policy, before)| policy.wrong(before, &self.node, &self.environment))
     }
 
     /// Finds a commander that cannot be: it is of this robot where that has keys.

@@ -3,6 +3,7 @@
 use crate::actuator::table::{DeclaredActuator, FieldTexts};
 use crate::actuator::{ActuatorKey, ActuatorTable, encoded};
 use crate::component::Component;
+use crate::component::environment::ComponentEnvironment;
 use crate::condition::{Connected, object_of};
 use crate::host::spec::ChildSpec;
 use crate::node::conditions::{NodeSlot, keep_while};
@@ -10,7 +11,7 @@ use crate::settings::LAST_RUNG_AFTER;
 use blastema_core::connection::LostCommunicationEnd;
 use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
-use blastema_core::{Contract, NodeName};
+use blastema_core::{Contract, NodeName, ObjectName};
 use bytes::Bytes;
 use std::borrow::Cow;
 use std::fmt;
@@ -184,21 +185,32 @@ impl LostCommunicationPolicy {
     }
 
     /// Finds what cannot work of the rung at this place.
-    pub(super) fn check_rung(&self, place: usize, table: &ActuatorTable) -> Result<(), String> {
+    pub(super) fn check_rung(
+        &self,
+        place: usize,
+        environment: &ComponentEnvironment,
+    ) -> Result<(), String> {
         let (after, rung) = &self.rungs[place];
         if place > 0 && self.rungs[place - 1].0 >= *after {
             return Err("its rungs do not rise in time: write the earlier ones first".to_owned());
         }
-        LAST_RUNG_AFTER
-            .check(*after)
-            .map_err(|error| format!("{} {}: {}", error.setting, error.value, error.cure))?;
+        LAST_RUNG_AFTER.check(*after).map_err(|error| error.to_string())?;
         if place + 1 == self.rungs.len() && rung.component.is_some() {
             return Err(format!(
                 "its last rung, {}, runs a component, which may die: let the last one be a command",
                 rung.name
             ));
         }
-        rung.check(table)
+        if let Some(name) = &rung.component {
+            let object = ObjectName::new(name).map_err(|error| error.to_string())?;
+            if let Some(kind) = environment.registry.kind_of(&object) {
+                let rung = &rung.name;
+                return Err(format!(
+                    "its rung {rung} runs {name}, and {kind} has that name: rename one"
+                ));
+            }
+        }
+        rung.check(environment.actuators())
     }
 
     /// Finds what two policies of one node would fight for.
