@@ -67,7 +67,7 @@ pub(super) fn register(factory: &mut Factory) {
         let node = Port::input::<String>("node").about("the name of another node");
         factory.condition("IsNodeConnected", [node, TIMEOUT], |cx| {
             let (node, timeout) = (cx.input::<String>("node")?, seconds(cx, "timeout_sec")?);
-            let name = format!("{node}/there-within-{}ms", timeout.as_millis());
+            let name = format!("{node}/there-within-{timeout:?}");
             let there = || Connected::node(&node).timeout(timeout);
             Ok(Status::from(TreeHost::condition(cx, 0, &name, there)?.is_connected()))
         });
@@ -105,7 +105,7 @@ pub(super) fn seconds(cx: &LeafContext<'_>, port: &str) -> Result<Duration, Leaf
 /// Heartbeats arrive within the leaf's timeout. What was never heard does not.
 fn heard(cx: &LeafContext<'_>, number: usize, topic: &str) -> LeafResult {
     let timeout = seconds(cx, "timeout_sec")?;
-    let name = format!("{topic}/heard-within-{}ms", timeout.as_millis());
+    let name = format!("{topic}/heard-within-{timeout:?}");
     let heard = || Connected::heartbeat(topic).timeout(timeout);
     Ok(Status::from(TreeHost::condition(cx, number, &name, heard)?.is_connected()))
 }
