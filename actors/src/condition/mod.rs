@@ -71,7 +71,8 @@ pub struct ConditionStatus {
 #[derive(Clone)]
 pub struct Condition {
     name: Arc<str>,
-    status: watch::Receiver<ConditionStatus>,
+    /// Until the node ends.
+    pub(crate) status: watch::Receiver<ConditionStatus>,
 }
 
 impl fmt::Debug for Condition {
@@ -158,11 +159,6 @@ impl Condition {
             // Its node has ended: it is never reached.
             std::future::pending::<()>().await;
         }
-    }
-
-    /// Where its status is followed, until the node ends.
-    pub(crate) fn watch(&self) -> watch::Receiver<ConditionStatus> {
-        self.status.clone()
     }
 
     /// Follows the changes of the condition, from now on.

@@ -280,9 +280,9 @@ impl Connected {
     /// Sets which share of the messages may be lost, from 0.0 to 1.0, likewise.
     #[must_use]
     pub fn max_loss(self, limit: f64) -> Self {
-        let is_share = (0.0..=1.0).contains(&limit);
+        let share = Some(limit).filter(|limit| (0.0..=1.0).contains(limit));
         // What is no share is refused where the condition is declared.
-        let permille = if is_share { (limit * 1000.0).round() as u16 } else { u16::MAX };
+        let permille = share.map_or(u16::MAX, |share| (share * 1000.0).round() as u16);
         self.each(|spec| spec.limits.loss_permille = Some(permille))
     }
 

@@ -73,7 +73,8 @@ impl Node {
         condition.acceptable().await;
         let name = self.add_child(spec()).await?.name().to_string();
         self.0.environment.registry.keep_connections(&name);
-        let (node, status) = (Arc::new(OnceLock::from(Arc::downgrade(&self.0))), condition.watch());
+        let (node, status) =
+            (Arc::new(OnceLock::from(Arc::downgrade(&self.0))), condition.status.clone());
         let holds = |status: &ConditionStatus| status.state == ConditionState::Connected;
         actix_rt::spawn(keep_while(node, status, holds, (Some(name), spec)));
         Ok(())

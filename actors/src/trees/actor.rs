@@ -193,7 +193,7 @@ impl BehaviorTree {
 
     /// Ticks the tree, again after each fault of a leaf, and starts what its leaves wait for.
     fn turn(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.shared.begin_turn();
+        self.shared.turn_asked.set(false);
         if !self.active {
             return Ok(());
         }
@@ -339,7 +339,8 @@ impl BehaviorTree {
             self.blame(node, &format!("halted, {why}"), cx);
         }
         self.drop_halted(cx);
-        shared.release();
+        // All leases are given back.
+        drop(shared.commanders.take());
     }
 
     fn drop_halted(&mut self, cx: &Context<Self>) {
@@ -407,7 +408,7 @@ impl BehaviorTree {
 
     /// Follows the record of faults, where a condition of the tree looks at it.
     fn follow_faults(&self, host: Arc<TreeHost>, cx: &mut Context<Self>) {
-        let Some(record) = host.environment.trees().record().cloned() else { return };
+        let Some(record) = host.environment.trees().record.get().cloned() else { return };
         let (shared, state) = (self.shared.clone(), cx.state.clone());
         cx.spawn(async move {
             while let Ok(record) = record.send(ReadRecord).await {
@@ -454,7 +455,7 @@ impl Component for BehaviorTree {
     }
 
     async fn on_activated(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.shared.begin_turn();
+        self.shared.turn_asked.set(false);
         self.active = true;
         Ok(())
     }

@@ -49,22 +49,13 @@ pub struct TreeChangeRow {
 #[derive(Clone, Default)]
 pub(crate) struct TreeTable {
     trees: Arc<Mutex<BTreeMap<ObjectName, Arc<TreeView>>>>,
-    record: Arc<OnceLock<Recipient<ReadRecord>>>,
+    /// Where the record of faults is read; set once, when the node is assembled.
+    pub(crate) record: Arc<OnceLock<Recipient<ReadRecord>>>,
 }
 
 impl Extension for TreeTable {}
 
 impl TreeTable {
-    /// Says where the record of faults is read.
-    pub(crate) fn set_record(&self, record: Recipient<ReadRecord>) {
-        // A node is assembled once.
-        let _ = self.record.set(record);
-    }
-
-    pub(super) fn record(&self) -> Option<&Recipient<ReadRecord>> {
-        self.record.get()
-    }
-
     fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, Arc<TreeView>>> {
         self.trees.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -34,9 +34,10 @@ pub(super) struct TreeShared {
     pub(super) faults: RefCell<Vec<TaskFault>>,
     /// By the actuator and the type of its commands. What the tree has claimed is released when it
     /// is halted.
-    commanders: RefCell<BTreeMap<(String, TypeId), Box<dyn Any>>>,
+    pub(super) commanders: RefCell<BTreeMap<(String, TypeId), Box<dyn Any>>>,
     waker: RefCell<Option<Waker>>,
-    turn_asked: Cell<bool>,
+    /// Until the component has its turn.
+    pub(super) turn_asked: Cell<bool>,
 }
 
 impl TreeShared {
@@ -94,11 +95,6 @@ impl TreeShared {
         }
     }
 
-    /// The component has its turn.
-    pub(super) fn begin_turn(&self) {
-        self.turn_asked.set(false);
-    }
-
     /// Starts a future.
     pub(super) fn start(&self, task: RunningTask) {
         self.tasks.borrow_mut().push(task);
@@ -130,10 +126,5 @@ impl TreeShared {
         let commander = make()?;
         self.commanders.borrow_mut().insert(key, Box::new(commander.clone()));
         Ok(commander)
-    }
-
-    /// Gives all leases back.
-    pub(super) fn release(&self) {
-        drop(self.commanders.take());
     }
 }
