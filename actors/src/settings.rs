@@ -27,7 +27,8 @@ pub(crate) struct Setting<T: 'static, D = T> {
 }
 
 /// A value that makes no sense.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
+#[error("{setting} {value} makes no sense: {cure}")]
 pub(crate) struct SettingError {
     pub(crate) setting: &'static str,
     pub(crate) value: String,

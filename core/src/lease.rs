@@ -136,9 +136,9 @@ pub enum LeaseOutput {
         /// It has been tried before.
         again: bool,
     },
-    /// The safe command of a command timeout has not been carried out yet: tell
-    /// [`Lease::handle_check`] whether the component still serves what it served before. It is asked
-    /// every beat.
+    /// The safe command has not been carried out yet: tell [`Lease::handle_check`] whether the
+    /// component still serves what it served before. It is asked every beat after a command
+    /// timeout, and from its limit on where the lease has ended for a policy.
     CheckTaken {
         /// The component has had its `max_wait` to begin it.
         is_late: bool,
@@ -164,11 +164,10 @@ pub struct Lease {
     moves: bool,
     /// Until when the last command counts; `None` where none does, or for ever.
     counts_until: Option<Instant>,
-    /// When to look next whether the component has begun the safe command of a command timeout, and
-    /// goes on with it; and by when it has to have begun.
-    check_at: Option<(Instant, Instant)>,
     /// What was given and has not been carried out.
     given: Option<RestCause>,
+    /// By when that is owed, unless the actuator is cut off.
+    owed: Option<Owed>,
     /// Cut-offs that are still to be called, or run: they would stop the actuator under its next
     /// commander.
     cut_offs: u32,
@@ -182,9 +181,16 @@ pub struct Lease {
     rung: Option<RungHold>,
     /// How many commands rungs had.
     rungs: u64,
-    /// By when what was given has to be carried out, unless the actuator is cut off.
-    apply_by: Option<Instant>,
     outputs: VecDeque<LeaseOutput>,
+}
+
+/// What the component owes.
+#[derive(Clone, Copy, Debug)]
+struct Owed {
+    by: Instant,
+    /// It has to be begun by then, and from here on to go on: both are looked at every beat. `None`
+    /// where it has to be carried out by then.
+    look_at: Option<Instant>,
 }
 
 /// The hold of a policy for lost communication.
@@ -226,15 +232,14 @@ impl Lease {
             state: State::Free,
             moves: false,
             counts_until: None,
-            check_at: None,
             given: None,
+            owed: None,
             cut_offs: 0,
             is_cut: false,
             work: Work::Ends { stops: false },
             has_policy: false,
             rung: None,
             rungs: 0,
-            apply_by: None,
             outputs: VecDeque::new(),
         }
     }
@@ -281,7 +286,7 @@ impl Lease {
                 return held(&rung.policy);
             }
             // The command of the rung comes first.
-            (State::Free, _) if self.cut_offs > 0 || self.apply_by.is_some() => {
+            (State::Free, _) if self.cut_offs > 0 || self.owed.is_some() => {
                 return Err(DeliveryError::Restarting);
             }
             (State::Held { .. }, _)
@@ -320,13 +325,13 @@ impl Lease {
 
     /// The commander's command is handed to the component, and counts from now on.
     pub fn handle_command(&mut self, now: Instant) {
-        (self.moves, self.given, self.check_at, self.apply_by) = (true, None, None, None);
+        (self.moves, self.given, self.owed) = (true, None, None);
         self.counts_until = self.rules.command_timeout.map(|timeout| now + timeout);
     }
 
     /// Whether the component has begun the safe command of a command timeout, or could have.
     pub fn handle_check(&mut self, is_taken: bool) {
-        if !is_taken && self.check_at.take().is_some() {
+        if !is_taken && self.owed.take_if(|owed| owed.look_at.is_some()).is_some() {
             self.miss();
         }
     }
@@ -367,7 +372,7 @@ impl Lease {
         self.rung = Some(RungHold { policy, yields_to, again_at: now + RUNG_INTERVAL });
         if self.give_rung(false) {
             // What the rung before has not carried out has no new limit.
-            self.apply_by.get_or_insert(now + self.rung_within());
+            self.owe(now);
         }
     }
 
@@ -377,7 +382,8 @@ impl Lease {
         if self.rung.take().is_some() && self.work == Work::Goes {
             self.state = State::Settling;
             self.give(RestCause::Released, false);
-            self.apply_by = Some(now + self.rung_within());
+            self.owed = None;
+            self.owe(now);
         }
     }
 
@@ -392,8 +398,10 @@ impl Lease {
         self.handle_stop_failed();
     }
 
-    fn rung_within(&self) -> Duration {
-        self.rules.max_wait.max(RUNG_WITHIN)
+    /// What was given has to be carried out, unless something is owed already.
+    fn owe(&mut self, now: Instant) {
+        let by = now + self.rules.max_wait.max(RUNG_WITHIN);
+        self.owed.get_or_insert(Owed { by, look_at: None });
     }
 
     /// Gives the rung's command, if one counts and the component is at work. Says whether it did.
@@ -408,11 +416,10 @@ impl Lease {
     }
 
     fn look_at_rung(&mut self, now: Instant) {
-        let within = self.rung_within();
         // Also what an incarnation owes that has failed after it was carried out.
         let is_owed = self.given.is_some() && !self.is_cut && self.work == Work::Goes;
         if is_owed && self.rung.is_some() && self.commander().is_none() {
-            self.apply_by.get_or_insert(now + within);
+            self.owe(now);
         }
         if let Some(rung) = self.rung.as_mut().filter(|rung| now >= rung.again_at) {
             let interval = self.rules.command_timeout.map(|timeout| timeout / 3);
@@ -422,8 +429,7 @@ impl Lease {
                 self.give_rung(true);
             }
         }
-        if self.apply_by.is_some_and(|by| now >= by) {
-            self.apply_by = None;
+        if self.owed.take_if(|owed| owed.look_at.is_none() && now >= owed.by).is_some() {
             // One that leaves work in order is stopped.
             if let (Some(cause), Work::Goes) = (self.given, self.work) {
                 self.cut_off(cause);
@@ -446,7 +452,10 @@ impl Lease {
                     RestCause::Stopped => false,
                     _ => self.rules.stop_by == StopBy::StopCommand,
                 };
-                (self.given, self.apply_by) = (None, None);
+                self.given = None;
+                // A commanded handler that fails after its reply has not gone on with it.
+                let is_held = self.commander().is_some();
+                self.owed.take_if(|owed| owed.look_at.is_none() || !is_held);
                 self.free_once_settled();
             }
             false if cause == RestCause::Stopped => self.handle_stop_failed(),
@@ -486,7 +495,7 @@ impl Lease {
         if self.work == Work::Goes {
             self.work = Work::Ends { stops: self.moves };
             self.state = State::Settling;
-            (self.given, self.check_at, self.apply_by) = (None, None, None);
+            (self.given, self.owed) = (None, None);
             match self.moves {
                 true => self.give(RestCause::Stopped, false),
                 false => self.free_once_settled(),
@@ -563,11 +572,13 @@ impl Lease {
             }
             (State::Held { .. }, None, Some(now)) => {
                 // The safe command of a command timeout that is late already has no new limit.
-                let begun_by = now + self.rules.max_wait.min(RUNG_WITHIN);
-                let begun_by = self.check_at.map_or(begun_by, |(_, earlier)| begun_by.min(earlier));
-                (self.state, self.apply_by) = (State::Settling, None);
+                let by = now + self.rules.max_wait.min(RUNG_WITHIN);
+                let earlier = self.owed.take_if(|owed| owed.look_at.is_some());
+                let by = earlier.map_or(by, |earlier| by.min(earlier.by));
+                self.state = State::Settling;
                 self.give(cause, false);
-                self.check_at = Some((now + BEAT, begun_by));
+                // A handler that is busy meanwhile cuts nothing off: a drone goes on hovering.
+                self.owed = Some(Owed { by, look_at: Some(by) });
             }
             (State::Held { .. }, None, None) => self.bring_to_rest(cause),
             (State::Free | State::Settling, ..) => {}
@@ -575,7 +586,7 @@ impl Lease {
     }
 
     fn bring_to_rest(&mut self, cause: RestCause) {
-        (self.state, self.apply_by) = (State::Settling, None);
+        (self.state, self.owed) = (State::Settling, None);
         self.cut_off(cause);
         self.give(cause, false);
     }
@@ -602,7 +613,8 @@ impl Lease {
     }
 
     fn give(&mut self, cause: RestCause, again: bool) {
-        (self.given, self.counts_until, self.check_at) = (Some(cause), None, None);
+        (self.given, self.counts_until) = (Some(cause), None);
+        self.owed.take_if(|owed| owed.look_at.is_some());
         let (commander, epoch) = (self.commander.clone(), self.last_epoch);
         self.outputs.push_back(LeaseOutput::Apply { commander, epoch, cause, again });
     }
@@ -621,8 +633,8 @@ impl Machine for Lease {
             State::Held { due } => [Some(due), self.counts_until],
             State::Free | State::Settling => [None; 2],
         };
-        let check = self.check_at.map(|(at, _)| at);
-        held.into_iter().chain([rung, self.apply_by, check]).flatten().min()
+        let owed = self.owed.map(|owed| owed.look_at.unwrap_or(owed.by));
+        held.into_iter().chain([rung, owed]).flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
@@ -631,12 +643,12 @@ impl Machine for Lease {
         let is_held = matches!(self.state, State::Held { .. });
         if is_held && self.counts_until.is_some_and(|until| now >= until) {
             self.give(RestCause::CommandTimeout, false);
-            self.check_at = Some((now + BEAT, now + self.rules.max_wait));
-        } else if let Some((at, begun_by)) = self.check_at
+            self.owed = Some(Owed { by: now + self.rules.max_wait, look_at: Some(now + BEAT) });
+        } else if let Some(Owed { by, look_at: Some(at) }) = self.owed
             && now >= at
         {
-            self.check_at = self.given.map(|_| (now + BEAT, begun_by));
-            let is_late = now >= begun_by;
+            self.owed = self.given.map(|_| Owed { by, look_at: Some(now + BEAT) });
+            let is_late = now >= by;
             self.outputs.extend(self.given.map(|_| LeaseOutput::CheckTaken { is_late }));
         }
     }

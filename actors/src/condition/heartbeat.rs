@@ -3,6 +3,7 @@
 use crate::component::Component;
 use crate::component::context::Context;
 use crate::platform;
+use crate::settings::{HEARTBEAT_INTERVAL, SettingError};
 use crate::topic::Publisher;
 use blastema_core::DeliveryError;
 use blastema_macros::Event;
@@ -30,27 +31,38 @@ impl Heartbeat {
 }
 
 /// Publishes heartbeats until it is dropped.
-pub(crate) async fn publish(publisher: Publisher<Heartbeat>, interval: Duration) {
-    // As many again are left to count.
-    for sequence in platform::random_seed() / 2.. {
-        // An incarnation that was fenced off gives no sign of life.
-        if publisher.publish(Heartbeat::new(sequence)).is_err() {
-            return;
+///
+/// # Errors
+/// The interval is out of range.
+pub(crate) fn publish(
+    publisher: Publisher<Heartbeat>,
+    interval: Duration,
+) -> Result<impl Future<Output = ()>, DeliveryError> {
+    let refused = |error: SettingError| DeliveryError::CheckFailed { reason: error.to_string() };
+    HEARTBEAT_INTERVAL.check(interval).map_err(refused)?;
+    Ok(async move {
+        // As many again are left to count.
+        for sequence in platform::random_seed() / 2.. {
+            // An incarnation that was fenced off gives no sign of life.
+            if publisher.publish(Heartbeat::new(sequence)).is_err() {
+                return;
+            }
+            platform::sleep(interval).await;
         }
-        platform::sleep(interval).await;
-    }
+    })
 }
 
 impl<C: Component> Context<C> {
-    /// Publishes a [`Heartbeat`] on this topic every `interval`, for as long as this incarnation
-    /// lasts and its thread turns.
+    /// Publishes a [`Heartbeat`] on this topic every `interval`, 10 ms to an hour, for as long as
+    /// this incarnation lasts and its thread turns.
     ///
     /// # Errors
-    /// As [`publisher`](Self::publisher).
+    /// As [`publisher`](Self::publisher), and [`DeliveryError::CheckFailed`] for an interval out of
+    /// range.
     #[track_caller]
     pub fn heartbeat(&mut self, topic: &str, interval: Duration) -> Result<(), DeliveryError> {
         let publisher = self.publisher::<Heartbeat>(topic)?;
-        self.spawn(publish(publisher, interval));
+        self.spawn(publish(publisher, interval)?);
         Ok(())
     }
 }

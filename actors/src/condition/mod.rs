@@ -71,7 +71,8 @@ pub struct ConditionStatus {
 #[derive(Clone)]
 pub struct Condition {
     name: Arc<str>,
-    status: watch::Receiver<ConditionStatus>,
+    /// Until the node ends.
+    pub(crate) status: watch::Receiver<ConditionStatus>,
 }
 
 impl fmt::Debug for Condition {
@@ -120,14 +121,8 @@ impl Condition {
 
     /// How the condition is. It is lost once the node has ended.
     pub fn state(&self) -> ConditionState {
-        match self.has_ended() {
-            true => ConditionState::Lost,
-            false => self.status.borrow().state,
-        }
-    }
-
-    fn has_ended(&self) -> bool {
-        self.status.has_changed().is_err()
+        let known = self.status.has_changed().map(|_| self.status.borrow().state);
+        known.unwrap_or(ConditionState::Lost)
     }
 
     /// Whether what the condition needs is there, also beyond its limits.
@@ -167,11 +162,6 @@ impl Condition {
             // Its node has ended: it is never reached.
             std::future::pending::<()>().await;
         }
-    }
-
-    /// Where its status is followed, until the node ends.
-    pub(crate) fn watch(&self) -> watch::Receiver<ConditionStatus> {
-        self.status.clone()
     }
 
     /// Follows the changes of the condition, from now on.

@@ -132,8 +132,14 @@ impl ChannelSource {
         listener: &ObjectName,
     ) -> Result<Self, String> {
         #[cfg(feature = "network")]
-        if let ConnectedChannel::Link(link) = channel {
-            wiring.check_link(link)?;
+        match channel {
+            ConnectedChannel::Link(link) => wiring.check_link(link)?,
+            ConnectedChannel::Node(node) | ConnectedChannel::Session(node)
+                if wiring.registry.elsewhere(node.clone()).is_none() =>
+            {
+                return Err(format!("{channel}, which is this node: name another one"));
+            }
+            _ => {}
         }
         let measured = Arc::<Mutex<TopicEstimator>>::default();
         let node = (&wiring.topics, &wiring.registry);

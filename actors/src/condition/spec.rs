@@ -282,11 +282,9 @@ impl Connected {
     /// Sets which share of the messages may be lost, from 0.0 to 1.0, likewise.
     #[must_use]
     pub fn max_loss(self, limit: f64) -> Self {
+        let share = Some(limit).filter(|limit| (0.0..=1.0).contains(limit));
         // What is no share is refused where the condition is declared.
-        let permille = match (0.0..=1.0).contains(&limit) {
-            true => (limit * 1000.0).round() as u16,
-            false => u16::MAX,
-        };
+        let permille = share.map_or(u16::MAX, |share| (share * 1000.0).round() as u16);
         self.each(|spec| spec.limits.loss_permille = Some(permille))
     }
 

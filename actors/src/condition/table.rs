@@ -10,7 +10,7 @@ use crate::component::extension::Extension;
 use crate::runtime::guardian::Guardian;
 use crate::runtime::reports::FaultReports;
 use crate::runtime::timekeeper::Timekeeper;
-use crate::settings::{CONDITION_TIMEOUT, CONDITION_WINDOW, SettingError};
+use crate::settings::{CONDITION_TIMEOUT, CONDITION_WINDOW};
 use actix::prelude::{ArbiterHandle, Recipient};
 use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
 use blastema_core::connection::{Combination, ConditionState, ConnectionJudge, Presence};
@@ -337,9 +337,9 @@ fn check(spec: &ChannelSpec, channel: &ConnectedChannel) -> Result<(), (&'static
         return Err(("max_loss", "its largest loss is no share: write 0.0 to 1.0".to_owned()));
     }
     let timeout = spec.timeout.map_or(Ok(()), |timeout| CONDITION_TIMEOUT.check(timeout));
-    timeout.map_err(|error| ("timeout", text_of(error)))?;
+    timeout.map_err(|error| ("timeout", error.to_string()))?;
     for (hz, window) in spec.rate.into_iter().chain(spec.limits.rate) {
-        CONDITION_WINDOW.check(window).map_err(|error| ("window", text_of(error)))?;
+        CONDITION_WINDOW.check(window).map_err(|error| ("window", error.to_string()))?;
         if !(hz.is_finite() && hz > 0.0 && hz * window.as_secs_f64() >= 1.0) {
             let reason = format!(
                 "{hz} messages a second in {window:?} are less than one: write a greater rate or a \
@@ -349,10 +349,6 @@ fn check(spec: &ChannelSpec, channel: &ConnectedChannel) -> Result<(), (&'static
         }
     }
     Ok(())
-}
-
-fn text_of(SettingError { setting, value, cure }: SettingError) -> String {
-    format!("{setting} {value} makes no sense: {cure}")
 }
 
 /// What to write where a figure is not measured.

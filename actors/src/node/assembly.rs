@@ -196,7 +196,7 @@ async fn start(
     assembly.keep_leases();
     assembly.keep_conditions();
     #[cfg(feature = "trees")]
-    assembly.environment.trees().set_record(assembly.parts.chain.record.clone());
+    let _ = assembly.environment.trees().record.set(assembly.parts.chain.record.clone());
     assembly.keep_policies(builder.policies)?;
     #[cfg(feature = "unix")]
     let inspection = assembly.make_inspection(builder.shown_at).await;

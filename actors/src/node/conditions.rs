@@ -7,7 +7,6 @@ use crate::condition::heartbeat;
 use crate::condition::{Condition, ConditionError, ConditionStatus, Connected, Heartbeat};
 use crate::host::spec::ChildSpec;
 use crate::platform;
-use crate::settings::HEARTBEAT_INTERVAL;
 use blastema_core::DeliveryError;
 use blastema_core::connection::ConditionState;
 use std::sync::{Arc, OnceLock, Weak};
@@ -53,11 +52,8 @@ impl Node {
     /// range.
     #[track_caller]
     pub fn heartbeat(&self, topic: &str, interval: Duration) -> Result<Heartbeats, DeliveryError> {
-        HEARTBEAT_INTERVAL.check(interval).map_err(|error| DeliveryError::CheckFailed {
-            reason: format!("{} {}: {}", error.setting, error.value, error.cure),
-        })?;
         let publisher = self.publisher::<Heartbeat>(topic)?;
-        Ok(Heartbeats(actix_rt::spawn(heartbeat::publish(publisher, interval))))
+        Ok(Heartbeats(actix_rt::spawn(heartbeat::publish(publisher, interval)?)))
     }
 
     /// Runs a component under the root supervisor only while the condition is
@@ -77,7 +73,8 @@ impl Node {
         condition.acceptable().await;
         let name = self.add_child(spec()).await?.name().to_string();
         self.0.environment.registry.keep_connections(&name);
-        let (node, status) = (Arc::new(OnceLock::from(Arc::downgrade(&self.0))), condition.watch());
+        let (node, status) =
+            (Arc::new(OnceLock::from(Arc::downgrade(&self.0))), condition.status.clone());
         let holds = |status: &ConditionStatus| status.state == ConditionState::Connected;
         actix_rt::spawn(keep_while(node, status, holds, (Some(name), spec)));
         Ok(())

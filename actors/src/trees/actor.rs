@@ -14,7 +14,7 @@ use crate::host::spec::ChildSpec;
 use crate::platform::{self, panics};
 use blastema_contract::detector::ReadRecord;
 use blastema_core::FaultKind;
-use blastema_trees::{LeafRun, Status, TickProblem, TreeErrors, TreeNodeId};
+use blastema_trees::{LeafRun, Status, TickProblem, Tree, TreeErrors, TreeNodeId};
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::poll_fn;
@@ -37,6 +37,8 @@ const REST_WITHIN: Duration = Duration::from_secs(1);
 const REST_LOOK: Duration = Duration::from_millis(10);
 /// Between two looks at the record of faults, for a tree that has a condition over it.
 const RECORD_LOOK: Duration = Duration::from_millis(100);
+/// The characters of a fault's detail: more than a person reads.
+const DETAIL: usize = 1_000;
 /// The bytes of a file of trees. A longer one is refused.
 const FILE_MAX: u64 = 1 << 20;
 
@@ -80,6 +82,8 @@ pub struct BehaviorTree {
     /// The futures and rules of the leaves that have any.
     tasks: BTreeMap<TreeNodeId, MakeTask>,
     rules: BTreeMap<TreeNodeId, LeafRules>,
+    /// The last runs that had futures, and the last signs of life of these.
+    started: BTreeMap<TreeNodeId, (LeafRun, Rc<Cell<Duration>>)>,
     active: bool,
     /// The next turn that the tree asks for by itself.
     alarm: Option<(Duration, TimerId)>,
@@ -189,7 +193,7 @@ impl BehaviorTree {
 
     /// Ticks the tree, again after each fault of a leaf, and starts what its leaves wait for.
     fn turn(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.shared.begin_turn();
+        self.shared.turn_asked.set(false);
         if !self.active {
             return Ok(());
         }
@@ -205,7 +209,7 @@ impl BehaviorTree {
             if !ticks {
                 break;
             }
-            let found = self.tick(cx);
+            let found = self.tick();
             self.take_changes(1, cx);
             ticks = match found.or_else(|| self.overdue()) {
                 Some(found) => self.handle(found, cx)?,
@@ -218,7 +222,7 @@ impl BehaviorTree {
     }
 
     /// Ticks the tree once. Returns what was found wrong.
-    fn tick(&mut self, cx: &Context<Self>) -> Option<LeafTrouble> {
+    fn tick(&mut self) -> Option<LeafTrouble> {
         let shared = &self.shared;
         let ticked =
             panics::caught(|| shared.tree.borrow_mut().tick_while_yielding(BehaviorTree::now()));
@@ -232,11 +236,10 @@ impl BehaviorTree {
                 };
                 (error.node, error.problem.to_string(), then)
             }
-            Err(why) => match shared.tree.borrow().panicked() {
-                Some(node) => (node, why, self.rules_of(node).after(true)),
-                // No leaf was called: the engine itself is wrong.
-                None => panic!("the tree {} {why}", cx.name()),
-            },
+            Err(why) => {
+                let node = self.panicked(&why);
+                (node, why, self.rules_of(node).after(true))
+            }
         };
         Some(LeafTrouble { node, why, then })
     }
@@ -244,35 +247,61 @@ impl BehaviorTree {
     /// The first leaf that has exceeded its time limit.
     fn overdue(&self) -> Option<LeafTrouble> {
         let (tree, now) = (self.shared.tree.borrow(), BehaviorTree::now());
-        let late = |&(run, since): &(LeafRun, Duration)| {
-            now.saturating_sub(self.last_sign(run, since)) >= self.rules_of(run.node).within
+        let (node, _, is_halted) = self.limits(&tree).find(|&(_, at, _)| now >= at)?;
+        let LeafRules { within, on_error, .. } = self.rules_of(node);
+        let (what, then) = match is_halted {
+            // No rule of the tree helps: none of its actions starts before that.
+            true => ("halted, it has not come to rest", LeafFault::Plan),
+            false => ("it has not answered", on_error),
         };
-        let (run, _) = tree.running().find(late)?;
-        let rules = self.rules_of(run.node);
-        let why = format!("it has not answered for {:?}", rules.within);
-        Some(LeafTrouble { node: run.node, why, then: rules.on_error })
+        Some(LeafTrouble { node, why: format!("{what} for {within:?}"), then })
     }
 
-    fn last_sign(&self, run: LeafRun, since: Duration) -> Duration {
-        let tasks = self.shared.tasks.borrow();
-        let task = tasks.iter().find(|task| task.run == run);
-        task.map_or(since, |task| task.sign.get().max(since))
+    /// When the time limits end of the leaves that run, and of those that come to rest after a halt.
+    fn limits<'a>(
+        &'a self,
+        tree: &'a Tree,
+    ) -> impl Iterator<Item = (TreeNodeId, Duration, bool)> + 'a {
+        let halted = tree.halting().map(|(run, since)| (run, since, true));
+        let all = tree.running().map(|(run, since)| (run, since, false)).chain(halted);
+        all.filter_map(|(run, since, is_halted)| {
+            let started = self.started.get(&run.node).filter(|(known, _)| *known == run);
+            let since = started.map_or(since, |(_, sign)| sign.get().max(since));
+            let at = since.checked_add(self.rules_of(run.node).within)?;
+            Some((run.node, at, is_halted))
+        })
     }
 
     fn rules_of(&self, node: TreeNodeId) -> LeafRules {
         self.rules.get(&node).copied().unwrap_or_default()
     }
 
+    /// The leaf that has panicked. Where none was called, the engine itself is wrong.
+    fn panicked(&self, why: &str) -> TreeNodeId {
+        let node = self.shared.tree.borrow().called().node();
+        node.unwrap_or_else(|| panic!("a tree {why}"))
+    }
+
+    /// Reports a fault of a leaf, which stands until the leaf succeeds.
+    fn blame(&mut self, node: TreeNodeId, why: &str, cx: &Context<Self>) -> String {
+        let leaf = format!("leaf {}: {why}", self.shared.tree.borrow().path(node));
+        // A script's text may be as long as its file.
+        let detail: String = leaf.chars().take(DETAIL).collect();
+        cx.declare_fault(FaultKind::CheckFailed, detail.clone());
+        self.faulty.insert(node);
+        detail
+    }
+
     /// Reports a fault and does what its rule says. Whether the tree is to be ticked again at once.
     fn handle(&mut self, found: LeafTrouble, cx: &mut Context<Self>) -> Result<bool, Failure> {
         let LeafTrouble { node, why, then } = found;
-        let path = self.shared.tree.borrow().path(node).to_owned();
-        let detail = format!("leaf {path}: {why}");
-        tracing::warn!(tree = %cx.name(), "{detail}");
-        if then != LeafFault::Plan {
-            cx.declare_fault(FaultKind::CheckFailed, detail.clone());
-            self.faulty.insert(node);
+        if then == LeafFault::Plan {
+            let leaf = self.shared.tree.borrow().path(node).to_owned();
+            self.halt(cx);
+            return Err(format!("leaf {leaf}: {why}").into());
         }
+        let detail = self.blame(node, &why, cx);
+        tracing::warn!(tree = %cx.name(), "{detail}");
         let tried = self.tries.entry(node).or_default();
         let retries = matches!(then, LeafFault::Retry(times) if *tried < times);
         *tried = if retries { *tried + 1 } else { 0 };
@@ -280,24 +309,14 @@ impl BehaviorTree {
             self.halt(cx);
             return Ok(false);
         }
-        if then == LeafFault::Plan {
-            self.halt(cx);
-            return Err(detail.into());
-        }
         let (shared, now) = (self.shared.clone(), BehaviorTree::now());
         let stopped = panics::caught(|| {
             let mut tree = shared.tree.borrow_mut();
-            let run = tree.running().map(|(run, _)| run).find(|run| run.node == node);
-            match (run, retries) {
-                (Some(run), true) => tree.retry(run, now),
-                (Some(run), false) => tree.fail(run, now),
-                // It failed to start: the next tick starts it again.
-                (None, true) => true,
-                (None, false) => tree.fail_next(node),
-            }
+            // One that failed to start is started again by the next tick.
+            if retries { tree.retry(node, now) } else { tree.fail(node, now) }
         });
         if let Err(why) = &stopped {
-            cx.declare_fault(FaultKind::CheckFailed, format!("leaf {path}, halted: {why}"));
+            self.blame(node, &format!("halted, it {why}"), cx);
             self.halt(cx);
         }
         Ok(stopped.is_ok())
@@ -312,30 +331,21 @@ impl BehaviorTree {
             let now = BehaviorTree::now();
             let halted = panics::caught(|| shared.tree.borrow_mut().halt(now));
             self.take_changes(0, cx);
-            let why = match halted {
+            let (node, why) = match halted {
                 Ok(Ok(())) => break,
-                Ok(Err(error)) => {
-                    self.faulty.insert(error.node);
-                    error.to_string()
-                }
-                Err(why) => {
-                    let (tree, node) = (shared.tree.borrow(), shared.tree.borrow().panicked());
-                    self.faulty.extend(node);
-                    format!("{}: {why}", node.map(|node| tree.path(node)).unwrap_or_default())
-                }
+                Ok(Err(error)) => (error.node, error.problem.to_string()),
+                Err(why) => (self.panicked(&why), format!("it {why}")),
             };
-            cx.declare_fault(FaultKind::CheckFailed, format!("leaf {why}, when it was halted"));
+            self.blame(node, &format!("halted, {why}"), cx);
         }
         self.drop_halted(cx);
-        shared.release();
+        // All leases are given back.
+        drop(shared.commanders.take());
     }
 
     fn drop_halted(&mut self, cx: &Context<Self>) {
         for (node, why) in self.shared.drop_halted() {
-            self.faulty.insert(node);
-            let leaf = self.shared.tree.borrow().path(node).to_owned();
-            let detail = format!("leaf {leaf}, halted: its future {why}");
-            cx.declare_fault(FaultKind::CheckFailed, detail);
+            self.blame(node, &format!("halted, its future {why}"), cx);
         }
     }
 
@@ -355,20 +365,14 @@ impl BehaviorTree {
     fn start_tasks(&mut self, cx: &mut Context<Self>) {
         self.drop_halted(cx);
         let (shared, now) = (self.shared.clone(), BehaviorTree::now());
-        let (tree, known) = (shared.tree.borrow(), shared.tasks.borrow());
-        let is_new = |run: &LeafRun| known.iter().all(|task| task.run != *run);
-        let new = tree
-            .running()
-            .map(|(run, _)| run)
-            .filter(|run| self.tasks.contains_key(&run.node) && is_new(run));
-        let new: Vec<LeafRun> = new.collect();
-        drop((tree, known));
-        for run in new {
+        for (run, _) in shared.tree.borrow().running() {
+            let is_new = self.started.get(&run.node).is_none_or(|(known, _)| *known != run);
+            let Some(make) = self.tasks.get(&run.node).filter(|_| is_new) else { continue };
             let sign = Rc::new(Cell::new(now));
             let context = Context::new(cx.cell.clone(), cx.state.clone());
-            let leaf = LeafTask { shared: shared.clone(), run, sign: sign.clone(), cx: context };
-            let future = self.tasks[&run.node](leaf);
-            shared.start(RunningTask { run, sign, future });
+            let task = LeafTask { shared: shared.clone(), run, sign: sign.clone(), cx: context };
+            shared.start(RunningTask { run, future: make(task) });
+            self.started.insert(run.node, (run, sign));
         }
         for condition in self.host.iter().flat_map(|host| host.take_fresh()) {
             let (shared, state) = (shared.clone(), cx.state.clone());
@@ -384,10 +388,7 @@ impl BehaviorTree {
     /// Sets the timer of the next turn that the tree, or a leaf's time limit, needs.
     fn set_alarm(&mut self, cx: &mut Context<Self>) {
         let (tree, now) = (self.shared.tree.borrow(), BehaviorTree::now());
-        let limits = tree.running().filter_map(|(run, since)| {
-            self.last_sign(run, since).checked_add(self.rules_of(run.node).within)
-        });
-        let next = limits.chain(tree.next_tick()).min();
+        let next = self.limits(&tree).map(|(_, at, _)| at).chain(tree.next_tick()).min();
         drop(tree);
         let next = next.map(|at| at.max(now + SHORTEST));
         if self.alarm.map(|(at, _)| at) == next {
@@ -407,7 +408,7 @@ impl BehaviorTree {
 
     /// Follows the record of faults, where a condition of the tree looks at it.
     fn follow_faults(&self, host: Arc<TreeHost>, cx: &mut Context<Self>) {
-        let Some(record) = host.environment.trees().record().cloned() else { return };
+        let Some(record) = host.environment.trees().record.get().cloned() else { return };
         let (shared, state) = (self.shared.clone(), cx.state.clone());
         cx.spawn(async move {
             while let Ok(record) = record.send(ReadRecord).await {
@@ -439,12 +440,10 @@ impl Component for BehaviorTree {
         let looks_at_faults = tree.nodes().any(|node| node.type_name == FAULT_CONDITION);
         self.shared.tree.replace(tree);
         let before = host.environment.trees().show(cx.name().clone(), view.clone());
-        if let Some(path) = before.as_ref().and_then(|view| view.called()) {
-            let tree = self.shared.tree.borrow();
-            let node = tree.nodes().map(|node| node.id).find(|node| tree.path(*node) == path);
-            self.faulty.extend(node);
-            let detail = format!("leaf {path}: it did not return, and kept the tree's thread");
-            cx.declare_fault(FaultKind::CheckFailed, detail);
+        let called = before.as_ref().and_then(|view| view.called());
+        let called = called.and_then(|path| self.shared.tree.borrow().find(&path));
+        if let Some(node) = called {
+            self.blame(node, "it did not return, and kept the tree's thread", cx);
         }
         let (shared, state) = (self.shared.clone(), cx.state.clone());
         cx.spawn(poll_fn(move |task| shared.poll(&state, task)));
@@ -456,7 +455,7 @@ impl Component for BehaviorTree {
     }
 
     async fn on_activated(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.shared.begin_turn();
+        self.shared.turn_asked.set(false);
         self.active = true;
         Ok(())
     }
@@ -469,7 +468,7 @@ impl Component for BehaviorTree {
         self.active = false;
         self.halt(cx);
         let until = BehaviorTree::now() + REST_WITHIN;
-        while self.shared.tree.borrow().is_halting() {
+        while self.shared.tree.borrow().halting().next().is_some() {
             if BehaviorTree::now() >= until {
                 return Err(format!("a halted leaf did not come to rest in {REST_WITHIN:?}").into());
             }
@@ -482,6 +481,8 @@ impl Component for BehaviorTree {
     async fn on_aborting(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
         self.active = false;
         self.halt(cx);
+        // What has not come to rest ends with its value: the tree begins again without it.
+        self.shared.tree.borrow_mut().drop_halting();
         Ok(())
     }
 

@@ -95,7 +95,7 @@ pub(super) fn register(factory: &mut Factory) {
         let node = node.about("the name of another node");
         factory.condition("IsNodeConnected", [node, TIMEOUT], |cx| {
             let (node, timeout) = (cx.input::<String>("node")?, timeout(cx)?);
-            let name = format!("{node}/there-within-{}ms", timeout.as_millis());
+            let name = format!("{node}/there-within-{timeout:?}");
             let there = || Connected::node(&node).timeout(timeout);
             Ok(Status::from(TreeHost::condition(cx, 0, &name, there)?.is_connected()))
         });
@@ -134,7 +134,7 @@ fn timeout(cx: &LeafContext<'_>) -> Result<Duration, PortError> {
 /// Heartbeats arrive within the leaf's timeout. What was never heard does not.
 fn heard(cx: &LeafContext<'_>, number: usize, topic: &str) -> LeafResult {
     let timeout = timeout(cx)?;
-    let name = format!("{topic}/heard-within-{}ms", timeout.as_millis());
+    let name = format!("{topic}/heard-within-{timeout:?}");
     let heard = || Connected::heartbeat(topic).timeout(timeout);
     Ok(Status::from(TreeHost::condition(cx, number, &name, heard)?.is_connected()))
 }

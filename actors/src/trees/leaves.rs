@@ -30,8 +30,9 @@ pub enum LeafFault {
 /// How long a leaf may take, and what becomes of its faults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LeafRules {
-    /// The longest time of one run without an answer or a [sign of life](LeafTask::alive); 60 s by
-    /// default. A longer limit tolerates slow work, and finds later that it stands still.
+    /// The longest time of one run without an answer or a [sign of life](LeafTask::alive), and of
+    /// coming to rest after a halt; 60 s by default. A longer limit tolerates slow work, and finds
+    /// later that it stands still.
     pub within: Duration,
     /// After an error or the time limit; by default the leaf [fails](LeafFault::Fail).
     pub on_error: LeafFault,

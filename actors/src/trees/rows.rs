@@ -47,29 +47,17 @@ pub struct TreeChangeRow {
 
 /// The trees of one node. Clones share them.
 #[derive(Clone, Default)]
-pub(crate) struct TreeTable(Arc<TreeTableParts>);
-
-#[derive(Default)]
-struct TreeTableParts {
-    trees: Mutex<BTreeMap<ObjectName, Arc<TreeView>>>,
-    record: OnceLock<Recipient<ReadRecord>>,
+pub(crate) struct TreeTable {
+    trees: Arc<Mutex<BTreeMap<ObjectName, Arc<TreeView>>>>,
+    /// Where the record of faults is read; set once, when the node is assembled.
+    pub(crate) record: Arc<OnceLock<Recipient<ReadRecord>>>,
 }
 
 impl Extension for TreeTable {}
 
 impl TreeTable {
-    /// Says where the record of faults is read.
-    pub(crate) fn set_record(&self, record: Recipient<ReadRecord>) {
-        // A node is assembled once.
-        let _ = self.0.record.set(record);
-    }
-
-    pub(super) fn record(&self) -> Option<&Recipient<ReadRecord>> {
-        self.0.record.get()
-    }
-
     fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, Arc<TreeView>>> {
-        self.0.trees.lock().unwrap_or_else(PoisonError::into_inner)
+        self.trees.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Shows a tree, and returns what was shown of the incarnation before.

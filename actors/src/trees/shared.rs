@@ -9,15 +9,12 @@ use blastema_trees::{LeafRun, Status, Tree, TreeNodeId};
 use std::any::{Any, TypeId};
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
-use std::rc::Rc;
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
 /// A leaf whose future runs.
 pub(super) struct RunningTask {
     pub(super) run: LeafRun,
-    /// The last sign of life.
-    pub(super) sign: Rc<Cell<Duration>>,
     pub(super) future: LeafFuture,
 }
 
@@ -37,9 +34,10 @@ pub(super) struct TreeShared {
     pub(super) faults: RefCell<Vec<TaskFault>>,
     /// By the actuator and the type of its commands. What the tree has claimed is released when it
     /// is halted.
-    commanders: RefCell<BTreeMap<(String, TypeId), Box<dyn Any>>>,
+    pub(super) commanders: RefCell<BTreeMap<(String, TypeId), Box<dyn Any>>>,
     waker: RefCell<Option<Waker>>,
-    turn_asked: Cell<bool>,
+    /// Until the component has its turn.
+    pub(super) turn_asked: Cell<bool>,
 }
 
 impl TreeShared {
@@ -97,11 +95,6 @@ impl TreeShared {
         }
     }
 
-    /// The component has its turn.
-    pub(super) fn begin_turn(&self) {
-        self.turn_asked.set(false);
-    }
-
     /// Starts a future.
     pub(super) fn start(&self, task: RunningTask) {
         self.tasks.borrow_mut().push(task);
@@ -112,11 +105,10 @@ impl TreeShared {
 
     /// Drops the futures of leaves that were halted or failed, and returns those that panicked.
     pub(super) fn drop_halted(&self) -> Vec<(TreeNodeId, String)> {
-        let (mut tree, tasks) = (self.tree.borrow_mut(), self.tasks.take());
-        let goes_on = |task: &RunningTask| tree.leaf_context(task.run).is_some();
-        let (going, halted): (Vec<_>, Vec<_>) = tasks.into_iter().partition(goes_on);
-        self.tasks.replace(going);
-        drop(tree);
+        let (mut tree, mut tasks) = (self.tree.borrow_mut(), self.tasks.borrow_mut());
+        let is_over = |task: &mut RunningTask| tree.leaf_context(task.run).is_none();
+        let halted: Vec<_> = tasks.extract_if(.., is_over).collect();
+        drop((tree, tasks));
         let dropped = halted.into_iter().map(|task| (task.run.node, panics::caught(|| drop(task))));
         dropped.filter_map(|(node, dropped)| Some((node, dropped.err()?))).collect()
     }
@@ -134,10 +126,5 @@ impl TreeShared {
         let commander = make()?;
         self.commanders.borrow_mut().insert(key, Box::new(commander.clone()));
         Ok(commander)
-    }
-
-    /// Gives all leases back.
-    pub(super) fn release(&self) {
-        drop(self.commanders.take());
     }
 }

@@ -7,6 +7,7 @@
 //!      └── connected for a while, or acknowledged ◄──┘
 //! ```
 
+use super::ConditionState;
 use crate::{Instant, Machine};
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -41,7 +42,9 @@ pub struct LostCommunication {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
-    /// Communication was never lost, or is back for good.
+    /// Communication was never there.
+    New,
+    /// It was not lost since it is there, or is back for good.
     Commanded,
     Lost {
         since: Instant,
@@ -58,22 +61,14 @@ enum State {
 impl LostCommunication {
     /// A ladder of rungs at these times after the loss, in rising order.
     pub fn new(rungs: Vec<Duration>, end: LostCommunicationEnd) -> Self {
-        LostCommunication { rungs, end, state: State::Commanded, outputs: VecDeque::new() }
+        LostCommunication { rungs, end, state: State::New, outputs: VecDeque::new() }
     }
 
     /// The rung that is carried out.
     pub fn rung(&self) -> Option<usize> {
         match self.state {
-            State::Commanded => None,
+            State::New | State::Commanded => None,
             State::Lost { next, .. } | State::Back { next, .. } => next.checked_sub(1),
-        }
-    }
-
-    /// When communication was lost, unless all is over.
-    pub fn since(&self) -> Option<Instant> {
-        match self.state {
-            State::Commanded => None,
-            State::Lost { since, .. } | State::Back { since, .. } => Some(since),
         }
     }
 
@@ -82,28 +77,23 @@ impl LostCommunication {
         matches!(self.state, State::Back { .. })
     }
 
-    /// Communication is lost. Where it was back and not yet stable, the time goes on from the first
-    /// loss; else the rungs that are left count from this one.
-    pub fn handle_lost(&mut self, now: Instant) {
+    /// Acts on how communication is, and on the time. One that was lost and is there again, but not
+    /// within its limits, is lost. Where it was back and not yet stable, the time goes on from the
+    /// first loss; else the rungs that are left count from this one.
+    pub fn handle(&mut self, is: ConditionState, now: Instant) {
+        use ConditionState::{Connected, Lost};
         self.state = match self.state {
-            State::Commanded => State::Lost { since: now, next: 0 },
-            State::Back { next, at, .. } if now - at >= self.end.stable => {
+            State::New if is != Lost => State::Commanded,
+            State::Commanded if is == Lost => State::Lost { since: now, next: 0 },
+            // No rung was due: nothing is to be ended.
+            State::Lost { next: 0, .. } if is == Connected => State::Commanded,
+            State::Lost { since, next } if is == Connected => State::Back { since, next, at: now },
+            State::Back { next, at, .. } if is != Connected && now - at >= self.end.stable => {
                 State::Lost { since: now, next }
             }
-            State::Back { since, next, .. } => State::Lost { since, next },
-            lost @ State::Lost { .. } => lost,
+            State::Back { since, next, .. } if is != Connected => State::Lost { since, next },
+            other => other,
         };
-        self.handle_timeout(now);
-    }
-
-    /// Communication is there, within its limits.
-    pub fn handle_connected(&mut self, now: Instant) {
-        match self.state {
-            // No rung was due: nothing is to be ended.
-            State::Lost { next: 0, .. } => self.state = State::Commanded,
-            State::Lost { since, next } => self.state = State::Back { since, next, at: now },
-            State::Commanded | State::Back { .. } => {}
-        }
         self.handle_timeout(now);
     }
 
@@ -134,7 +124,7 @@ impl Machine for LostCommunication {
         match self.state {
             State::Lost { since, next } => self.rungs.get(next).map(|after| since + *after),
             State::Back { at, .. } if !self.end.is_acknowledged => Some(at + self.end.stable),
-            State::Back { .. } | State::Commanded => None,
+            State::Back { .. } | State::New | State::Commanded => None,
         }
     }
 
@@ -151,7 +141,7 @@ impl Machine for LostCommunication {
                 self.outputs.push_back(LostCommunicationOutput::Enter(entered));
             }
             State::Back { .. } => self.finish(),
-            State::Commanded => {}
+            State::New | State::Commanded => {}
         }
     }
 }
@@ -159,6 +149,7 @@ impl Machine for LostCommunication {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ConditionState::{Connected, Degraded, Lost};
     use LostCommunicationOutput::{End, Enter};
 
     fn at(seconds: u64) -> Instant {
@@ -167,7 +158,11 @@ mod tests {
 
     fn ladder(is_acknowledged: bool) -> LostCommunication {
         let end = LostCommunicationEnd { stable: Duration::from_secs(5), is_acknowledged };
-        LostCommunication::new([1, 10, 60].map(Duration::from_secs).into(), end)
+        let mut ladder = LostCommunication::new([1, 10, 60].map(Duration::from_secs).into(), end);
+        ladder.handle(Lost, at(0));
+        assert_eq!(ladder.poll_timeout(), None, "it was never there");
+        ladder.handle(Degraded, at(0));
+        ladder
     }
 
     fn outputs(ladder: &mut LostCommunication) -> Vec<LostCommunicationOutput> {
@@ -177,12 +172,11 @@ mod tests {
     #[test]
     fn rungs_come_in_their_time_and_a_short_loss_is_none() {
         let mut ladder = ladder(false);
-        ladder.handle_connected(at(0));
-        ladder.handle_lost(at(100));
-        ladder.handle_connected(Instant::from_millis(100_900));
+        ladder.handle(Lost, at(100));
+        ladder.handle(Connected, Instant::from_millis(100_900));
         assert_eq!((outputs(&mut ladder), ladder.poll_timeout()), (vec![], None));
 
-        ladder.handle_lost(at(200));
+        ladder.handle(Lost, at(200));
         for due in [201, 210, 260] {
             assert_eq!(ladder.poll_timeout(), Some(at(due)));
             ladder.handle_timeout(at(due));
@@ -194,16 +188,16 @@ mod tests {
     #[test]
     fn the_ladder_ends_when_communication_is_stable_and_else_goes_on_from_the_first_loss() {
         let mut ladder = ladder(false);
-        ladder.handle_lost(at(0));
+        ladder.handle(Lost, at(0));
         ladder.handle_timeout(at(1));
-        ladder.handle_connected(at(7));
+        ladder.handle(Connected, at(7));
         ladder.handle_timeout(at(11));
         assert_eq!((outputs(&mut ladder), ladder.rung()), (vec![Enter(0)], Some(0)));
         assert!(ladder.is_back(), "and does not climb while it is");
 
-        ladder.handle_lost(at(11));
+        ladder.handle(Degraded, at(11));
         assert_eq!(outputs(&mut ladder), [Enter(1)], "eleven seconds after the first loss");
-        ladder.handle_connected(at(12));
+        ladder.handle(Connected, at(12));
         ladder.handle_timeout(at(17));
         assert_eq!((outputs(&mut ladder), ladder.rung()), (vec![End], None));
     }
@@ -212,11 +206,11 @@ mod tests {
     fn a_ladder_that_a_person_ends_waits_for_that_and_takes_no_word_while_it_is_lost() {
         let mut ladder = ladder(true);
         assert!(!ladder.handle_acknowledged(), "nothing was lost");
-        ladder.handle_lost(at(0));
+        ladder.handle(Lost, at(0));
         ladder.handle_timeout(at(70));
         assert_eq!(outputs(&mut ladder), [Enter(2)], "the last of those that are due");
         assert!(!ladder.handle_acknowledged());
-        ladder.handle_connected(at(80));
+        ladder.handle(Connected, at(80));
         assert_eq!(ladder.poll_timeout(), None);
         assert!(ladder.handle_acknowledged());
         assert_eq!(outputs(&mut ladder), [End]);
@@ -225,17 +219,17 @@ mod tests {
     #[test]
     fn a_break_after_hours_counts_from_itself_and_skips_no_rung() {
         let mut ladder = ladder(true);
-        ladder.handle_lost(at(0));
+        ladder.handle(Lost, at(0));
         ladder.handle_timeout(at(1));
-        ladder.handle_connected(at(2));
-        ladder.handle_lost(at(4));
+        ladder.handle(Connected, at(2));
+        ladder.handle(Lost, at(4));
         assert_eq!(ladder.poll_timeout(), Some(at(10)), "it was not stable");
-        ladder.handle_connected(at(5));
+        ladder.handle(Connected, at(5));
 
-        ladder.handle_lost(at(7_200));
+        ladder.handle(Lost, at(7_200));
         assert_eq!(outputs(&mut ladder), [Enter(0)]);
         assert_eq!((ladder.poll_timeout(), ladder.rung()), (Some(at(7_210)), Some(0)));
-        ladder.handle_connected(at(7_201));
+        ladder.handle(Connected, at(7_201));
         assert!(ladder.handle_acknowledged());
         assert_eq!(outputs(&mut ladder), [End]);
     }

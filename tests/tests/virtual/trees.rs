@@ -2,7 +2,8 @@
 
 use blastema::prelude::*;
 use blastema::trees::{
-    BehaviorTree, LeafFault, LeafResult, LeafRules, LeafTask, Port, Status, TreeLeaves,
+    BehaviorTree, Halt, Leaf, LeafContext, LeafFault, LeafResult, LeafRules, LeafTask, Port,
+    Status, TreeLeaves,
 };
 use blastema::{FaultStatus, Lifecycle};
 use blastema_testkit::{Probe, TestNode, owner};
@@ -129,7 +130,7 @@ async fn a_reactive_tree_returns_when_the_operator_is_lost_and_goes_on_when_he_i
     assert_eq!(log.take(), [""; 0]);
     rover.advance(400 * MS).await;
     assert_eq!(log.take(), ["teleoperation ends", "return begins"]);
-    let name = "conditions/operator/heartbeat/heard-within-3000ms";
+    let name = "conditions/operator/heartbeat/heard-within-3s";
     assert_eq!(rover.await_fault(FaultKind::ConnectionLost, name).await.count, 1);
 
     let _beats = rover.heartbeat("operator/heartbeat", 100 * MS).unwrap();
@@ -443,7 +444,7 @@ async fn conditions_of_leaves_end_when_no_leaf_looks_at_them_and_their_faults_wi
     let mut node = TestNode::start(Node::builder("rover").child(tree(&leaves, text))).await;
     // More topics than a node has conditions.
     node.advance(34 * SECOND).await;
-    let first = "conditions/beat/0/heard-within-3000ms";
+    let first = "conditions/beat/0/heard-within-3s";
     node.await_fault(FaultKind::ConnectionLost, first).await;
     let mut standing = node.faults().await.entries;
     standing.retain(|entry| entry.status() != FaultStatus::Closed);
@@ -473,16 +474,97 @@ async fn the_fault_of_a_halted_leaf_whose_future_panics_ends_when_the_leaf_succe
         </ForceSuccess><Sleep msec="500"/></Sequence>"#;
     let mut node = TestNode::start(Node::builder("rover").child(tree(&leaves, text))).await;
     let fault = node.await_fault(FaultKind::CheckFailed, "tree").await;
-    assert!(fault.detail.starts_with("leaf grip, halted: its future"), "{}", fault.detail);
+    assert!(fault.detail.starts_with("leaf grip: halted, its future"), "{}", fault.detail);
     node.advance(5 * SECOND).await;
     let record = node.faults().await;
     let entry = record.entries.iter().find(|entry| entry.fault.id == fault.id).unwrap();
     assert_eq!(entry.status(), FaultStatus::Closed, "it has succeeded since");
 }
 
+/// An arm that is told to stop and never comes to rest.
+struct Swings;
+
+impl Leaf for Swings {
+    fn start(&mut self, _: &mut LeafContext<'_>) -> LeafResult {
+        Ok(Status::Running)
+    }
+
+    fn halt(&mut self, _: &mut LeafContext<'_>) -> Halt {
+        Halt::Pending
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_halted_leaf_that_does_not_come_to_rest_is_an_error_and_the_tree_begins_again_without_it()
+{
+    let log = Log::default();
+    let rules = LeafRules { within: 5 * SECOND, ..LeafRules::default() };
+    let leaves = TreeLeaves::new().leaf("Swing", || Swings).rules("Swing", rules).task(
+        "Return",
+        [],
+        works(&log, "return"),
+    );
+    let text = r#"<ReactiveFallback><ReactiveSequence><IsCommsConnected topic_name="beat"/><Swing/>
+        </ReactiveSequence><Return/></ReactiveFallback>"#;
+    let mut node = TestNode::start(Node::builder("rover").child(tree(&leaves, text))).await;
+    let beats = node.heartbeat("beat", 100 * MS).unwrap();
+    node.advance(SECOND).await;
+    log.take();
+    drop(beats);
+    node.advance(7 * SECOND).await;
+    assert_eq!(log.take(), [""; 0], "two actions do not move one arm");
+
+    let fault = node.await_fault(FaultKind::ErrorState, "tree").await;
+    assert_eq!(fault.detail, "leaf Swing::4: halted, it has not come to rest for 5s");
+    node.await_recovered(FaultKind::ErrorState, "tree").await;
+    node.advance(SECOND).await;
+    assert_eq!(log.take(), ["return begins"]);
+    assert_eq!(node.row("tree").await.restarts, 0, "the plan has reset it");
+}
+
+#[blastema_testkit::test]
+async fn ten_thousand_leaves_wait_at_once_and_each_has_one_future() {
+    let started = Arc::new(std::sync::atomic::AtomicU32::new(0));
+    let counted = started.clone();
+    let leaves = TreeLeaves::new().task("Wait", [], move |leaf| {
+        counted.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+        async move {
+            leaf.alive();
+            blastema::sleep(3 * SECOND).await;
+            Ok(Status::Success)
+        }
+    });
+    let text = format!("<Parallel>{}</Parallel>", "<Wait/>".repeat(10_000));
+    let node = TestNode::start(Node::builder("rover").child(tree(&leaves, &text))).await;
+    node.advance(SECOND).await;
+    let started = started.load(std::sync::atomic::Ordering::Relaxed);
+    assert_eq!(started, 10_000, "each has one future");
+    node.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn leaves_with_almost_the_same_timeout_have_conditions_of_their_own() {
+    let text = r#"<Sequence><IsCommsConnected topic_name="beat" timeout_sec="3.0"/>
+        <IsCommsConnected topic_name="beat" timeout_sec="3.0001"/>
+        <Sleep msec="60000"/></Sequence>"#;
+    let tree = tree(&TreeLeaves::new(), text);
+    let node = TestNode::start(Node::builder("rover").child(tree)).await;
+    let _beats = node.heartbeat("beat", 100 * MS).unwrap();
+    node.advance(SECOND).await;
+    node.expect_no_faults().await;
+    assert!(node.snapshot().await.trees.iter().any(|row| row.path == "Sleep::4"));
+}
+
 struct Arm;
 
-impl Component for Arm {}
+impl Component for Arm {
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let flood = cx.heartbeat("arm/beat", MS / 10).unwrap_err().to_string();
+        assert!(flood.ends_with("write 10 ms to an hour"), "{flood}");
+        cx.heartbeat("arm/beat", SECOND)?;
+        Ok(())
+    }
+}
 
 #[blastema_testkit::test]
 async fn leaves_steer_a_life_cycle_and_look_at_components_and_faults() {
@@ -495,7 +577,7 @@ async fn leaves_steer_a_life_cycle_and_look_at_components_and_faults() {
         <ActivateComponent component="arm"/>
         <RetryUntilSuccessful num_attempts="-1"><Sequence>
             <Sleep msec="10"/>
-            <IsFaultPresent code="B27" object="conditions/beat/heard-within-3000ms"/>
+            <IsFaultPresent code="B27" object="conditions/beat/heard-within-3s"/>
         </Sequence></RetryUntilSuccessful>
         <Sleep name="last" msec="60000"/></Sequence>"#;
     let builder = Node::builder("rover").child(ChildSpec::new("arm", || Arm));

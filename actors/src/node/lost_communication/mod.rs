@@ -18,6 +18,7 @@ use super::conditions::NodeSlot;
 use super::error::{PolicyPart, StartError};
 use crate::actuator::{ActuatorKey, ActuatorTable};
 use crate::component::environment::ComponentEnvironment;
+use crate::condition::{ConditionError, object_of};
 use crate::platform;
 use actix::prelude::{ArbiterHandle, Recipient};
 use blastema_contract::reports::FaultDeclared;
@@ -73,8 +74,7 @@ pub(super) struct KeptPolicy {
     commander: Option<NodeName>,
     actuators: ActuatorTable,
     faults: Option<Recipient<FaultDeclared>>,
-    /// The ladder, and how the condition was.
-    ladder: Mutex<(LostCommunication, ConditionState)>,
+    ladder: Mutex<LostCommunication>,
     /// The place of the rung that is carried out.
     rung: watch::Sender<Option<usize>>,
     node: NodeSlot,
@@ -95,25 +95,17 @@ impl KeptPolicy {
         let _ = self.node.set(Arc::downgrade(&node.0));
     }
 
-    fn lock(&self) -> MutexGuard<'_, (LostCommunication, ConditionState)> {
+    fn lock(&self) -> MutexGuard<'_, LostCommunication> {
         self.ladder.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Acts on how the condition is, and on the time.
     fn follow(&self, state: ConditionState, cause: &str, now: Instant) -> Option<Instant> {
-        let mut locked = self.lock();
-        let (ladder, last) = &mut *locked;
-        if std::mem::replace(last, state) == state {
-            ladder.handle_timeout(now);
-        } else if state == ConditionState::Connected {
-            ladder.handle_connected(now);
-        } else if state == ConditionState::Lost || ladder.since().is_some() {
-            // One that is there again, but not well enough to be trusted, is lost.
-            ladder.handle_lost(now);
-        }
+        let mut ladder = self.lock();
+        ladder.handle(state, now);
         let outputs: Vec<_> = std::iter::from_fn(|| ladder.poll_output()).collect();
         let (rung, due) = (ladder.rung(), ladder.poll_timeout());
-        drop(locked);
+        drop(ladder);
         for output in outputs {
             match output {
                 LostCommunicationOutput::Enter(place) => self.enter(place, state, cause),
@@ -168,7 +160,7 @@ impl KeptPolicy {
     }
 
     fn row(&self) -> LostCommunicationRow {
-        let is_back = self.lock().0.is_back();
+        let is_back = self.lock().is_back();
         let rung = self.rung.borrow().and_then(|place| Some(self.rungs.get(place)?.name.clone()));
         LostCommunicationRow { name: self.name.clone(), rung, is_back }
     }
@@ -184,8 +176,7 @@ impl LostCommunicationPolicy {
     ) -> Vec<StartError> {
         let beside = before.iter().filter_map(|other| self.check_beside(other).err());
         let whole = beside.chain(self.check(node, environment).err());
-        let actuators = environment.actuators();
-        let rungs = (0..self.rungs.len()).flat_map(|place| self.check_rung(place, actuators));
+        let rungs = (0..self.rungs.len()).flat_map(|place| self.check_rung(place, environment));
         whole.chain(rungs).map(|(part, reason)| self.refused(part, reason)).collect()
     }
 
@@ -210,10 +201,9 @@ impl LostCommunicationPolicy {
     ) -> Result<Arc<KeptPolicy>, StartError> {
         let conditions = environment.conditions();
         let condition = conditions.declare(&self.name, &self.needs, platform::now(), None);
-        let condition =
-            condition.map_err(|error| self.refused(PolicyPart::Whole, error.to_string()))?;
-        let object = ObjectName::new(&format!("conditions/{}", self.name));
-        let object = object.map_err(|error| self.refused(PolicyPart::Whole, error.to_string()))?;
+        let refused = |error: ConditionError| self.refused(PolicyPart::Whole, error.to_string());
+        let condition = condition.map_err(refused)?;
+        let object = object_of(&self.name).map_err(refused)?;
         let commander = self.commander_node()?;
         let times = self.rungs.iter().map(|(after, _)| *after).collect();
         let (slot, ladder) = (NodeSlot::default(), watch::Sender::new(None));
@@ -244,7 +234,7 @@ impl LostCommunicationPolicy {
             commander,
             actuators: environment.actuators().clone(),
             faults: environment.reports.faults.clone(),
-            ladder: Mutex::new((LostCommunication::new(times, self.end), ConditionState::Lost)),
+            ladder: Mutex::new(LostCommunication::new(times, self.end)),
             rung: ladder,
             node: slot,
         });
@@ -274,7 +264,7 @@ impl Node {
             let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
             return Err(AcknowledgeError::Unknown { name, known });
         };
-        if !policy.lock().0.handle_acknowledged() {
+        if !policy.lock().handle_acknowledged() {
             return Err(AcknowledgeError::NotBack { name });
         }
         self.0.environment.conditions().look_soon();

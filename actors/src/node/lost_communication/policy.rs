@@ -12,7 +12,7 @@ use crate::settings::LAST_RUNG_AFTER;
 use blastema_core::connection::LostCommunicationEnd;
 use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
-use blastema_core::{Contract, NodeName};
+use blastema_core::{Contract, NodeName, ObjectName};
 use bytes::Bytes;
 use std::borrow::Cow;
 use std::fmt;
@@ -199,15 +199,18 @@ impl LostCommunicationPolicy {
     }
 
     /// Finds what cannot work of the rung at this place.
-    pub(super) fn check_rung(&self, place: usize, table: &ActuatorTable) -> Vec<WrongPart> {
+    pub(super) fn check_rung(
+        &self,
+        place: usize,
+        environment: &ComponentEnvironment,
+    ) -> Vec<WrongPart> {
         let (after, rung) = &self.rungs[place];
         if place > 0 && self.rungs[place - 1].0 >= *after {
             let reason = "its rungs do not rise in time: write the earlier ones first";
             return vec![(PolicyPart::RungTime(place), reason.to_owned())];
         }
         if let Err(error) = LAST_RUNG_AFTER.check(*after) {
-            let reason = format!("{} {}: {}", error.setting, error.value, error.cure);
-            return vec![(PolicyPart::RungTime(place), reason)];
+            return vec![(PolicyPart::RungTime(place), error.to_string())];
         }
         if place + 1 == self.rungs.len() && rung.component.is_some() {
             let reason = format!(
@@ -216,7 +219,16 @@ impl LostCommunicationPolicy {
             );
             return vec![(PolicyPart::Rung(place), reason)];
         }
-        rung.check(place, table)
+        if let Some(name) = &rung.component
+            && let Ok(object) = ObjectName::new(name)
+            && let Some(kind) = environment.registry.kind_of(&object)
+        {
+            let rung = &rung.name;
+            let reason =
+                format!("its rung {rung} runs {name}, and {kind} has that name: rename one");
+            return vec![(PolicyPart::Rung(place), reason)];
+        }
+        rung.check(place, environment.actuators())
     }
 
     /// Finds what two policies of one node would fight for.

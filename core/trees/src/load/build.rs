@@ -352,6 +352,8 @@ impl<'a> Builder<'a> {
             }
             match default {
                 Some(default) => {
+                    // One model gives it to each of its subtrees.
+                    self.bytes += port.len() + default.len();
                     ports.insert(port.clone(), (default, element.place));
                 }
                 None => {

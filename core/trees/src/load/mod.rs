@@ -66,8 +66,13 @@ fn main_tree<'a>(
         (None, Some(main)) => definitions.tree(sources, &main.value, main.value_place),
         (None, None) if definitions.trees.len() == 1 => definitions.trees.values().next()?.as_ref(),
         (None, None) => {
-            let (element, attribute) = ("root".into(), "main_tree_to_execute");
-            sources.error(start, Problem::Attribute { element, attribute });
+            let (element, attribute) = ("root".to_owned(), "main_tree_to_execute");
+            if definitions.trees.len() > 1 {
+                sources.error(start, Problem::Attribute { element, attribute });
+            } else if sources.errors.is_empty() {
+                let (found, expected) = (0, "at least 1".into());
+                sources.error(start, Problem::Children { node: element, found, expected });
+            }
             None
         }
     }

@@ -99,6 +99,9 @@ impl Sources {
             let problem = Problem::Element(root.name.clone());
             return self.misspelt(root.place, problem, &root.name, ["root"]);
         }
+        if let Some(format) = root.attribute("BTCPP_format").filter(|format| format.value != "4") {
+            self.no_value(format.value_place, &format.value, "format that is read here; it is 4");
+        }
         including.push(name);
         let (includes, elements): (Vec<_>, Vec<_>) =
             root.children.into_iter().partition(|element| element.name == "include");
@@ -129,8 +132,8 @@ impl Sources {
         if self.files.iter().any(|(known, _)| *known == name) {
             return;
         }
-        if including.len() >= MAX_DEPTH {
-            return self.error(place, Problem::Limit("256 files that include each other"));
+        if self.files.len() >= MAX_DEPTH {
+            return self.error(place, Problem::Limit("256 files"));
         }
         match include(&name) {
             Ok(text) => self.read_file(name, text, including, include),

@@ -36,12 +36,18 @@ pub enum ScriptError {
         /// The operand.
         operand: Value,
     },
+    /// Joined texts are longer than 64 KiB: a script that joins on in each tick has no end.
+    #[error("the joined text has more than 64 KiB")]
+    Long,
     /// The value is neither true nor false: 0, 1, or a real number.
     #[error("`{0}` is neither true nor false")]
     NotBool(Value),
 }
 
 type Evaluated = Result<Value, ScriptError>;
+
+/// The bytes of a joined text. A script of twenty statements can double one a million times.
+const MAX_TEXT: usize = 64 << 10;
 
 impl Script {
     /// The value of the last statement.
@@ -193,7 +199,9 @@ fn binary(left: &Value, operator: &'static str, right: &Value) -> Evaluated {
         _ => false,
     };
     if joins {
-        return Ok(Value::text(format!("{left}{right}")));
+        let joined = format!("{left}{right}");
+        let fits = joined.len() <= MAX_TEXT;
+        return fits.then(|| Value::text(joined)).ok_or(ScriptError::Long);
     }
     let error = |operand: &Value| ScriptError::Operand { operator, operand: operand.clone() };
     let (a, b) = (number(operator, left)?, number(operator, right)?);

@@ -87,14 +87,14 @@ impl Tree {
             return;
         }
         if self.with_body(id, |body, cx| body.halt(cx)) == Halt::Pending {
-            self.halting.push(run);
+            self.halting.push((run, self.now));
         }
     }
 
     /// Asks the leaves that have been halted whether they have come to rest.
     pub(super) fn poll_halting(&mut self) {
         for index in (0..self.halting.len()).rev() {
-            let run = self.halting[index];
+            let (run, _) = self.halting[index];
             let lost = self.leaf(run.node).body.is_none();
             if lost || self.with_body(run.node, |body, cx| body.halting(cx)) == Halt::Done {
                 self.halting.remove(index);
@@ -108,15 +108,24 @@ impl Tree {
         running.map(|state| (LeafRun { node: state.node, start: state.starts }, state.since))
     }
 
-    /// The leaf that panicked in the last tick or halt, after the driver has caught the panic.
-    ///
-    /// Its value is gone and is made again for its next start. The driver can go on, and the leaf
-    /// fails in the next tick if it was RUNNING, or it [halts](Tree::halt) the tree.
-    pub fn panicked(&self) -> Option<TreeNodeId> {
-        self.calling.node()
+    /// The leaves that have not come to rest since they were halted, with the time of that. No
+    /// action of the tree starts meanwhile; a driver that limits this looks here.
+    pub fn halting(&self) -> impl Iterator<Item = (LeafRun, Duration)> + '_ {
+        self.halting.iter().copied()
     }
 
-    /// The leaf that is being called, for a thread that watches the one that ticks.
+    /// Drops the leaves that have not come to rest. They are made again for their next start.
+    pub fn drop_halting(&mut self) {
+        while let Some((run, _)) = self.halting.pop() {
+            self.leaf_mut(run.node).body = None;
+        }
+    }
+
+    /// The leaf that is being called, for a thread that watches the one that ticks, and, after the
+    /// driver has caught a panic, the leaf that panicked in the last tick or halt.
+    ///
+    /// The value of such a leaf is gone and is made again for its next start. The driver can go on,
+    /// and the leaf fails in the next tick if it was RUNNING, or it [halts](Tree::halt) the tree.
     pub fn called(&self) -> CalledLeaf {
         self.calling.clone()
     }
@@ -129,47 +138,44 @@ impl Tree {
     /// Answers for a leaf that runs: the next tick sees it. For one that is coming to rest after a
     /// halt, it is the end of that. False if the run is over, and nothing changes.
     pub fn complete(&mut self, run: LeafRun, status: Status) -> bool {
-        if let Some(index) = self.halting.iter().position(|halting| *halting == run) {
+        if let Some(index) = self.halting.iter().position(|(halting, _)| *halting == run) {
             self.halting.remove(index);
             return true;
         }
         let current = self.is_current(run) && status.is_completed();
-        current && self.answer(run, Some(status))
+        if current {
+            self.answer(run.node, Some(status));
+        }
+        current
     }
 
     /// Sets the answer of a leaf's next tick; none starts the leaf again.
-    fn answer(&mut self, run: LeafRun, answer: Option<Status>) -> bool {
-        let state = self.leaf_mut(run.node);
+    fn answer(&mut self, node: TreeNodeId, answer: Option<Status>) {
+        let state = self.leaf_mut(node);
         (state.answer, state.deferred) = (answer, answer.is_none());
         self.wake_at(self.now);
-        true
     }
 
-    /// Lets a leaf fail when it is ticked next, instead of calling it: after an error or a panic of
-    /// it. False if the node is no leaf of the application.
-    pub fn fail_next(&mut self, node: TreeNodeId) -> bool {
+    /// Lets a leaf fail when it is ticked next, after an error, a panic, or its time limit. It is
+    /// halted where it runs. False if the node is no leaf of the application.
+    pub fn fail(&mut self, node: TreeNodeId, now: Duration) -> bool {
+        self.stop(node, now, Some(Status::Failure))
+    }
+
+    /// Starts a leaf again in the next tick; its parents take it for RUNNING meanwhile. It is
+    /// halted where it runs. False if the node is no leaf of the application.
+    pub fn retry(&mut self, node: TreeNodeId, now: Duration) -> bool {
+        self.stop(node, now, None)
+    }
+
+    fn stop(&mut self, node: TreeNodeId, now: Duration, answer: Option<Status>) -> bool {
         let is_leaf = matches!(self.node(node).kind, Kind::Leaf(_));
-        is_leaf && self.answer(LeafRun { node, start: 0 }, Some(Status::Failure))
-    }
-
-    /// Halts a leaf that takes too long, and lets it fail. False if the run is over.
-    pub fn fail(&mut self, run: LeafRun, now: Duration) -> bool {
-        self.stop(run, now) && self.answer(run, Some(Status::Failure))
-    }
-
-    /// Halts a leaf that takes too long, and starts it again in the next tick. Its parents take it
-    /// for RUNNING meanwhile. False if the run is over.
-    pub fn retry(&mut self, run: LeafRun, now: Duration) -> bool {
-        self.stop(run, now) && self.answer(run, None)
-    }
-
-    fn stop(&mut self, run: LeafRun, now: Duration) -> bool {
-        let current = self.is_current(run);
-        if current {
+        if is_leaf {
             self.now = self.now.max(now);
-            self.halt_leaf(run.node);
+            self.halt_leaf(node);
+            self.answer(node, answer);
         }
-        current
+        is_leaf
     }
 
     fn is_current(&self, run: LeafRun) -> bool {

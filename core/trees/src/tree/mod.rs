@@ -67,8 +67,8 @@ pub struct Tree {
     yielded: bool,
     /// The same, until `tick_while_yielding` takes notice: as in the library, also in a later run.
     woken: bool,
-    /// The leaves that have been halted and have not come to rest.
-    halting: Vec<LeafRun>,
+    /// The leaves that have been halted and have not come to rest, with the time of their halt.
+    halting: Vec<(LeafRun, Duration)>,
     /// The leaf that is being called; still set after a panic.
     calling: CalledLeaf,
     /// What the driver lends to the leaves.
@@ -175,8 +175,8 @@ impl Tree {
     }
 
     /// Ticks the tree again and again while nodes end the tick only to be interruptible:
-    /// `tickOnce` of BehaviorTree.CPP. It does so at most a thousand times, since a
-    /// `Repeat` without end would never return.
+    /// `tickOnce` of BehaviorTree.CPP. It does so at most a thousand times, and fewer in a tree of
+    /// more than a hundred nodes, since a `Repeat` without end would never return.
     ///
     /// # Errors
     ///
@@ -184,7 +184,9 @@ impl Tree {
     pub fn tick_while_yielding(&mut self, now: Duration) -> Result<Status, TickError> {
         self.begin(now);
         let mut status = self.tick_root()?;
-        for _ in 1..1_000 {
+        // A hundred thousand nodes take a few milliseconds, whatever the size of the tree.
+        let ticks = (100_000 / self.nodes.len().max(100)).max(1);
+        for _ in 1..ticks {
             if status != Status::Running || !std::mem::take(&mut self.woken) {
                 break;
             }
@@ -215,7 +217,7 @@ impl Tree {
         Ok(status)
     }
 
-    /// Halts every node that runs. [`Tree::is_halting`] says whether a leaf has yet to come to rest.
+    /// Halts every node that runs. [`Tree::halting`] has the leaves that have yet to come to rest.
     ///
     /// # Errors
     ///
@@ -231,11 +233,6 @@ impl Tree {
             self.node_mut(id).status = Status::Idle;
         }
         result.map_err(|error| *error)
-    }
-
-    /// Whether a halted leaf has not come to rest yet.
-    pub fn is_halting(&self) -> bool {
-        !self.halting.is_empty()
     }
 
     /// The next time at which a tick can change something by itself: a timer fires, or the last

@@ -199,6 +199,13 @@ fn a_chain_of_files_without_end_ends() {
     let errors = Factory::new().load_with("main.xml", text, None, &mut include).err().unwrap();
 
     assert!(errors.to_string().contains("more than 256 files"), "{errors}");
+
+    // So is a file that includes as many others.
+    let includes: String = (0..300).map(|file| format!("<include path=\"{file}.xml\"/>")).collect();
+    let mut include = |_: &str| Ok("<root/>".to_owned());
+    let text = format!("<root>{includes}</root>");
+    let errors = Factory::new().load_with("main.xml", &text, None, &mut include).err().unwrap();
+    assert!(errors.to_string().contains("more than 256 files"), "{errors}");
 }
 
 #[test]
@@ -230,7 +237,11 @@ fn what_is_no_tree_file_is_refused() {
     let cases = [
         ("<root><BehaviorTree></root>", "1:21: no XML: "),
         ("<tree/>", "1:1: <tree> has no meaning here\n"),
-        ("<root/>", "1:1: <root> needs the attribute `main_tree_to_execute`"),
+        ("<root/>", "1:1: `root` has 0 children instead of at least 1"),
+        (
+            "<root BTCPP_format=\"3\"><BehaviorTree><AlwaysSuccess/></BehaviorTree></root>",
+            "1:21: `3` is no format that is read here; it is 4",
+        ),
         (
             "<root>\n<BehaviourTree/></root>",
             "2:1: <BehaviourTree> has no meaning here; did you mean `BehaviorTree`?",
@@ -240,7 +251,7 @@ fn what_is_no_tree_file_is_refused() {
             "1:7: <TreeNodeModel> has no meaning here; did you mean `TreeNodesModel`?",
         ),
         ("<root><BehaviorTree/></root>", "1:7: `BehaviorTree` has 0 children instead of 1"),
-        ("", "1:1: no XML: "),
+        ("", "1:1: no XML: the document does not have a root node\n  1 | \n    | ^"),
     ];
     for (text, expected) in cases {
         let shown = errors(text).to_string();
@@ -342,6 +353,21 @@ fn hostile_files_are_refused_without_a_crash() {
 
     // So are long names.
     let text = text.replace("<Sequence>", &format!("<Sequence name=\"{}\">", "x".repeat(10_000)));
+    assert!(errors(&text).to_string().contains("more than 16 MiB"));
+
+    // So are the defaults of subtrees.
+    let levels: String = (0..10)
+        .map(|level| {
+            let inner = format!("<SubTree ID=\"T{}\"/>", level + 1).repeat(2);
+            format!("<BehaviorTree ID=\"T{level}\"><Sequence>{inner}</Sequence></BehaviorTree>")
+        })
+        .collect();
+    let port = format!("<input_port name=\"p\" default=\"{}\"/>", "x".repeat(100_000));
+    let text = format!(
+        "<root main_tree_to_execute=\"T0\">{levels}{}<TreeNodesModel><SubTree ID=\"T10\">{port}\
+         </SubTree></TreeNodesModel></root>",
+        last.replace("T18", "T10")
+    );
     assert!(errors(&text).to_string().contains("more than 16 MiB"));
 
     // A chain of trees is nested as deep as their nodes.

@@ -161,6 +161,9 @@ fn scripts_have_bounds() {
     assert_eq!(run(&format!("x := {}1", "-".repeat(100))), "nested deeper than 64");
     assert_eq!(run(&format!("x := {}1", "1+".repeat(1_000))), "a script has at most 1000 symbols");
     assert_eq!(run(&format!("x := {}1", "1+".repeat(400))), "401.000000");
+    let joined = |times| run(&format!("x := '12345678';{}", "x := x .. x;".repeat(times)));
+    assert_eq!(joined(13).len(), 64 << 10);
+    assert_eq!(joined(14), "the joined text has more than 64 KiB");
 }
 
 #[test]

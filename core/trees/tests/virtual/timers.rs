@@ -112,6 +112,13 @@ fn a_tree_that_always_yields_ends_its_ticks_all_the_same() {
 
     assert_eq!(bench.calls.take().len(), 1_000);
     assert_eq!(bench.tree.next_tick(), Some(Duration::ZERO));
+
+    // A large tree takes as long as a small one.
+    let many = "<AlwaysSuccess/>".repeat(998);
+    let body = format!("<Repeat num_cycles=\"-1\"><Sequence><Y/>{many}</Sequence></Repeat>");
+    let mut bench = Bench::new("Y=S", &body);
+    bench.tree.tick_while_yielding(Duration::ZERO).unwrap();
+    assert_eq!(bench.calls.take().len(), 99);
 }
 
 #[test]

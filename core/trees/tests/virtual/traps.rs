@@ -134,12 +134,12 @@ fn an_action_takes_several_ticks_to_halt_and_nothing_new_starts_meanwhile() {
 
     // The condition fails: the slow action is halted, and the other branch has to wait.
     assert_eq!((bench.tick(), bench.calls()), ('R', "C:tick:F".into()));
-    assert!(bench.tree.is_halting());
+    assert_eq!(bench.tree.halting().count(), 1);
     assert_eq!((bench.tick(), bench.calls()), ('R', "C:tick:F".into()));
 
     rests.store(true, Ordering::Relaxed);
     assert_eq!((bench.tick(), bench.calls()), ('R', "C:tick:F Y:tick:S A:start:R".into()));
-    assert!(!bench.tree.is_halting());
+    assert_eq!(bench.tree.halting().count(), 0);
     assert_eq!((bench.tick(), bench.calls()), ('S', "C:tick:F A:run:S".into()));
 }
 
@@ -153,13 +153,22 @@ fn the_driver_can_end_a_halt_and_a_tree_is_halted_while_a_leaf_comes_to_rest() {
 
     tree.halt(Duration::ZERO).unwrap();
 
-    assert!(tree.is_halting());
+    assert_eq!(tree.halting().count(), 1);
     // It is to start again, and waits for itself.
     assert_eq!(tree.tick(Duration::ZERO).unwrap(), Status::Running);
     assert_eq!(tree.running().count(), 0);
     assert!(tree.complete(run, Status::Failure));
-    assert!(!tree.is_halting());
+    assert_eq!(tree.halting().count(), 0);
     assert_eq!(tree.tick(Duration::ZERO).unwrap(), Status::Running);
+    assert_eq!(tree.running().count(), 1);
+
+    // Or it drops what does not come to rest, and knows since when.
+    let second = Duration::from_secs(1);
+    tree.halt(second).unwrap();
+    assert_eq!(tree.halting().map(|(_, since)| since).collect::<Vec<_>>(), [second]);
+    tree.drop_halting();
+    assert_eq!(tree.halting().count(), 0);
+    assert_eq!(tree.tick(second).unwrap(), Status::Running);
     assert_eq!(tree.running().count(), 1);
 }
 
@@ -173,13 +182,13 @@ fn a_leafs_panic_names_its_node_and_the_tree_is_halted_and_shows_it() {
     let panic = catch_unwind(AssertUnwindSafe(|| bench.tick()));
 
     assert!(panic.is_err());
-    let node = bench.tree.panicked().unwrap();
+    let node = bench.tree.called().node().unwrap();
     assert_eq!(bench.tree.path(node), "grip");
     let now = bench.now;
     bench.calls();
     bench.tree.halt(now).unwrap();
     assert_eq!(bench.calls(), "A:halt");
-    assert_eq!(bench.tree.panicked(), None);
+    assert_eq!(bench.tree.called().node(), None);
     assert!(bench.tree.nodes().all(|node| node.status == Status::Idle));
     let changes = bench.tree.changes_as_text();
     assert_eq!(
@@ -221,7 +230,7 @@ fn a_panic_while_halting_is_named_too() {
 
     assert!(catch_unwind(AssertUnwindSafe(|| tree.halt(Duration::ZERO))).is_err());
 
-    assert_eq!(tree.path(tree.panicked().unwrap()), "Falls::1");
+    assert_eq!(tree.path(tree.called().node().unwrap()), "Falls::1");
     tree.halt(Duration::ZERO).unwrap();
     assert_eq!(halts.load(Ordering::Relaxed), 1, "it is not asked again");
     assert_eq!(tree.tick(Duration::ZERO).unwrap(), Status::Running);

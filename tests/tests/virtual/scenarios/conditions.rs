@@ -420,6 +420,12 @@ async fn what_is_wrong_with_a_condition_is_said_where_it_is_declared() {
     let long = refused("long", beat().timeout(Duration::MAX));
     assert!(long.ends_with("write 10 ms to an hour"), "{long}");
     assert!(refused("never", beat().timeout(Duration::ZERO)).ends_with("write 10 ms to an hour"));
+    let own = refused("own", Connected::any([beat(), Connected::session("alone")]));
+    assert!(own.contains("session with alone, which is this node: name another one"), "{own}");
+    assert!(refused("own", Connected::node("alone")).contains("is this node"));
+    for percent in [10.0, -0.1, f64::NAN] {
+        assert!(refused("share", beat().max_loss(percent)).ends_with("write 0.0 to 1.0"));
+    }
     let link = refused("link", Connected::link("radoi"));
     assert!(link.contains("no link radoi, as it has no networks"), "{link}");
     let seldom = refused("seldom", beat().min_rate(0.5, SECOND));

@@ -272,6 +272,7 @@ async fn a_policy_that_cannot_work_is_refused_at_the_start() {
     let empty = || named("operator");
     let lease = LostCommunicationPolicy::new("lease", Connected::commander("wheels"));
     let homing = || Rung::run("return", || ChildSpec::new("homing", || Homing));
+    let second_brake = || Rung::run("return", || ChildSpec::new("brake", || Homing));
     let stop = |actuator| empty().after(SECOND, Rung::command("stop", actuator, Drive::Stop));
     let twice = hold().and_command("wheels", Drive::Stop);
     let brake = || Rung::command("stop", "brake", Drive::Stop);
@@ -289,6 +290,10 @@ async fn a_policy_that_cannot_work_is_refused_at_the_start() {
         (vec![empty().after(SECOND, twice)], "two commands for wheels"),
         (vec![empty().after(Duration::MAX, hold())], "write an hour at most"),
         (vec![lease.after(SECOND, hold())], "its condition needs a commander"),
+        (
+            vec![empty().after(SECOND, second_brake()).after(2 * SECOND, hold())],
+            "its rung return runs brake, and a component has that name: rename one",
+        ),
         (vec![stop("wheels").commander("rover")], "its commander rover is this node"),
         (vec![stop("wheels").commander("a b")], "its commander: \"a b\" holds ' '"),
         (
