@@ -107,7 +107,7 @@ fn of_a_long_line_what_is_near_each_place_is_shown() {
 
     let found = found.to_string();
     assert!(found.len() < 200_000, "{} bytes", found.len());
-    assert!(found.contains("and 901 more"), "{}", &found[found.len() - 100..]);
+    assert!(found.contains("and 1901 more"), "{}", &found[found.len() - 100..]);
     assert!(found.lines().all(|line| line.chars().count() < 300), "{found}");
     assert!(found.contains("<component name=\"é7\" type=\"Cell\" rate=\"7\"/>"), "{found}");
 }
