@@ -23,7 +23,6 @@ use blastema_contract::notifier::AddPort;
 use blastema_contract::transport::Close;
 use blastema_core::detection::RecovererPort;
 use blastema_core::net::discovery::DiscoveryAdmission;
-use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::suggestion::nearest;
 use blastema_core::{Incarnation, NodeName};
@@ -125,8 +124,7 @@ impl NodeAssembly {
             self.enrolments.push(middleware(named("net/directory"), Some(directory.pings)));
             return Ok(());
         }
-        let judges = description.judges()?;
-        let networks = (networks, description.keys.take(), judges, description.session_timeout);
+        let networks = (networks, description.keys.take(), description.session_timeout);
         let arbiter = match self.placement {
             ActorPlacement::Here => None,
             ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => Some(own_arbiter()?),
@@ -172,12 +170,7 @@ impl NodeAssembly {
 
 /// Starts transports, links, router, sessions and gateway, and connects them to the fault chain.
 fn make_networks(
-    (networks, keys, judges, session_timeout): (
-        Vec<Network>,
-        Option<Arc<NodeKeys>>,
-        IsolationAuthority,
-        Duration,
-    ),
+    (networks, keys, session_timeout): (Vec<Network>, Option<Arc<NodeKeys>>, Duration),
     (arbiter, transports): (Option<ArbiterHandle>, &mut Vec<Recipient<Close>>),
     (node, incarnation): (&NodeName, Incarnation),
     parts: &FaultChainParts,
@@ -210,9 +203,6 @@ fn make_networks(
     }
     let mut described = neighbours.clone();
     described.extend(specs.iter().flat_map(admitted).cloned());
-    if let IsolationAuthority::Named(wardens) = &judges {
-        described.extend(wardens.iter().cloned());
-    }
     if let Some(keys) = &keys {
         environment.registry.access().replace(keys.access_policy());
     }
@@ -230,7 +220,6 @@ fn make_networks(
         nodes: Some(monitor.clone().recipient()),
         faults: Some(monitor.clone().recipient()),
         cleared: Some(monitor.clone().recipient()),
-        judges,
         session_timeout,
         observers: Vec::new(),
         roster_observers: Vec::new(),

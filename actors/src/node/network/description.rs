@@ -8,9 +8,6 @@ use crate::node::error::StartError;
 use crate::platform;
 use crate::service::{Carried, ServiceSpecError};
 use crate::settings::network::SESSION_TIMEOUT;
-use blastema_core::net::isolation::IsolationAuthority;
-use blastema_core::net::trust::policy::Role;
-use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName};
 use std::env;
 use std::path::PathBuf;
@@ -22,7 +19,6 @@ pub(in crate::node) struct NetworkDescription {
     pub(in crate::node) networks: Vec<Network>,
     pub(in crate::node) file: NetworkFile,
     pub(in crate::node) services: Vec<Result<Carried, ServiceSpecError>>,
-    pub(in crate::node) wardens: Vec<String>,
     pub(in crate::node) session_timeout: Duration,
     /// The file of the node's key.
     pub(in crate::node) key_file: Option<PathBuf>,
@@ -39,7 +35,6 @@ impl Default for NetworkDescription {
             networks: Vec::new(),
             file: NetworkFile::default(),
             services: Vec::new(),
-            wardens: Vec::new(),
             session_timeout: SESSION_TIMEOUT.default,
             key_file: None,
             keys: None,
@@ -53,7 +48,6 @@ impl NetworkDescription {
         SESSION_TIMEOUT.check(self.session_timeout)?;
         self.read_file()?;
         self.read_keys(node)?;
-        self.judges()?;
         check_networks(&self.networks, node, self.keys.as_deref())
     }
 
@@ -90,28 +84,5 @@ impl NetworkDescription {
         let keys = keys.map_err(|error| StartError::Keys(format!("{named_by}{error}")))?;
         self.keys = Some(Arc::new(keys));
         Ok(())
-    }
-
-    /// Whose word isolates a node. With keys, the roster says it, and `warden` of the builder may
-    /// only repeat it.
-    pub(in crate::node) fn judges(&self) -> Result<IsolationAuthority, StartError> {
-        let wardens = self.wardens.iter().map(|name| NodeName::new(name));
-        let wardens = wardens
-            .collect::<Result<SortedSet<_>, _>>()
-            .map_err(StartError::name_of("the name of a node that isolates others"))?;
-        let Some(keys) = &self.keys else {
-            return Ok(match wardens.is_empty() {
-                true => IsolationAuthority::default(),
-                false => IsolationAuthority::Named(wardens),
-            });
-        };
-        match wardens.iter().find(|warden| keys.role_of(warden) != Some(Role::Warden)) {
-            None => Ok(keys.judges()),
-            Some(warden) => Err(StartError::Keys(format!(
-                "{warden} is named by `.warden`, and roster {} does not give it the role warden: write \
-                 `role warden` at its line by `blastema keys edit`, or leave `.warden` out",
-                keys.serial()
-            ))),
-        }
     }
 }
