@@ -105,15 +105,8 @@ impl GatewayActor {
         router: Recipient<SetIsolation>,
         control: Arc<OnceLock<IsolationControl>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
-        let NetEnvironment {
-            registry,
-            topics,
-            recoverer,
-            nodes,
-            dead_letters,
-            observers,
-            ..
-        } = environment.clone();
+        let NetEnvironment { registry, topics, recoverer, nodes, dead_letters, observers, .. } =
+            environment.clone();
         let faults = environment.own_faults("gateway");
         move |context| {
             let isolation = IsolationControl {

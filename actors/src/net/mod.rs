@@ -304,8 +304,7 @@ pub(crate) fn start(
     let media = media.collect();
     if let Some(keys) = &keys {
         let networks = networks.iter().map(|spec| (spec.name.to_string(), spec.seal.is_some()));
-        let orders =
-            operator::IsolationOrders::new(node.clone(), stubs.clone(), isolation.clone());
+        let orders = operator::IsolationOrders::new(node.clone(), stubs.clone(), isolation.clone());
         operator::serve(&environment.registry, keys, networks.collect(), orders);
     }
     let networks = networks.into_iter().zip(numbers).zip(dial_in).map(|((spec, numbers), free)| {

@@ -35,7 +35,7 @@ use crate::{Incarnation, Instant, Machine, NodeName};
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::time::Duration;
-use topology::{Adjacency, DisjointPath, Route, Topology};
+use topology::{Adjacency, Route, Topology};
 
 /// The machine of a node's router.
 #[derive(Debug)]
@@ -50,9 +50,6 @@ pub struct Router {
     known: SortedMap<NodeId, DatabaseEntry>,
     own: Advertisement,
     routes: SortedMap<NodeId, Route>,
-    /// The disjoint paths of copies, computed for the first copy to a node after a change: as many
-    /// as routes.
-    ways: SortedMap<NodeId, Vec<DisjointPath>>,
     /// When the paths are computed again; `None` while they are current.
     compute_at: Option<Instant>,
     computed_at: Instant,
@@ -110,7 +107,6 @@ impl Router {
             known: SortedMap::new(),
             own,
             routes: SortedMap::new(),
-            ways: SortedMap::new(),
             compute_at: None,
             computed_at: Instant::ORIGIN,
             refresh_at,
@@ -336,7 +332,6 @@ impl Router {
         self.computed_at = self.now;
         self.look_for_namesakes();
         let routes = self.topology().routes();
-        self.ways.clear();
         let mut before = std::mem::replace(&mut self.routes, routes);
         let mut found = Vec::new();
         for (id, route) in &self.routes {

@@ -1,9 +1,5 @@
 //! The shortest paths through a network, and the alternates to them.
 
-mod disjoint;
-
-pub(crate) use self::disjoint::DisjointPath;
-
 use super::keys::CheckBudget;
 use super::{LinkHealth, MTU_MIN};
 use crate::net::is_narrow;
