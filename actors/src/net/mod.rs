@@ -340,9 +340,8 @@ pub(crate) fn start(
             });
         }
         let (carry, report) = (address.clone().recipient(), address.clone().recipient());
-        let given_up = address.clone().recipient();
         let numbers = numbers.into_iter().chain(free).collect();
-        router.do_send(AddLinks { links: numbers, carry, given_up, report });
+        router.do_send(AddLinks { links: numbers, carry, report });
         (name, address)
     });
     let networks: Vec<(_, Addr<links::LinksActor>)> = networks.collect();

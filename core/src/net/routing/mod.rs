@@ -14,7 +14,6 @@ mod flooding;
 mod forwarding;
 mod keys;
 mod names;
-mod remote_down;
 mod timers;
 mod types;
 
@@ -203,9 +202,8 @@ impl Router {
         }
         self.unused.remove(&link);
         if health == LinkHealth::Down || mtu < MTU_MIN {
-            if let Some(lost) = self.links.remove(&link) {
+            if self.links.remove(&link).is_some() {
                 self.choose_anew();
-                self.say_given_up(&lost);
                 self.announce_links();
             }
             return;
@@ -230,7 +228,6 @@ impl Router {
                         cost,
                         mtu,
                         health,
-                        number_there: None,
                         pending,
                         compare_at: now,
                         differs_since: None,
@@ -273,9 +270,6 @@ impl Router {
         for (link, Adjacency { neighbour, cost, mtu, health, .. }) in isolated_links {
             let status = LinkStatus { neighbour, health, cost, mtu: mtu.into() };
             self.isolated_links.insert(link, status);
-            // The last message to it: it learns at once that no node is behind its links.
-            let bytes = RoutingMessage::Announce(vec![self.own.clone()]).encode();
-            self.outputs.push_back(RouterOutput::Routing { link, bytes });
         }
     }
 
@@ -296,8 +290,6 @@ impl Router {
             }
             Ok(RoutingMessage::Have { range, ids }) => self.handle_have(link, range, &ids),
             Ok(RoutingMessage::Taken { by }) => self.handle_taken(by),
-            Ok(RoutingMessage::Numbered(number)) => self.handle_numbered(link, number),
-            Ok(RoutingMessage::GaveUp(lost)) => self.handle_given_up(link, lost),
             Err(error) => self.refusals.count(&error),
         }
     }

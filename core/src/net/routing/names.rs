@@ -75,8 +75,7 @@ impl Router {
 
     /// Does not use a link.
     pub(super) fn set_aside(&mut self, link: LinkId, status: LinkStatus) {
-        if let Some(lost) = self.links.remove(&link) {
-            self.say_given_up(&lost);
+        if self.links.remove(&link).is_some() {
             self.announce_links();
         }
         match self.unused.get_mut(&link) {

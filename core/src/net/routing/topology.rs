@@ -48,8 +48,6 @@ pub(crate) struct Adjacency {
     pub(crate) cost: u16,
     pub(crate) mtu: u16,
     pub(crate) health: LinkHealth,
-    /// What the neighbour calls it, as far as it has said.
-    pub(crate) number_there: Option<LinkId>,
     /// Origins whose advertisement the neighbour has not confirmed, and when to repeat it.
     pub(crate) pending: SortedMap<NodeId, Instant>,
     pub(crate) compare_at: Instant,
