@@ -77,7 +77,7 @@ pub(super) struct LinksRecipients {
     pub(super) router_loads: Recipient<ReceivedOnLink>,
     pub(super) monitor: Option<Recipient<LinkReported>>,
     pub(super) stalls: Option<Recipient<LivenessReported>>,
-    /// Who tells others of our neighbours, and which network this is to it.
+    /// Discovery, and which network this is to it.
     pub(super) discovery: Option<(usize, Recipient<NeighbourChange>)>,
     pub(super) faults: FaultReporter,
     /// Where frames are sealed: by which keys, and how.

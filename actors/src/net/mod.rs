@@ -231,20 +231,12 @@ pub(crate) fn start(
     let ((numbers, dial_in), fields) = number(&networks);
     let wiring = discovery::DiscoveryRecipients {
         node: node.clone(),
-        registry: environment.registry.clone(),
         fields,
         faults: environment.own_faults("discovery"),
         keys: environment.keys.clone(),
     };
-    let discovery = (!wiring.fields.is_empty()).then(|| {
-        let make =
-            |context: &mut Context<_>| DiscoveryActor::new(wiring, context.address().recipient());
-        guardian.start(named("discovery"), on_arbiter, make)
-    });
-    if discovery.is_none() {
-        peer_messages::register_sink(named("discovery"), &environment.registry);
-    }
-    environment.observers.extend(discovery.clone().map(Addr::recipient));
+    let discovery = (!wiring.fields.is_empty())
+        .then(|| guardian.start(named("discovery"), on_arbiter, |_| DiscoveryActor::new(wiring)));
     let registry = environment.registry.clone();
     let faults = environment.own_faults("roster");
     let roster = environment.keys.clone().map(|keys| {

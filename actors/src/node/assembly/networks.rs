@@ -187,8 +187,8 @@ fn make_networks(
     let silence = silence.unwrap_or_default();
     for network in networks {
         let started = network.start((node, has_keys), guardian, arbiter.as_ref())?;
-        let beacons = started.spec.discovery.iter().filter_map(|spec| spec.beacons.as_ref());
-        let of_network = beacons.map(|(transport, _)| transport).chain([&started.spec.transport]);
+        let beacons = started.spec.discovery.iter().map(|spec| &spec.beacons.0);
+        let of_network = beacons.chain([&started.spec.transport]);
         transports.extend(of_network.map(|transport| transport.close.clone()));
         if let Some(cable) = started.cable {
             cables.insert(started.spec.name.to_string(), cable);
