@@ -119,7 +119,7 @@ impl Router {
             if held.is_some_and(|held| *held == advertisement) {
                 confirmed.push(id);
                 if let Some(adjacent) = self.links.get_mut(&link) {
-                    adjacent.pending.remove(&id.origin);
+                    adjacent.confirm(id, self.id);
                 }
                 continue;
             }
@@ -193,7 +193,7 @@ impl Router {
             } else if held < advertisement_id {
                 wanted.push(held);
             } else if let Some(adjacent) = self.links.get_mut(&link) {
-                adjacent.pending.remove(&origin);
+                adjacent.confirm(advertisement_id, self.id);
             }
         }
         if let Some((first, last)) = range

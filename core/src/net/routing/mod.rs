@@ -229,12 +229,14 @@ impl Router {
                         mtu,
                         health,
                         pending,
+                        confirmed: 0,
                         compare_at: now,
                         differs_since: None,
                         keys_differ: false,
                         checks: Default::default(),
                     },
                 );
+                self.set_silent_aside(link);
                 self.announce_links();
                 self.compare(link);
             }
