@@ -1,6 +1,5 @@
 //! Names without a node: two of three nodes can draw the map, and who asks for it need not know
-//! which one does. The nodes also find each other by themselves: the asker has only described the
-//! first.
+//! which one does. The nodes also find each other by themselves, by beacons.
 //!
 //! All nodes live in one process here, so that the example is one program; as three programs they
 //! would be the same.
@@ -34,12 +33,9 @@ impl Handle<Author> for Cartographer {
     }
 }
 
-/// A node that a neighbour on the network tells of gets a link.
-fn node(name: &str, own: SocketAddr, peers: &[(&str, SocketAddr)]) -> NodeBuilder {
-    let mut network = Network::udp("ethernet", own).discover_anybody();
-    for (peer, address) in peers {
-        network = network.peer(peer, &address.to_string());
-    }
+/// A node that sends its address to the group, and makes a link to each node that does the same.
+fn node(name: &str, own: SocketAddr, group: &str) -> NodeBuilder {
+    let network = Network::udp("ethernet", own).beacons(group).discover_anybody();
     Node::builder(name).network(network)
 }
 
@@ -50,21 +46,22 @@ fn cartographer(on: &'static str) -> ChildSpec<Cartographer> {
 
 #[blastema::main]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let [a, b, c] = free_addresses()?;
-    let first = node("module1", a, &[("module2", b), ("asker", c)]);
+    let [a, b, c, group] = free_addresses()?;
+    let group = format!("239.255.77.11:{}", group.port());
+    let first = node("module1", a, &group);
     let first = first.child(cartographer("module1")).start().await?;
-    let asker = node("asker", c, &[("module1", a)]).start().await?;
+    let asker = node("asker", c, &group).start().await?;
     let mut watch = asker.watch_name("map")?;
     println!("map is at {}", tokio::time::timeout(PATIENCE, watch.held()).await?);
 
-    let second = node("module2", b, &[("module1", a)]);
+    let second = node("module2", b, &group);
     let second = second.child(cartographer("module2")).start().await?;
-    // Once they have heard of each other through module1, they have a link of their own.
+    // Once they have received each other's beacons, they have a link.
     tokio::time::timeout(PATIENCE, linked(&asker, "module2")).await?;
     let map: Sender<Author> = asker.sender("*:map")?;
     assert_eq!(map.ask(Author).await?, "module1"); // module2 stands by
 
-    // The node that holds the name, and by which the others knew each other, goes without a word.
+    // The node that holds the name ends without a word.
     drop(first);
     println!("map is at {}", tokio::time::timeout(PATIENCE, watch.held()).await?);
     assert_eq!(map.ask(Author).await?, "module2"); // the same sender
@@ -85,11 +82,11 @@ async fn linked(node: &Node, neighbour: &str) {
     }
 }
 
-/// Three addresses of this computer that are free.
-fn free_addresses() -> std::io::Result<[SocketAddr; 3]> {
+/// Four addresses of this computer that are free.
+fn free_addresses() -> std::io::Result<[SocketAddr; 4]> {
     // Held together, so that they differ, and given back for the nodes to take.
-    let held = [0; 3].map(|_| UdpSocket::bind("127.0.0.1:0"));
-    let mut addresses = [SocketAddr::from(([127, 0, 0, 1], 0)); 3];
+    let held = [0; 4].map(|_| UdpSocket::bind("127.0.0.1:0"));
+    let mut addresses = [SocketAddr::from(([127, 0, 0, 1], 0)); 4];
     for (address, socket) in addresses.iter_mut().zip(held) {
         *address = socket?.local_addr()?;
     }

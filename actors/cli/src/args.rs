@@ -241,7 +241,7 @@ pub(crate) enum KeysJob {
         /// The folder for the files
         #[arg(long, value_name = "DIR", default_value = ".")]
         out: PathBuf,
-        /// A node's role, where it is not `node`: operator, warden or guest
+        /// A node's role, where it is not `node`: operator or guest
         #[arg(long = "role", value_name = "NODE=ROLE")]
         roles: Vec<String>,
     },
@@ -265,7 +265,7 @@ pub(crate) enum KeysJob {
         robot: RobotOption,
         #[command(flatten)]
         push: PushOptions,
-        /// A node's role, where it is not `node`: operator, warden or guest
+        /// A node's role, where it is not `node`: operator or guest
         #[arg(long = "role", value_name = "NODE=ROLE")]
         roles: Vec<String>,
     },
@@ -328,7 +328,7 @@ pub(crate) struct KeysCheckOptions {
 /// What can be ordered of a node.
 #[derive(Clone, Debug, PartialEq, clap::Subcommand)]
 pub(crate) enum NodeJob {
-    /// Isolate a node: all others that are reached vote so, and take nothing from it any more
+    /// Isolate a node: all others that are reached take nothing from it any more
     ///
     /// Their faults and journals name the operator and the reason. It stands until it is admitted.
     #[command(after_help = OPERATOR_HELP)]

@@ -14,7 +14,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Elements and attributes that have their place in the format and no meaning yet.
-const NOT_YET: [&str; 24] = [
+const NOT_YET: [&str; 23] = [
     "composite",
     "export",
     "fault-kind",
@@ -37,7 +37,6 @@ const NOT_YET: [&str; 24] = [
     "significant",
     "start",
     "variants",
-    "wardens",
     "blocking",
 ];
 

@@ -1,32 +1,28 @@
-//! Drives discovery: finds neighbours that are not in the node's configuration.
+//! Drives discovery: finds neighbours that are not in the node's configuration by their beacons.
 
 use super::LinkSpec;
 use super::fault_reporter::FaultReporter;
 use super::keys::NodeKeys;
 use super::links::{AddDiscoveredLink, NeighbourChange, RemoveDiscoveredLink, ReportNeighbours};
-use super::peer_messages::{ActorMessageReceived, PeerChannel};
 use super::roster_watch::RosterChanged;
 use crate::platform;
-use crate::registry::Registry;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
 use actix::prelude::*;
 use blastema_contract::router::InjectPanic;
-use blastema_contract::session::PeerStatusChanged;
 use blastema_contract::transport::{
     Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
+use blastema_core::net::LinkId;
 use blastema_core::net::discovery::{
-    Discovery, DiscoveryAdmission, DiscoveryConfig, DiscoveryDomain, DiscoveryOutput,
+    Discovery, DiscoveryAdmission, DiscoveryConfig, DiscoveryOutput,
 };
 use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::trust::beacon::{BeaconKeys, CheckedBeacon};
-use blastema_core::net::{LinkId, NodeId};
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultKind, NodeName};
 use bytes::Bytes;
 use std::net::{IpAddr, SocketAddr};
-use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::{info, warn};
@@ -43,13 +39,11 @@ const BEACON_MARK: &[u8] = b"BLB\x01";
 /// How a network discovers.
 #[derive(Clone, Debug)]
 pub(crate) struct DiscoverySpec {
-    /// What it is made of, such as `udp`.
-    pub(crate) medium: &'static str,
     pub(crate) admission: DiscoveryAdmission,
     /// How often hellos are said on a link that is learned.
     pub(crate) hello_interval: Duration,
     /// Where beacons are sent and heard, and to whom they go.
-    pub(crate) beacons: Option<(Transport, SocketAddr)>,
+    pub(crate) beacons: (Transport, SocketAddr),
 }
 
 /// A network that discovers, as the body sees it.
@@ -65,7 +59,6 @@ pub(super) struct DiscoveryNetwork {
 /// The recipients that it reports to.
 pub(super) struct DiscoveryRecipients {
     pub(super) node: NodeName,
-    pub(super) registry: Registry,
     pub(super) fields: Vec<DiscoveryNetwork>,
     pub(super) faults: FaultReporter,
     /// With which beacons are authenticated.
@@ -91,32 +84,24 @@ pub(super) struct DiscoveryActor {
     links: Vec<NetworkLinks>,
     machine: Discovery,
     wake: WakeTimer,
-    channel: PeerChannel,
     /// Links that were made: at most so many for each network as it has numbers.
     made: SortedMap<(usize, NodeName), (LinkId, MediumAddress)>,
-    /// Nodes that a session is open with.
-    peers: SortedMap<NodeId, NodeName>,
-    complaints: RefusalAlarms<Option<NodeName>>,
-    /// Those of the pairs, where nodes have keys and this one says beacons.
+    complaints: RefusalAlarms<()>,
+    /// Those of the pairs, where nodes have keys.
     beacon_keys: Option<BeaconKeys>,
     /// The ports at which our networks are open, for beacons.
     ports: SortedMap<usize, u16>,
 }
 
 impl DiscoveryActor {
-    pub(super) fn new(
-        wiring: DiscoveryRecipients,
-        reader: Recipient<ActorMessageReceived>,
-    ) -> Self {
+    pub(super) fn new(wiring: DiscoveryRecipients) -> Self {
         DiscoveryActor {
             machine: begin(&wiring),
             links: Vec::new(),
             wake: WakeTimer::default(),
-            channel: PeerChannel::at(super::named("discovery"), &wiring.registry, reader),
             made: SortedMap::new(),
-            peers: SortedMap::new(),
             complaints: RefusalAlarms::default(),
-            beacon_keys: beacon_keys(&wiring),
+            beacon_keys: wiring.keys.as_ref().map(|keys| keys.beacon_keys()),
             ports: SortedMap::new(),
             wiring,
         }
@@ -129,10 +114,8 @@ impl DiscoveryActor {
         };
         let taken: SortedSet<_> = self.made.values().map(|(number, _)| *number).collect();
         let number = field.numbers.iter().find(|number| !taken.contains(number)).copied();
-        let remote = parse(field.spec.medium, address);
-        let (Some(number), Some(remote)) = (number, remote) else {
-            return self.machine.handle_unusable(domain, &node, platform::now());
-        };
+        let remote = address.parse().map(MediumAddress::Ip);
+        let (Some(number), Ok(remote)) = (number, remote) else { return };
         info!(network = %field.network, %node, %remote, "a neighbour is learned of");
         let spec = LinkSpec {
             name: format!("{}/{node}", field.network).into(),
@@ -154,18 +137,13 @@ impl DiscoveryActor {
         }
     }
 
-    /// Raises an alarm for a sender whose messages are refused for seconds, and clears it when none
-    /// was refused for a while.
+    /// Raises an alarm while beacons are refused for seconds, and clears it when none was refused
+    /// for a while.
     fn look_at_refusals(&mut self) {
         let now = platform::now();
-        let looks = self.machine.refusals().map(|(node, refusals)| (node.cloned(), refusals));
-        let looks: Vec<_> = looks.collect();
-        for (node, refusals) in looks {
-            let alarm = self.complaints.handle_look(node.clone(), refusals, now);
-            let Some(since) = alarm else { continue };
-            let who = node.map_or("by beacons".to_owned(), |node| format!("by {node}"));
+        if let Some(since) = self.complaints.handle_look((), self.machine.refusals(), now) {
             let detail = format!(
-                "of the neighbours that are told {who}, many are refused all the time: {since}"
+                "of the neighbours that are told by beacons, many are refused all the time: {since}"
             );
             warn!("{detail}");
             self.wiring.faults.declare(FaultKind::CheckFailed, detail);
@@ -177,11 +155,8 @@ impl DiscoveryActor {
 
     fn say_beacons(&self) {
         for (domain, field) in self.wiring.fields.iter().enumerate() {
-            let (Some((transport, group)), Some(port)) =
-                (&field.spec.beacons, self.ports.get(&domain))
-            else {
-                continue;
-            };
+            let (transport, group) = &field.spec.beacons;
+            let Some(port) = self.ports.get(&domain) else { continue };
             let frames = match &self.beacon_keys {
                 Some(keys) => keys.beacons(*port).into_iter().map(Bytes::from).collect(),
                 None => vec![beacon(&self.wiring.node, *port)],
@@ -195,56 +170,24 @@ impl DiscoveryActor {
 
     fn attach(&self, context: &mut Context<Self>) {
         for (domain, field) in self.wiring.fields.iter().enumerate() {
-            if let Some((transport, _)) = &field.spec.beacons {
-                let (frames, reports) = (context.address(), context.address());
-                let ears = Ears { domain, body: frames, left: BEACONS_MAX }.start();
-                let reports = reports.recipient();
-                transport.attach.do_send(Attach::new(ears.recipient(), reports));
-            }
+            let (transport, _) = &field.spec.beacons;
+            let (frames, reports) = (context.address(), context.address());
+            let ears = Ears { domain, body: frames, left: BEACONS_MAX }.start();
+            transport.attach.do_send(Attach::new(ears.recipient(), reports.recipient()));
         }
     }
 }
 
-/// The arithmetic on curves for each node of the roster is done where there are beacons.
-fn beacon_keys(wiring: &DiscoveryRecipients) -> Option<BeaconKeys> {
-    let says_beacons = wiring.fields.iter().any(|field| field.spec.beacons.is_some());
-    wiring.keys.as_ref().filter(|_| says_beacons).map(|keys| keys.beacon_keys())
-}
-
 fn begin(wiring: &DiscoveryRecipients) -> Discovery {
-    let domain = |field: &DiscoveryNetwork| DiscoveryDomain {
-        name: field.network.to_string(),
-        medium: field.spec.medium.to_owned(),
-        admission: field.spec.admission.clone(),
-    };
-    let domains = wiring.fields.iter().map(domain).collect();
+    let admissions = wiring.fields.iter().map(|field| field.spec.admission.clone()).collect();
     let now = platform::now();
-    let mut machine = Discovery::new(DiscoveryConfig::new(wiring.node.clone(), domains), now);
+    let mut machine = Discovery::new(DiscoveryConfig::new(wiring.node.clone(), admissions));
     for (domain, field) in wiring.fields.iter().enumerate() {
         for (node, address) in &field.described {
             machine.handle_down(domain, node.clone(), address.to_string(), now);
         }
     }
     machine
-}
-
-/// An address as it is told, where it can be one of a single neighbour.
-fn parse(medium: &str, text: &str) -> Option<MediumAddress> {
-    match medium {
-        "udp" | "tcp" => {
-            let address: SocketAddr = text.parse().ok()?;
-            let ip = address.ip();
-            let broadcast = matches!(ip, IpAddr::V4(ip) if ip.is_broadcast());
-            let one = !ip.is_unspecified() && !ip.is_multicast() && !broadcast;
-            (one && address.port() > 0).then_some(MediumAddress::Ip(address))
-        }
-        "unix" => {
-            let path = text.starts_with('/') && !text.contains('\0');
-            path.then(|| MediumAddress::Unix(Arc::from(Path::new(text))))
-        }
-        "memory" => Some(MediumAddress::Memory(text.into())),
-        _ => None,
-    }
 }
 
 /// Without keys:
@@ -260,7 +203,8 @@ fn read_beacon(frame: &[u8]) -> Option<(NodeName, u16)> {
     let rest = frame.strip_prefix(BEACON_MARK)?;
     let (port, name) = rest.split_first_chunk::<2>()?;
     let name = std::str::from_utf8(name).ok()?;
-    Some((NodeName::new(name).ok()?, u16::from_be_bytes(*port)))
+    let port = u16::from_be_bytes(*port);
+    (port > 0).then_some((NodeName::new(name).ok()?, port))
 }
 
 /// Hears the beacons of one network.
@@ -308,10 +252,8 @@ impl Actor for DiscoveryActor {
 
     fn started(&mut self, context: &mut Context<Self>) {
         context.run_interval(REFUSAL_CHECK_INTERVAL, |body, _| body.look_at_refusals());
-        if self.wiring.fields.iter().any(|field| field.spec.beacons.is_some()) {
-            self.attach(context);
-            context.run_interval(BEACON_INTERVAL, |body, _| body.say_beacons());
-        }
+        self.attach(context);
+        context.run_interval(BEACON_INTERVAL, |body, _| body.say_beacons());
         self.drive(context);
     }
 }
@@ -340,12 +282,6 @@ impl MachineActor for DiscoveryActor {
 
     fn carry_out(&mut self, output: DiscoveryOutput, _: &mut Context<Self>) {
         match output {
-            DiscoveryOutput::Send { to, message } => {
-                // Who is up and has no session yet is told when it has one.
-                if self.peers.contains_key(&NodeId::of(&to)) {
-                    self.channel.send(&to, &message);
-                }
-            }
             DiscoveryOutput::Connect { domain, node, address } => {
                 self.connect(domain, node, &address);
             }
@@ -383,35 +319,6 @@ impl Handler<NeighbourChange> for DiscoveryActor {
     }
 }
 
-impl Handler<PeerStatusChanged> for DiscoveryActor {
-    type Result = ();
-
-    fn handle(&mut self, seen: PeerStatusChanged, context: &mut Context<Self>) {
-        match seen {
-            PeerStatusChanged::Opened { node, .. } => {
-                self.peers.insert(NodeId::of(&node), node);
-                self.machine.handle_opened(platform::now());
-            }
-            PeerStatusChanged::Ended { node } | PeerStatusChanged::Left { node } => {
-                self.peers.remove(&NodeId::of(&node));
-            }
-        }
-        self.drive(context);
-    }
-}
-
-impl Handler<ActorMessageReceived> for DiscoveryActor {
-    type Result = ();
-
-    fn handle(&mut self, message: ActorMessageReceived, context: &mut Context<Self>) {
-        self.channel.read_one();
-        if let Some(node) = self.peers.get(&message.from) {
-            self.machine.handle_message(node, &message.bytes, platform::now());
-            self.drive(context);
-        }
-    }
-}
-
 impl Handler<Beacon> for DiscoveryActor {
     type Result = ();
 
@@ -439,8 +346,8 @@ impl Handler<RosterChanged> for DiscoveryActor {
     type Result = ();
 
     fn handle(&mut self, RosterChanged(keys): RosterChanged, _: &mut Context<Self>) {
+        self.beacon_keys = Some(keys.beacon_keys());
         self.wiring.keys = Some(keys);
-        self.beacon_keys = beacon_keys(&self.wiring);
     }
 }
 
@@ -478,20 +385,15 @@ mod tests {
         let node = NodeName::new("module1").unwrap();
         assert_eq!(&beacon(&node, 7400)[..], b"BLB\x01\x1c\xe8module1");
         assert_eq!(read_beacon(&beacon(&node, 7400)), Some((node, 7400)));
-        for noise in
-            [&b""[..], b"BLB\x01\0", b"BLB\x02\0\0a", b"BLB\x01\0\x01", b"BLB\x01\0\x01a b"]
-        {
+        for noise in [
+            &b""[..],
+            b"BLB\x01\0",
+            b"BLB\x02\0\0a",
+            b"BLB\x01\0\x01",
+            b"BLB\x01\0\x01a b",
+            b"BLB\x01\0\0a",
+        ] {
             assert_eq!(read_beacon(noise), None, "{noise:?}");
         }
-    }
-
-    #[test]
-    fn an_address_that_is_not_of_one_neighbour_is_none() {
-        for text in ["10.0.0.1:7400", "[fd00::1]:7400"] {
-            assert_eq!(parse("udp", text).unwrap().to_string(), text);
-        }
-        let wrong = ["0.0.0.0:7400", "10.0.0.1:0", "239.0.0.1:7400", "255.255.255.255:1", "x", ""];
-        assert!(wrong.iter().all(|text| parse("udp", text).is_none()));
-        assert!(parse("unix", "run/x").is_none() && parse("serial", "/dev/ttyUSB0").is_none());
     }
 }

@@ -11,7 +11,7 @@ pub(super) use super::gateway_messages::{ForwardFault, SendToPeer};
 
 use super::fault_reporter::FaultReporter;
 use super::gateway_messages::{FaultForwarded, LocalReply, TopicInterestChanged};
-use super::isolation::{IsolationControl, IsolationObservers};
+use super::isolation::IsolationControl;
 use super::stub::{PeerCondition, PeerSendState, PeerStubs};
 use super::{NetEnvironment, fault_forwarding};
 use crate::messaging::dead_letters::DeadLetterLog;
@@ -29,7 +29,6 @@ use blastema_contract::session::{
 };
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
-use blastema_core::net::isolation::Isolation;
 use blastema_core::net::peer_protocol::{
     PeerProtocol, PeerProtocolOutput, SessionEpoch, TopicContract,
 };
@@ -60,7 +59,7 @@ struct GatewaySetup {
     faults: FaultReporter,
     sessions: SessionRecipients,
     stubs: Arc<PeerStubs>,
-    wardens: IsolationControl,
+    isolation: IsolationControl,
     dead_letters: DeadLetterLog,
     /// Who of this node talks to others like itself.
     observers: Vec<Recipient<PeerStatusChanged>>,
@@ -106,31 +105,18 @@ impl GatewayActor {
         router: Recipient<SetIsolation>,
         control: Arc<OnceLock<IsolationControl>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
-        let NetEnvironment {
-            node,
-            incarnation,
-            judges,
-            registry,
-            topics,
-            recoverer,
-            nodes,
-            dead_letters,
-            observers,
-            ..
-        } = environment.clone();
+        let NetEnvironment { registry, topics, recoverer, nodes, dead_letters, observers, .. } =
+            environment.clone();
         let faults = environment.own_faults("gateway");
         move |context| {
-            let machine = Isolation::new(node, incarnation, judges);
-            let told_of = IsolationObservers {
+            let isolation = IsolationControl {
                 stubs: stubs.clone(),
-                registry: registry.clone(),
                 gateway: context.address().recipient(),
                 router,
                 monitor: nodes.clone(),
             };
-            let wardens = IsolationControl::new(machine, told_of);
             // A gateway is made once.
-            let _ = control.set(wardens.clone());
+            let _ = control.set(isolation.clone());
             GatewayActor::wired(GatewaySetup {
                 registry,
                 topics,
@@ -139,7 +125,7 @@ impl GatewayActor {
                 faults,
                 sessions,
                 stubs,
-                wardens,
+                isolation,
                 dead_letters,
                 observers,
             })

@@ -4,7 +4,6 @@ use super::own_incarnation;
 use crate::platform;
 use crate::platform::key_files::{folder_of, read_public, read_secret};
 use blastema_contract::transport::MediumAddress;
-use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::net::routing::RouterKeys;
 use blastema_core::net::seal::{NoiseCrypto, SealProfile, Sealer, SealerConfig};
 use blastema_core::net::trust::access::AccessPolicy;
@@ -187,27 +186,9 @@ impl NodeKeys {
         &self.roster.robot
     }
 
-    /// The role of a node.
-    pub(crate) fn role_of(&self, node: &NodeName) -> Option<Role> {
-        self.roster.node(node).map(|listed| listed.role)
-    }
-
     /// The nodes of the roster.
     pub(crate) fn listed(&self) -> SortedSet<NodeName> {
         self.roster.nodes().iter().map(|node| node.name.clone()).collect()
-    }
-
-    /// Whose word isolates a node: the wardens of the roster, or more than half of all but guests.
-    pub(crate) fn judges(&self) -> IsolationAuthority {
-        let of_role = |role| {
-            let nodes = self.roster.nodes().iter().filter(move |node| node.role == role);
-            nodes.map(|node| node.name.clone()).collect::<SortedSet<_>>()
-        };
-        let wardens = of_role(Role::Warden);
-        match wardens.is_empty() {
-            true => IsolationAuthority::MajorityWithout(of_role(Role::Guest)),
-            false => IsolationAuthority::Named(wardens),
-        }
     }
 
     /// What the roster lets other nodes do here, and this one elsewhere.

@@ -21,7 +21,7 @@ use crate::runtime::guardian::answers_the_monitor;
 use actix::prelude::*;
 use blastema_contract::link::{
     CarrierChanged, LinkChanged, LinkPayload, LinkRow, LinkSeal, ReadLinks, ReceivedOnLink,
-    RemoteLinkDown, ReportLinks, TransmitOnLink,
+    ReportLinks, TransmitOnLink,
 };
 use blastema_contract::monitor::LinkReported;
 use blastema_contract::reports::LivenessReported;
@@ -77,7 +77,7 @@ pub(super) struct LinksRecipients {
     pub(super) router_loads: Recipient<ReceivedOnLink>,
     pub(super) monitor: Option<Recipient<LinkReported>>,
     pub(super) stalls: Option<Recipient<LivenessReported>>,
-    /// Who tells others of our neighbours, and which network this is to it.
+    /// Discovery, and which network this is to it.
     pub(super) discovery: Option<(usize, Recipient<NeighbourChange>)>,
     pub(super) faults: FaultReporter,
     /// Where frames are sealed: by which keys, and how.
@@ -188,9 +188,6 @@ impl LinksActor {
 
     /// What a link costs at present.
     fn cost(&self, number: LinkId, link: &Link) -> u16 {
-        if link.is_given_up() {
-            return u16::MAX;
-        }
         let of_medium = self.bytes_per_second.map_or(USUAL_COST, |rate| {
             (USUAL_COST * 1_000_000 / rate.max(1)).clamp(USUAL_COST, SLOW_COST)
         });
@@ -538,16 +535,6 @@ impl Handler<TransmitOnLink> for LinksActor {
             LinkPayload::Packet(packet) => link.handle_packet(packet),
         });
         self.drive_soon(context);
-    }
-}
-
-impl Handler<RemoteLinkDown> for LinksActor {
-    type Result = ();
-
-    fn handle(&mut self, message: RemoteLinkDown, context: &mut Context<Self>) {
-        let now = platform::now();
-        self.bundle.with_link(message.link, now, |link| link.handle_given_up(now));
-        self.drive(context);
     }
 }
 

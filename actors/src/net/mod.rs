@@ -68,7 +68,6 @@ use blastema_contract::session::{
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, ReadCounters, Transport, TransportCounters};
 use blastema_core::net::discovery::LEARNED_MAX;
-use blastema_core::net::isolation::{IsolationAuthority, IsolationDecision, VoteRefused};
 use blastema_core::net::{LinkId, NodeId};
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName, ObjectName};
@@ -155,8 +154,6 @@ pub(crate) struct NetEnvironment {
     pub(crate) nodes: Option<Recipient<NodeReported>>,
     /// When the session with a peer that does not answer ends.
     pub(crate) session_timeout: Duration,
-    /// Whose word isolates a node.
-    pub(crate) judges: IsolationAuthority,
     /// Is told of faults that are found in what other nodes send.
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
     /// Is told of those that are over.
@@ -207,7 +204,7 @@ pub(crate) struct NetHandle {
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
     stubs: Arc<stub::PeerStubs>,
-    wardens: Arc<OnceLock<isolation::IsolationControl>>,
+    isolation: Arc<OnceLock<isolation::IsolationControl>>,
     carrier: Arc<carrier::CarrierMonitor>,
     roster: Option<Addr<RosterActor>>,
     own: OwnIncarnation,
@@ -234,20 +231,12 @@ pub(crate) fn start(
     let ((numbers, dial_in), fields) = number(&networks);
     let wiring = discovery::DiscoveryRecipients {
         node: node.clone(),
-        registry: environment.registry.clone(),
         fields,
         faults: environment.own_faults("discovery"),
         keys: environment.keys.clone(),
     };
-    let discovery = (!wiring.fields.is_empty()).then(|| {
-        let make =
-            |context: &mut Context<_>| DiscoveryActor::new(wiring, context.address().recipient());
-        guardian.start(named("discovery"), on_arbiter, make)
-    });
-    if discovery.is_none() {
-        peer_messages::register_sink(named("discovery"), &environment.registry);
-    }
-    environment.observers.extend(discovery.clone().map(Addr::recipient));
+    let discovery = (!wiring.fields.is_empty())
+        .then(|| guardian.start(named("discovery"), on_arbiter, |_| DiscoveryActor::new(wiring)));
     let registry = environment.registry.clone();
     let faults = environment.own_faults("roster");
     let roster = environment.keys.clone().map(|keys| {
@@ -286,8 +275,8 @@ pub(crate) fn start(
         leave: sessions.clone().recipient(),
         begin_anew: sessions.clone().recipient(),
     };
-    let wardens = Arc::new(OnceLock::new());
-    let (set_isolation, control) = (router.clone().recipient(), wardens.clone());
+    let isolation = Arc::new(OnceLock::new());
+    let (set_isolation, control) = (router.clone().recipient(), isolation.clone());
     let make = gateway::GatewayActor::maker(
         &environment,
         to_sessions,
@@ -307,9 +296,8 @@ pub(crate) fn start(
     let media = media.collect();
     if let Some(keys) = &keys {
         let networks = networks.iter().map(|spec| (spec.name.to_string(), spec.seal.is_some()));
-        let isolation =
-            operator::IsolationOrders::new(node.clone(), stubs.clone(), wardens.clone());
-        operator::serve(&environment.registry, keys, networks.collect(), isolation);
+        let orders = operator::IsolationOrders::new(node.clone(), stubs.clone(), isolation.clone());
+        operator::serve(&environment.registry, keys, networks.collect(), orders);
     }
     let networks = networks.into_iter().zip(numbers).zip(dial_in).map(|((spec, numbers), free)| {
         let name = named(&format!("links/{}", spec.name));
@@ -344,9 +332,8 @@ pub(crate) fn start(
             });
         }
         let (carry, report) = (address.clone().recipient(), address.clone().recipient());
-        let given_up = address.clone().recipient();
         let numbers = numbers.into_iter().chain(free).collect();
-        router.do_send(AddLinks { links: numbers, carry, given_up, report });
+        router.do_send(AddLinks { links: numbers, carry, report });
         (name, address)
     });
     let networks: Vec<(_, Addr<links::LinksActor>)> = networks.collect();
@@ -380,7 +367,7 @@ pub(crate) fn start(
         guardian,
         arbiter,
         stubs,
-        wardens,
+        isolation,
         carrier,
         roster,
         own,
@@ -511,9 +498,9 @@ impl NetHandle {
         rows
     }
 
-    /// Whether this node has met another, or others have voted on it.
+    /// Whether this node has met another.
     pub(crate) fn knows(&self, node: &NodeName) -> bool {
-        self.stubs.has_met(node) || self.wardens.get().is_some_and(|wardens| wardens.know(node))
+        self.stubs.has_met(node)
     }
 
     /// Those that a path leads to now, or did before.
@@ -521,12 +508,9 @@ impl NetHandle {
         self.stubs.met()
     }
 
-    /// Keeps a node out everywhere, or lets it in again.
-    ///
-    /// # Errors
-    /// This node has no say on it.
-    pub(crate) fn decide(&self, decision: IsolationDecision<'_>) -> Result<(), VoteRefused> {
-        self.wardens.get().map_or(Ok(()), |wardens| wardens.decide(decision))
+    /// Isolates another node, or admits it again.
+    pub(crate) fn decide(&self, decision: IsolateNode) {
+        self.isolation.get().into_iter().for_each(|isolation| isolation.decide(decision.clone()));
     }
 
     /// Takes the decisions of recovery strategies about other nodes.

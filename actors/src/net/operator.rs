@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  operator ── ReadKeyStatus ────► net/keys of a node      its roster, its key, its networks
-//!           ── OrderIsolation ───► net/orders              that node's vote on a third one
+//!           ── OrderIsolation ───► net/orders              whether that node isolates a third
 //!           ── ComponentOrder ───► net/components          its life cycles (node/order.rs)
 //! ```
 //!
@@ -15,7 +15,7 @@ use super::stub::PeerStubs;
 use crate::registry::access::{AccessControl, MessageOrigin};
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry};
-use blastema_core::net::isolation::{IsolationDecision, VoteRefused};
+use blastema_contract::strategy::IsolateNode;
 use blastema_core::{DeliveryError, NodeName, ObjectName};
 use blastema_macros::{Request, Structure};
 use std::sync::{Arc, OnceLock};
@@ -82,7 +82,7 @@ pub enum OrderError {
     /// this node has no right to operate the other.
     #[error(transparent)]
     Delivery(#[from] DeliveryError),
-    /// The other node has no say in it, or knows no such node.
+    /// The order is on the other node itself, or the other node knows no such node.
     #[error("{0}")]
     Refused(String),
 }
@@ -110,7 +110,10 @@ impl IsolationOrders {
     fn carry_out(&self, order: &OrderIsolation, by: &NodeName) -> Result<(), String> {
         let node = NodeName::new(&order.node).map_err(|error| error.to_string())?;
         let Some(control) = self.control.get() else { return Err("it is just starting".into()) };
-        if node != self.own && !control.know(&node) && !self.stubs.has_met(&node) {
+        if node == self.own {
+            return Err("a node does not isolate itself: order another one".to_owned());
+        }
+        if !self.stubs.has_met(&node) {
             return Err(format!("it knows no node called {node}"));
         }
         let cut = (0..=REASON_BYTES.min(order.reason.len())).rev();
@@ -121,13 +124,8 @@ impl IsolationOrders {
         };
         let isolated = order.isolated;
         warn!(target: "blastema::audit", %node, isolated, operator = %by, "{cause}");
-        let decided = control.decide(IsolationDecision { node: &node, isolated, cause: &cause });
-        decided.map_err(|refused| match refused {
-            VoteRefused::Oneself => "a node has no say on itself: order another one".to_owned(),
-            VoteRefused::TooMany { limit } => {
-                format!("it has voted on {limit} nodes already: admit one of them first")
-            }
-        })
+        control.decide(IsolateNode { node, isolated, cause });
+        Ok(())
     }
 }
 

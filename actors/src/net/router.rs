@@ -11,7 +11,7 @@ use crate::runtime::guardian::answers_the_monitor;
 use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
 use blastema_contract::link::{
-    AddLinks, LinkChanged, LinkPayload, ReceivedOnLink, RemoteLinkDown, ReportLinks, TransmitOnLink,
+    AddLinks, LinkChanged, LinkPayload, ReceivedOnLink, ReportLinks, TransmitOnLink,
 };
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::router::{
@@ -34,7 +34,7 @@ pub(super) struct RouterActor {
     config: RouterConfig,
     machine: net::Router,
     wake: WakeTimer,
-    links: SortedMap<LinkId, (Recipient<TransmitOnLink>, Recipient<RemoteLinkDown>)>,
+    links: SortedMap<LinkId, Recipient<TransmitOnLink>>,
     networks: Vec<Recipient<ReportLinks>>,
     sessions: Option<AddSessions>,
     monitor: Option<Recipient<NodeReported>>,
@@ -220,18 +220,13 @@ impl MachineActor for RouterActor {
 
     fn carry_out(&mut self, output: RouterOutput, _: &mut Context<Self>) {
         let carry = |link, load| {
-            if let Some((links, _)) = self.links.get(&link) {
+            if let Some(links) = self.links.get(&link) {
                 links.do_send(TransmitOnLink { link, load });
             }
         };
         match output {
             RouterOutput::Routing { link, bytes } => carry(link, LinkPayload::Routing(bytes)),
             RouterOutput::Packet { link, packet } => carry(link, LinkPayload::Packet(packet)),
-            RouterOutput::GivenUp { link } => {
-                if let Some((_, links)) = self.links.get(&link) {
-                    links.do_send(RemoteLinkDown { link });
-                }
-            }
             RouterOutput::Segment { source, segment, authentic } => {
                 if let Some(sessions) = &self.sessions {
                     sessions.segments.do_send(SegmentArrived { source, segment, authentic });
@@ -302,9 +297,8 @@ impl Handler<AddLinks> for RouterActor {
     type Result = ();
 
     fn handle(&mut self, message: AddLinks, _: &mut Context<Self>) {
-        let AddLinks { links, carry, given_up, report } = message;
-        let known = links.into_iter().map(|link| (link, (carry.clone(), given_up.clone())));
-        self.links.extend(known);
+        let AddLinks { links, carry, report } = message;
+        self.links.extend(links.into_iter().map(|link| (link, carry.clone())));
         report.do_send(ReportLinks);
         self.networks.push(report);
     }

@@ -1,7 +1,7 @@
 //! Reports this node's safe state to all other nodes, and receives theirs.
 //!
-//! A node in the safe state stays on the network: it forwards packets, answers who it is, and
-//! votes. Without this its peers would find out only by what does not come.
+//! A node in the safe state stays on the network: it forwards packets and answers who
+//! it is. Without this its peers would find out only by what does not come.
 
 use super::peer_messages::{ActorMessageReceived, PeerChannel};
 use crate::registry::Registry;

@@ -107,16 +107,12 @@ impl PeerSendState {
         self.changed.notify_waiters();
     }
 
-    /// Nothing is sent there and nothing taken from there.
-    pub(super) fn isolate(&self) {
-        self.isolated.store(true, Relaxed);
+    /// Sets whether nothing is sent there and nothing accepted from there, and returns whether that
+    /// is a change.
+    pub(super) fn set_isolated(&self, isolated: bool) -> bool {
+        let is_change = self.isolated.swap(isolated, Relaxed) != isolated;
         self.changed.notify_waiters();
-    }
-
-    /// All is well again.
-    pub(super) fn admit(&self) {
-        self.isolated.store(false, Relaxed);
-        self.changed.notify_waiters();
+        is_change
     }
 
     pub(super) fn is_isolated(&self) -> bool {
@@ -442,7 +438,7 @@ mod tests {
             send_state.set(condition);
             assert_eq!(send_state.why_not(), reason);
         }
-        send_state.isolate();
+        send_state.set_isolated(true);
         assert_eq!(send_state.why_not(), DeadReason::Isolated);
     }
 

@@ -38,7 +38,6 @@ use blastema_contract::transport::{
 };
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::detection::{LinkCondition, NodeCondition};
-use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::net::session::IDLE_TIMEOUT;
 use blastema_core::net::{LinkId, LinkState};
 use blastema_core::{
@@ -213,7 +212,6 @@ impl Robot {
             nodes: Some(nodes.recipient()),
             faults: Some(declared.recipient()),
             cleared: Some(cleared.recipient()),
-            judges: IsolationAuthority::default(),
             session_timeout: IDLE_TIMEOUT,
             observers: Vec::new(),
             roster_observers: Vec::new(),

@@ -220,19 +220,16 @@ impl Network {
         self
     }
 
-    /// Discovers neighbours that are not described, and informs neighbours of each other
-    /// ([gossip](crate::manual::networks#discovery)): nodes of these names get a link when a
-    /// neighbour on this network reports their addresses. Without names, this node only informs
-    /// others. Over UDP, TCP, Unix sockets and memory; elsewhere there is nothing to learn, and
-    /// this does nothing.
+    /// Discovers neighbours that are not described by their [beacons](Network::beacons): nodes of
+    /// these names get a link. Without names, this node only sends beacons of its own.
     pub fn discover<'a>(mut self, nodes: impl IntoIterator<Item = &'a str>) -> Self {
         let nodes = nodes.into_iter().map(str::to_owned);
         self.admission = Some(Admitted::Only(nodes.collect()));
         self
     }
 
-    /// Discovers neighbours of any name, and informs neighbours of each other. On a sealed network
-    /// these are the nodes of the roster.
+    /// Discovers neighbours of any name by their beacons. On a sealed network these are the nodes
+    /// of the roster.
     pub fn discover_anybody(mut self) -> Self {
         self.admission = Some(Admitted::AnyNode);
         self

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! transport ──Received, TransportReport──► links ──LinkChanged, Arrived──► router
-//!           ◄─Transmit────────────────────       ◄─Carry, GivenUp, ReportLinks─
+//!           ◄─Transmit────────────────────       ◄────Carry, ReportLinks───────
 //! ```
 
 use actix::{Message, Recipient};
@@ -57,14 +57,6 @@ pub struct LinkChanged {
 #[rtype(result = "()")]
 pub struct ReportLinks;
 
-/// A link's neighbour says by another way that it has given it up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "()")]
-pub struct RemoteLinkDown {
-    /// Which.
-    pub link: LinkId,
-}
-
 /// The interface that a network uses has lost its carrier, or has it again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
@@ -81,8 +73,6 @@ pub struct AddLinks {
     pub links: Vec<LinkId>,
     /// Takes what they are to carry.
     pub carry: Recipient<TransmitOnLink>,
-    /// Tells them what their neighbours say by other ways.
-    pub given_up: Recipient<RemoteLinkDown>,
     /// Asks them how they are.
     pub report: Recipient<ReportLinks>,
 }

@@ -20,7 +20,7 @@ pub struct SendSegment {
     pub class: PacketPriority,
     /// What.
     pub segment: GatherBuffer,
-    /// A copy is to go over each of several ways that share as little as can be.
+    /// A copy is to go over every direct link and over the alternate path.
     pub everywhere: bool,
 }
 

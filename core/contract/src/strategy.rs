@@ -18,7 +18,7 @@ pub struct Reroute {
     pub location: FaultLocation,
 }
 
-/// To the network: keep this node out everywhere, or let it in again.
+/// To the network: isolate this node, or admit it again.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Result<RecoveryDone, RecoveryFailed>")]
 pub struct IsolateNode {
@@ -26,7 +26,7 @@ pub struct IsolateNode {
     pub node: NodeName,
     /// Whether it is to be isolated.
     pub isolated: bool,
-    /// Why, as the others are told.
+    /// Why, for display.
     pub cause: String,
 }
 

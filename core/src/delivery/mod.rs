@@ -21,8 +21,8 @@ pub enum Delivery {
     /// Each at most once, and none after a newer one; what is lost on the way is not repeated. For
     /// readings of which only the newest counts.
     Newest,
-    /// Each once and in order, and copies over ways that share as little as can be: while one of
-    /// them carries, nothing is late. For what must not wait until a failed cable has been noticed.
+    /// Each once and in order, and copies over every direct link and the alternate path: while one
+    /// of them carries, nothing is late. For what must not wait until a failed cable has been noticed.
     Redundant,
 }
 

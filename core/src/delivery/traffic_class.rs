@@ -12,7 +12,7 @@ use std::fmt;
 /// others share what is left by their [weights](TrafficClass::WEIGHTED).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum TrafficClass {
-    /// What keeps the robot together: bindings, faults, commands, leases, votes.
+    /// What keeps the robot together: bindings, faults, commands, leases.
     Control,
     /// What is sent over every path at once: contracts with [`Delivery::Redundant`].
     Redundant,
@@ -28,17 +28,15 @@ pub enum TrafficClass {
 
 /// The contract of replicas.
 const REPLICATION: &str = "blastema/replica";
-/// The contracts that robots stand still without: commands and leases of actuators, who serves, what
-/// the machines of isolation say to their like, rosters, claims of names, and the watch of an object
-/// of another node. All of them are small.
+/// The contracts that robots stand still without: commands and leases of actuators, who serves,
+/// rosters, claims of names, and the watch of an object of another node. All of them are small.
 ///
 /// `blastema/serve` and the variables are not among them, for they carry what users send.
-const CONTROL: [&str; 6] = [
+const CONTROL: [&str; 5] = [
     "blastema/actor-message",
     "blastema/await-end",
     "blastema/command",
     "blastema/service-terms",
-    "blastema/votes",
     "blastema/who-serves",
 ];
 

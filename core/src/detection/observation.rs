@@ -194,7 +194,7 @@ pub enum NodeCondition {
     },
     /// Nothing is taken from it or sent there any more. That it cannot be reached is no news then.
     Isolated {
-        /// The node that decided, and why.
+        /// Why.
         reason: String,
     },
     /// The node is no longer isolated.

@@ -33,7 +33,7 @@ struct NodeSeen {
     status: PeerStatus,
     last_sign: Option<Instant>,
     restarts: u32,
-    /// The node that has isolated it, and why.
+    /// Why this node has isolated it.
     isolated: Option<String>,
     /// Why it is in the safe state, as it says itself.
     rest: Option<String>,
@@ -236,7 +236,7 @@ impl PeerTable {
         }
     }
 
-    /// What others think of a node, or what it has done: whatever incarnation of it is known.
+    /// That a node is isolated here, or what it has done: whatever incarnation of it is known.
     fn handle_offences(&mut self, node: NodeName, condition: NodeCondition) -> Option<PeerChange> {
         let seen = self.nodes.entry(node.clone()).or_insert_with(NodeSeen::unmet);
         let isolated = match &condition {
@@ -325,7 +325,7 @@ impl PeerTable {
                 }
                 _ => (opinion, note),
             };
-            let isolated = seen.isolated.as_ref().map(|reason| format!("isolated {reason}"));
+            let isolated = seen.isolated.as_ref().map(|reason| format!("isolated: {reason}"));
             let opinion = if isolated.is_some() { Opinion::Failed } else { opinion };
             MonitorRow {
                 isolated: isolated.is_some(),
@@ -460,7 +460,7 @@ mod tests {
                 .inspect(|finding| assert_eq!(*finding, Finding::Node(condition.clone())))
                 .is_some()
         };
-        let isolated = Isolated { reason: "by a: it floods".into() };
+        let isolated = Isolated { reason: "it floods".into() };
         let offends = Offends { what: "it floods".into() };
 
         assert!(reported(&Reachable) && reported(&offends) && reported(&offends));

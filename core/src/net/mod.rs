@@ -40,7 +40,6 @@
 pub mod active_alarms;
 pub mod byte_rate;
 pub mod discovery;
-pub mod isolation;
 pub mod link;
 pub mod link_layer;
 pub mod link_traffic;

@@ -93,15 +93,7 @@ fn genuine() -> Vec<Bytes> {
         passed: vec![],
         payload: Payload::Segment(segment.clone().into()),
     };
-    let copy = Packet {
-        passed: vec![],
-        payload: Payload::Copy {
-            copy: 1,
-            relays: vec![NodeId(3), NodeId(4)],
-            segment: segment.clone().into(),
-        },
-        ..packet.clone()
-    };
+    let passed = Packet { passed: vec![NodeId(3), NodeId(4)], ..packet.clone() };
     let names = PeerMessage::Announced { timestamp_us: 0 };
     let datagram = Datagram {
         tag: 1,
@@ -118,8 +110,8 @@ fn genuine() -> Vec<Bytes> {
         announce.encode(),
         have.encode(),
         packet.encode(),
-        copy.encode(),
-        Frame::Data(copy.encode().into()).encode(),
+        passed.encode(),
+        Frame::Data(passed.encode().into()).encode(),
         segment,
         Segment::Open(open).encode(),
         Segment::Datagram(datagram).encode(),

@@ -17,8 +17,6 @@ use tokio::sync::mpsc;
 const PACE: Duration = Duration::from_millis(5);
 /// How often links are looked at, to say when one changes.
 const LOOK: Duration = Duration::from_millis(20);
-/// What a link costs of which the neighbour has said by another way that it carries no more.
-const LAST_USED: u16 = u16::MAX;
 /// Longer than any outage here lasts.
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -242,10 +240,7 @@ async fn tell_changes(node: Node) {
             }
         }
         for row in node.links().await {
-            let state = match row.cost {
-                LAST_USED => "given up".to_owned(),
-                _ => row.state.to_string(),
-            };
+            let state = row.state.to_string();
             if before.insert(row.link.to_string(), state.clone()).as_ref() != Some(&state) {
                 say(&format!("link {} {state}", row.link));
             }

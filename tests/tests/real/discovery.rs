@@ -1,6 +1,5 @@
 //! Nodes that find each other without being described to each other, on real sockets.
 
-use blastema::core::net::LinkState;
 use blastema::prelude::*;
 use blastema::{Network, NodeBuilder};
 use std::net::{SocketAddr, TcpListener, UdpSocket};
@@ -9,8 +8,6 @@ use std::time::Duration;
 
 /// For nodes to find each other on a computer that is busy with other tests.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// How often it is looked whether they have.
-const LOOK: Duration = Duration::from_millis(10);
 
 /// Adds one, and answers the sum.
 #[derive(Clone, Debug, Request)]
@@ -47,71 +44,9 @@ async fn start(node: NodeBuilder) -> Node {
     node.child(ChildSpec::new("sum", Sum::default)).start().await.expect("it starts")
 }
 
-/// Waits until the node has a link of its own to this neighbour that is up.
-async fn linked(node: &Node, neighbour: &str) {
-    let linked = async {
-        loop {
-            let links = node.links().await;
-            let there = |link: &&blastema::LinkRow| {
-                let found = link.neighbour.as_ref();
-                found.is_some_and(|found| found.node.as_str() == neighbour)
-                    && link.state == LinkState::Up
-            };
-            if links.iter().any(|link| there(&link)) {
-                return;
-            }
-            tokio::time::sleep(LOOK).await;
-        }
-    };
-    let found = tokio::time::timeout(PATIENCE, linked).await;
-    assert!(found.is_ok(), "{} has no link to {neighbour}: {:?}", node.name(), node.links().await);
-}
-
 async fn add(node: &Node, to: &str) -> u32 {
     let sum: Sender<Add> = node.sender(to).expect("a name");
     sum.ask_within(Add(1), PATIENCE).await.expect("it is answered")
-}
-
-/// Modules 1 and 3 know only module2, which then goes without a word.
-async fn outlive_the_one_between(medium: &str) {
-    let [a, b, c] = free::<3>();
-    let network = |own: SocketAddr| Network::new("ethernet", &format!("{medium}://{own}"));
-    let only_b = |own| network(own).peer("module2", &b.to_string());
-    let between =
-        network(b).peer("module1", &a.to_string()).peer("module3", &c.to_string()).discover([]);
-    let one = start(Node::builder("module1").network(only_b(a).discover(["module3"]))).await;
-    let two = start(Node::builder("module2").network(between)).await;
-    let three = start(Node::builder("module3").network(only_b(c).discover_anybody())).await;
-    linked(&one, "module3").await;
-    linked(&three, "module1").await;
-    assert!(one.connected("module3", PATIENCE).await);
-    assert_eq!(add(&one, "module3:sum").await, 1);
-
-    let mut faults = one.fault_events();
-    drop(two);
-    while let Some(event) = faults.next().await {
-        if event.fault.kind == FaultKind::NodeLost {
-            assert_eq!(event.fault.location.to_string(), "module2");
-            break;
-        }
-    }
-
-    assert_eq!(add(&one, "module3:sum").await, 2);
-    assert_eq!(add(&three, "module1:sum").await, 1);
-    one.shutdown().await;
-    three.shutdown().await;
-}
-
-#[test]
-fn two_nodes_that_know_only_a_third_speak_on_when_it_is_gone_over_udp() {
-    let _turn = blastema_doubles::turn();
-    blastema::run(outlive_the_one_between("udp"));
-}
-
-#[test]
-fn two_nodes_that_know_only_a_third_speak_on_when_it_is_gone_over_tcp() {
-    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
-    blastema::run(outlive_the_one_between("tcp"));
 }
 
 #[test]

@@ -6,6 +6,7 @@
 
 use blastema::prelude::*;
 use blastema::{Fault, FaultEvents, Network, NodeBuilder};
+use blastema_tests::RobotKeys;
 use std::net::{SocketAddr, UdpSocket};
 use std::time::Duration;
 
@@ -127,6 +128,80 @@ fn a_second_node_of_a_name_is_kept_out_and_told_so_and_the_first_ones_traffic_is
         assert_eq!(answer, 1_001);
         for node in [second, far, middle] {
             node.shutdown().await;
+        }
+    });
+}
+
+/// The base is on two networks, the arm on one of them, and a second arm on the other.
+async fn second_on_the_other_network(keys: Option<&RobotKeys>) {
+    let [on_ethernet, on_wifi, arm, other] = free::<4>();
+    let with_keys = |name: &str| match keys {
+        Some(keys) => Node::builder(name).keys(keys.of(name)),
+        None => Node::builder(name),
+    };
+    let network = |name: &str, own: SocketAddr, peer: &str, at: SocketAddr| {
+        Network::new(name, &format!("udp://{own}")).peer(peer, &at.to_string())
+    };
+    let base = with_keys("base").network(network("ethernet", on_ethernet, "arm", arm));
+    let base = base.network(network("wifi", on_wifi, "arm", other));
+    let base = base.start().await.expect("the base starts");
+    let start_arm = async |network: Network, sum: u32| {
+        let arm = with_keys("arm").network(network).child(ChildSpec::new("sum", move || Sum(sum)));
+        arm.start().await.expect("an arm starts")
+    };
+    let first = start_arm(network("ethernet", arm, "base", on_ethernet), 0).await;
+    assert!(base.connected("arm", PATIENCE).await);
+    let sum: Sender<Add> = base.sender("arm:sum").expect("a name");
+    let mut expected = 0;
+    let mut add = async || {
+        expected += 1;
+        // Each is answered, by the same arm as the one before.
+        assert_eq!(sum.ask_within(Add(1), PATIENCE).await.expect("it is answered"), expected);
+    };
+    add().await;
+
+    let of_base = base.fault_events();
+    let second = start_arm(network("wifi", other, "base", on_wifi), 1_000).await;
+    let of_second = second.fault_events();
+    let both = async { tokio::join!(taken(of_base), taken(of_second)) };
+    let mut both = std::pin::pin!(both);
+    let (of_base, of_second) = loop {
+        add().await;
+        if let Ok(both) = tokio::time::timeout(Duration::from_millis(1), &mut both).await {
+            break both;
+        }
+    };
+    for _ in 0..100 {
+        add().await;
+    }
+    assert!(of_base.detail.contains("kept out"), "{}", of_base.detail);
+    assert!(of_second.detail.contains("refused"), "{}", of_second.detail);
+    assert!(second.sessions().await.iter().all(|session| session.status.incarnation.is_none()));
+
+    drop(first);
+    let answered = async {
+        loop {
+            if let Ok(answer) = sum.ask_within(Add(1), PATIENCE).await {
+                return answer;
+            }
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    };
+    let answer = tokio::time::timeout(PATIENCE, answered).await.expect("it takes over");
+    assert_eq!(answer, 1_001);
+    for node in [second, base] {
+        node.shutdown().await;
+    }
+}
+
+#[test]
+fn a_second_node_on_the_other_of_two_networks_takes_no_request_from_the_first() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let keys = RobotKeys::new(folder.path(), &["base", "arm"], 1);
+        for keys in [None, Some(&keys)] {
+            second_on_the_other_network(keys).await;
         }
     });
 }

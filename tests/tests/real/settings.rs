@@ -155,7 +155,6 @@ fn a_name_that_would_be_a_path_or_an_option_is_refused_wherever_it_stands() {
             let peer = Network::new("memory", "memory://settings").peer(name, "other");
             refused(node().network(peer), &["a neighbour on network memory"]).await;
             refused(node().network(Network::new(name, "memory://settings")), &["begin it"]).await;
-            refused(node().warden(name), &["begin it"]).await;
         }
     });
 }

@@ -15,7 +15,7 @@ pub(crate) fn run(job: &NodeJob) -> Result<bool, String> {
     let key = OperatorKey::read(OperatorKey::file_of(&options.operator)?)?;
     let node = options.node.as_str();
     if options.via.node == node {
-        return Err(format!("{node} has no say on itself: connect to another node by --via"));
+        return Err(format!("{node} does not isolate itself: connect to another node by --via"));
     }
     if !key.others().any(|listed| listed.name.as_str() == node) {
         let names: Vec<_> = key.others().map(|listed| listed.name.as_str()).collect();

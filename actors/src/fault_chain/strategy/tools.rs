@@ -78,10 +78,11 @@ impl StrategyContext {
         Ok(RecoveryDone { incarnation: None, ..done })
     }
 
-    /// Forbids an object, or another node, to send and receive. A node is refused here at once, and
-    /// everywhere as the robot's [rule](crate::manual::networks#isolation) says.
+    /// Forbids an object, or another node, to send and receive. A node is
+    /// [isolated](crate::manual::networks#isolation) for this node alone.
     ///
-    /// # Errors The location is a link, an object without a supervisor, or this node; or the node
+    /// # Errors
+    /// The location is a link, an object without a supervisor, or this node; or the node
     /// has no network.
     pub async fn isolate(&self, location: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
         self.set_isolated(location, None, true, "a recovery strategy says so").await
@@ -95,7 +96,7 @@ impl StrategyContext {
         self.set_isolated(location, None, false, "a recovery strategy says so").await
     }
 
-    /// Isolates where the fault is, and reports this to the other nodes.
+    /// Isolates where the fault is.
     pub(crate) async fn isolate_because(
         &self,
         fault: &Fault,

@@ -66,7 +66,6 @@ impl Handler<RosterChanged> for GatewayActor {
     type Result = ();
 
     fn handle(&mut self, message: RosterChanged, context: &mut Context<Self>) {
-        self.wiring.wardens.judge_by(message.0.judges());
         let policy = message.0.access_policy();
         self.wiring.registry.access().replace(policy.clone());
         self.exchange.handle_access(policy);

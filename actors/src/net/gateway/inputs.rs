@@ -15,7 +15,6 @@ use blastema_contract::session::{
 };
 use blastema_contract::strategy::IsolateNode;
 use blastema_core::net::NodeId;
-use blastema_core::net::isolation::{IsolationDecision, VoteRefused};
 use blastema_core::net::peer_protocol::{Call, TransmitState};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
 use blastema_core::{DeliveryError, Incarnation, NodeName, ObjectAddress};
@@ -75,7 +74,6 @@ impl GatewayActor {
         self.forget_past(id);
         self.exchange.handle_opened(id, incarnation, platform::now());
         send_state.begin();
-        self.wiring.wardens.opened(node.clone());
         self.report_peer(&PeerStatusChanged::Opened { node, incarnation });
     }
 
@@ -89,7 +87,6 @@ impl GatewayActor {
         self.exchange.handle_ended(peer, &why);
         self.forget_forbidden(peer);
         if let Some(peer) = self.peers.get(&peer) {
-            self.wiring.wardens.ended(&peer.node);
             self.report_peer(&PeerStatusChanged::Ended { node: peer.node.clone() });
         }
     }
@@ -120,16 +117,8 @@ impl Handler<IsolateNode> for GatewayActor {
     type Result = Result<RecoveryDone, RecoveryFailed>;
 
     fn handle(&mut self, message: IsolateNode, _: &mut Context<Self>) -> Self::Result {
-        let IsolateNode { node, isolated, cause } = &message;
-        let decision = IsolationDecision { node, isolated: *isolated, cause };
-        match self.wiring.wardens.carry_decision_out(decision) {
-            Ok(()) => Ok(RecoveryDone::default()),
-            Err(VoteRefused::Oneself) => Err(format!("{node} has no say on itself").into()),
-            Err(VoteRefused::TooMany { limit }) => {
-                Err(format!("this node has voted on {limit} others already: admit one of them")
-                    .into())
-            }
-        }
+        self.wiring.isolation.decide(message);
+        Ok(RecoveryDone::default())
     }
 }
 

@@ -13,7 +13,7 @@ use blastema_core::net::routing::{LinkHealth, LinkStatus};
 use blastema_core::net::{LinkId, LinkState};
 use tracing::debug;
 
-/// What those who tell others of our neighbours must know. A domain is a network, by its place
+/// What discovery must know of the links. A domain is a network, by its place
 /// among those that discover.
 #[derive(Message)]
 #[rtype(result = "()")]
@@ -39,7 +39,7 @@ pub(crate) struct RemoveDiscoveredLink {
     pub(crate) number: LinkId,
 }
 
-/// Tell again of every link that is up.
+/// Report every link again.
 #[derive(Message)]
 #[rtype(result = "()")]
 pub(crate) struct ReportNeighbours;
@@ -59,7 +59,7 @@ impl LinksActor {
         self.dialed_in.remove(&number);
     }
 
-    /// Tells of a link's neighbour whom it is, where others are told.
+    /// Tells discovery whether a link is up, and with whom.
     pub(super) fn tell_discovery(&self, number: LinkId, state: LinkState) {
         let (Some((domain, discovery)), Some(spec)) =
             (&self.wiring.discovery, self.specs.get(&number))

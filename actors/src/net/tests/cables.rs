@@ -150,7 +150,6 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             nodes: None,
             faults: None,
             cleared: None,
-            judges: IsolationAuthority::default(),
             session_timeout: IDLE_TIMEOUT,
             observers: Vec::new(),
             roster_observers: Vec::new(),

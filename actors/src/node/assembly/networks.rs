@@ -146,7 +146,7 @@ fn make_networks(
     environment: &ComponentEnvironment,
 ) -> Result<(Networks, Vec<Register>), StartError> {
     let FaultChainParts { guardian, chain, monitor, .. } = parts;
-    let (judges, described) = (description.judges()?, description.named_nodes());
+    let described = description.named_nodes();
     let networks = std::mem::take(&mut description.networks);
     let (keys, session_timeout) = (description.keys.take(), description.session_timeout);
     let (mut specs, mut cables) = (Vec::new(), SortedMap::new());
@@ -159,8 +159,8 @@ fn make_networks(
     let silence = silence.unwrap_or_default();
     for network in networks {
         let started = network.start((node, has_keys), guardian, arbiter.as_ref())?;
-        let beacons = started.spec.discovery.iter().filter_map(|spec| spec.beacons.as_ref());
-        let of_network = beacons.map(|(transport, _)| transport).chain([&started.spec.transport]);
+        let beacons = started.spec.discovery.iter().map(|spec| &spec.beacons.0);
+        let of_network = beacons.chain([&started.spec.transport]);
         transports.extend(of_network.map(|transport| transport.close.clone()));
         if let Some(cable) = started.cable {
             cables.insert(started.spec.name.to_string(), cable);
@@ -190,7 +190,6 @@ fn make_networks(
         nodes: Some(monitor.clone().recipient()),
         faults: Some(monitor.clone().recipient()),
         cleared: Some(monitor.clone().recipient()),
-        judges,
         session_timeout,
         observers: Vec::new(),
         roster_observers: Vec::new(),

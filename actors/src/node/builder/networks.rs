@@ -61,15 +61,6 @@ impl NodeBuilder {
         self
     }
 
-    /// Adds a warden: a node whose vote alone [isolates](crate::Node::isolate) or admits another
-    /// node. Without wardens, more than half of the present nodes must vote. Every node of the
-    /// robot needs the same wardens. With keys, wardens are the nodes with the role `warden` in the
-    /// roster, and only they may be named here.
-    pub fn warden(mut self, node: &str) -> Self {
-        self.networks.wardens.push(node.to_owned());
-        self
-    }
-
     /// Carries a service together with other nodes, which are given the same spec. The component
     /// stands under the root supervisor as `<name>/replica`.
     pub fn service<C: Stateful>(mut self, spec: ServiceSpec<C>) -> Self {

@@ -1,5 +1,7 @@
 //! The multicast group at which a node makes itself known.
 
+#[cfg(feature = "ip")]
+use super::Medium;
 use super::Network;
 use crate::node::error::StartError;
 use crate::runtime::guardian::Guardian;
@@ -29,6 +31,10 @@ impl Network {
     pub(super) fn beacon_socket(&self) -> Result<Option<Beacons>, StartError> {
         let Some(group) = &self.beacons else { return Ok(None) };
         let wrong = |what| Err(StartError::Network(format!("network {}: {what}", self.name)));
+        #[cfg(feature = "ip")]
+        if let Medium::At(Endpoint::Udp(UdpConfig { group: Some(_), .. })) = &self.medium {
+            return wrong("it has a multicast group of its own: leave the beacons out".to_owned());
+        }
         #[cfg(feature = "ip")]
         if let Some((interface, bind)) = self.medium.socket() {
             let endpoint = format!("udp://{group}").parse();

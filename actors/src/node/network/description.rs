@@ -9,8 +9,6 @@ use crate::node::error::StartError;
 use crate::platform;
 use crate::service::{Carried, ServiceSpecError};
 use crate::settings::network::SESSION_TIMEOUT;
-use blastema_core::net::isolation::IsolationAuthority;
-use blastema_core::net::trust::policy::Role;
 use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
 use blastema_core::{Incarnation, NodeName};
@@ -25,7 +23,6 @@ pub(in crate::node) struct NetworkDescription {
     pub(in crate::node) networks: Vec<Network>,
     pub(in crate::node) file: NetworkFile,
     pub(in crate::node) services: Vec<Result<Carried, ServiceSpecError>>,
-    pub(in crate::node) wardens: Vec<String>,
     pub(in crate::node) session_timeout: Duration,
     /// The file of the node's key.
     pub(in crate::node) key_file: Option<PathBuf>,
@@ -42,7 +39,6 @@ impl Default for NetworkDescription {
             networks: Vec::new(),
             file: NetworkFile::default(),
             services: Vec::new(),
-            wardens: Vec::new(),
             session_timeout: SESSION_TIMEOUT.default,
             key_file: None,
             keys: None,
@@ -56,7 +52,6 @@ impl NetworkDescription {
         SESSION_TIMEOUT.check(self.session_timeout).map_err(StartError::from)?;
         self.read_file()?;
         self.read_keys(node)?;
-        self.judges()?;
         let services = self.services.iter().map(|service| service.as_ref().map_err(Clone::clone));
         let services: Result<Vec<&Carried>, _> = services.collect();
         let services = services.map_err(StartError::from)?;
@@ -70,12 +65,8 @@ impl NetworkDescription {
         let names = self.networks.iter().flat_map(Network::named_nodes);
         let services = self.services.iter().flatten();
         let members = services.flat_map(|service| service.config.members.iter().cloned());
-        let wardens = match self.judges() {
-            Ok(IsolationAuthority::Named(wardens)) => wardens,
-            _ => SortedSet::new(),
-        };
         let known = names.filter_map(|name| NodeName::new(name).ok());
-        known.chain(members).chain(wardens).collect()
+        known.chain(members).collect()
     }
 
     /// Finds a commander that is no node of the robot. Without keys only the nodes that are
@@ -133,28 +124,5 @@ impl NetworkDescription {
         let keys = keys.map_err(|error| StartError::Keys(format!("{named_by}{error}")))?;
         self.keys = Some(Arc::new(keys));
         Ok(())
-    }
-
-    /// Whose word isolates a node. With keys, the roster says it, and `warden` of the builder may
-    /// only repeat it.
-    pub(in crate::node) fn judges(&self) -> Result<IsolationAuthority, StartError> {
-        let wardens = self.wardens.iter().map(|name| NodeName::new(name));
-        let wardens = wardens
-            .collect::<Result<SortedSet<_>, _>>()
-            .map_err(StartError::name_of("the name of a node that isolates others"))?;
-        let Some(keys) = &self.keys else {
-            return Ok(match wardens.is_empty() {
-                true => IsolationAuthority::default(),
-                false => IsolationAuthority::Named(wardens),
-            });
-        };
-        match wardens.iter().find(|warden| keys.role_of(warden) != Some(Role::Warden)) {
-            None => Ok(keys.judges()),
-            Some(warden) => Err(StartError::Keys(format!(
-                "{warden} is named by `.warden`, and roster {} does not give it the role warden: write \
-                 `role warden` at its line by `blastema keys edit`, or leave `.warden` out",
-                keys.serial()
-            ))),
-        }
     }
 }

@@ -1,26 +1,25 @@
-//! Keeping another node out by hand, and letting it in again.
+//! Isolating another node by hand, and admitting it again.
 
 use crate::node::Node;
-use blastema_core::net::isolation::{IsolationDecision, VoteRefused};
+use blastema_contract::strategy::IsolateNode;
 use blastema_core::suggestion::nearest;
 use blastema_core::{NameError, NodeName};
 
-/// Why a node was neither isolated nor let in again: nothing has changed.
+/// Why a node was neither isolated nor admitted: nothing has changed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum IsolateError {
     /// The name does not parse.
     #[error("the name of the node: {0}")]
     Name(#[from] NameError),
-    /// The node is this node, on whose isolation only other nodes decide. To take it out of
-    /// service, shut it down.
-    #[error("{node} is this node itself: it is for the others to isolate it; shut it down instead")]
+    /// The node is this node. To take it out of service, shut it down.
+    #[error("{node} is this node itself: shut it down instead")]
     Oneself {
         /// The node.
         node: NodeName,
     },
-    /// No node of this name was ever reached, is described, or has votes on it. Correct the name,
-    /// or describe the node, for example as a neighbour.
+    /// No node of this name was ever reached or is described. Correct the name, or describe the
+    /// node, for example as a neighbour.
     #[error("no node is known here as {node}: {}", known_here(nearest.as_ref(), known))]
     Unknown {
         /// The node.
@@ -29,14 +28,6 @@ pub enum IsolateError {
         nearest: Option<NodeName>,
         /// Those that are known, in the order of their names; at most ten.
         known: Vec<NodeName>,
-    },
-    /// Whom one node may isolate is bounded. Admit another one first.
-    #[error("{node} is one too many: this node has said so of {limit} others already; admit one")]
-    TooMany {
-        /// The node.
-        node: NodeName,
-        /// Of how many it may.
-        limit: usize,
     },
 }
 
@@ -54,20 +45,19 @@ fn known_here(nearest: Option<&NodeName>, known: &[NodeName]) -> String {
 
 /// Isolation; with the feature `network`.
 impl Node {
-    /// Isolates a node that cannot be recovered: from now on its messages are refused here, and
-    /// none is sent to it ([`DeliveryError::Isolated`](crate::DeliveryError::Isolated)). The others
-    /// follow if this node is a [warden](crate::NodeBuilder::warden), or when more than half of the
-    /// nodes have said so. A node that is away is told when it is back.
+    /// Isolates a node that cannot be recovered: from here on its messages are refused here, and
+    /// none is sent to it ([`DeliveryError::Isolated`](crate::DeliveryError::Isolated)). Other
+    /// nodes decide for themselves; an operator [orders](Node::order_isolation) them, or revokes the
+    /// node's key.
     ///
     /// # Errors
     /// Nothing has changed: the name does not parse, is this node's own, or is not that of a node
-    /// that this one has met or was configured with, as neighbour, warden, or member of a service.
+    /// that this one has met or was configured with, as neighbour or member of a service.
     pub fn isolate(&self, node: &str) -> Result<(), IsolateError> {
         self.set_isolated(node, true)
     }
 
-    /// Withdraws this node's vote to isolate a node, or votes to admit it again. The session with
-    /// that node is opened again.
+    /// Admits a node that this one has isolated. The session with that node is opened again.
     ///
     /// # Errors
     /// As [`isolate`](Self::isolate).
@@ -82,12 +72,9 @@ impl Node {
         }
         let networks = self.0.networks.as_ref().filter(|networks| networks.know(&node));
         let Some(networks) = networks else { return Err(self.unknown(node)) };
-        let cause = "the application says so";
-        match networks.handle.decide(IsolationDecision { node: &node, isolated, cause }) {
-            Ok(()) => Ok(()),
-            Err(VoteRefused::Oneself) => Err(IsolateError::Oneself { node }),
-            Err(VoteRefused::TooMany { limit }) => Err(IsolateError::TooMany { node, limit }),
-        }
+        let cause = "the application says so".to_owned();
+        networks.handle.decide(IsolateNode { node, isolated, cause });
+        Ok(())
     }
 
     fn unknown(&self, node: NodeName) -> IsolateError {

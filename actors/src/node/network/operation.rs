@@ -20,10 +20,9 @@ impl Node {
         operator::key_status(&self.0.environment.registry, node, within).await
     }
 
-    /// Orders the node `to` to vote that `node` is isolated, as its program does by
-    /// [`isolate`](Node::isolate). Its votes, its faults and its journal name this node and the
-    /// reason, of which 160 bytes are kept. It stands until `to` [admits](Node::order_admission) the
-    /// node.
+    /// Orders the node `to` to isolate `node`, as its program does by [`isolate`](Node::isolate).
+    /// Its faults and its journal name this node and the reason, of which 160 bytes are kept. It stands
+    /// until `to` [admits](Node::order_admission) the node.
     ///
     /// # Errors
     /// It was not carried out, or there was no answer in time.
@@ -38,8 +37,7 @@ impl Node {
         operator::order_isolation(registry, to, (node, true, reason), within).await
     }
 
-    /// Orders the node `to` to withdraw its vote that `node` is isolated, or to vote that it is
-    /// admitted again.
+    /// Orders the node `to` to admit `node` again.
     ///
     /// # Errors
     /// As [`order_isolation`](Node::order_isolation).

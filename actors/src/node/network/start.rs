@@ -51,22 +51,6 @@ impl Medium {
         }
     }
 
-    /// How neighbours' addresses are written where they can be told to others.
-    fn learned_by(&self) -> Option<&'static str> {
-        match self {
-            #[cfg(feature = "ip")]
-            Medium::At(Endpoint::Udp(config)) if config.group.is_some() => None,
-            #[cfg(feature = "ip")]
-            Medium::At(Endpoint::Udp(_)) => Some("udp"),
-            #[cfg(feature = "ip")]
-            Medium::At(Endpoint::Tcp(_)) => Some("tcp"),
-            #[cfg(feature = "unix")]
-            Medium::At(Endpoint::Unix(_)) => Some("unix"),
-            Medium::At(Endpoint::Memory(_)) | Medium::Memory(_) => Some("memory"),
-            _ => None,
-        }
-    }
-
     /// Sets the node's name, which another node with the same address on a bus gets to see.
     fn name_node(&mut self, own: &NodeName) {
         if let Medium::At(Endpoint::Can(CanConfig { node, .. }))
@@ -182,18 +166,12 @@ impl Network {
         if let Some(seal) = seal {
             medium.make_room_for(seal);
         }
-        let learned = medium.learned_by();
         let mut transports = vec![object.clone()];
         let mut transport = medium.start(&name, object, guardian, arbiter)?;
-        // Where nothing can be learned, nothing is announced either.
-        let discovery = learned.zip(admission).map(|(medium, admission)| DiscoverySpec {
-            medium,
-            admission,
-            hello_interval: HELLO_INTERVAL.default,
-            beacons: beacons.map(|beacons| {
-                transports.push(sender.clone());
-                beacons.start(sender, guardian, arbiter)
-            }),
+        let discovery = beacons.zip(admission).map(|(beacons, admission)| {
+            transports.push(sender.clone());
+            let beacons = beacons.start(sender, guardian, arbiter);
+            DiscoverySpec { admission, hello_interval: HELLO_INTERVAL.default, beacons }
         });
         let cable = faults.map(|seed| {
             transports.push(cable.clone());
@@ -253,6 +231,10 @@ impl Network {
                 Err(StartError::Network(text))
             }
             None => Ok(None),
+            Some(_) if self.beacons.is_none() => Err(StartError::Network(format!(
+                "network {name}: nodes are discovered by their beacons: give the network a group by \
+                 `.beacons(\"239.255.0.1:7399\")`, or describe each neighbour by `.peer`"
+            ))),
             Some(Admitted::AnyNode) => Ok(Some(DiscoveryAdmission::AnyNode)),
             Some(Admitted::Only(nodes)) => {
                 let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();

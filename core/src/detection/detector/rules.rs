@@ -383,7 +383,7 @@ impl Detector {
                 }
             }
             NodeCondition::Isolated { reason } => {
-                let detail = format!("it is isolated {reason}");
+                let detail = format!("it is isolated: {reason}");
                 self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
             }
             NodeCondition::Admitted => {

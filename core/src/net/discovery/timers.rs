@@ -7,8 +7,6 @@ use crate::timer::Timers;
 /// The timers of discovery.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum DiscoveryTimer {
-    /// Tells the neighbours of each other: soon after a change, and again every `repeat`.
-    Tell,
     /// Gives up a neighbour that has not proved to be there, or forgets one that is down.
     NeighbourExpiry,
 }
@@ -18,14 +16,11 @@ impl Timers for Discovery {
 
     const TIMERS: &'static [DiscoveryTimer] = {
         use DiscoveryTimer::*;
-        &[Tell, NeighbourExpiry]
+        &[NeighbourExpiry]
     };
 
     fn due(&self, timer: DiscoveryTimer) -> Option<Instant> {
         match timer {
-            DiscoveryTimer::Tell => {
-                Some(self.tell_at.map_or(self.repeat_at, |at| at.min(self.repeat_at)))
-            }
             DiscoveryTimer::NeighbourExpiry => {
                 self.neighbours.values().filter_map(|known| self.ends(known)).min()
             }
@@ -34,10 +29,6 @@ impl Timers for Discovery {
 
     fn fire(&mut self, timer: DiscoveryTimer, now: Instant) {
         match timer {
-            DiscoveryTimer::Tell => {
-                (self.tell_at, self.repeat_at) = (None, now + self.config.repeat);
-                self.tell();
-            }
             DiscoveryTimer::NeighbourExpiry => self.expire_neighbours(now),
         }
     }

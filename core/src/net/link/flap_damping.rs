@@ -23,7 +23,7 @@ impl Link {
             LinkState::Up => {}
             LinkState::Suspect => {
                 let late = self.silent_at(self.config.suspect_after_percent);
-                if self.is_given_up() || late.is_some_and(|due| due <= now) {
+                if late.is_some_and(|due| due <= now) {
                     return;
                 }
                 self.damped &= !self.is_trusted();

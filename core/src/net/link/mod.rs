@@ -5,7 +5,7 @@
 //! Connecting ───────────────────────────► Up ⇄ Suspect     a hello is late / there again; or the
 //!                                               ▲  │       link has failed lately / 2N, 4N … came
 //!                   N hellos, received both ways│  │ still none, no carrier, or the neighbour has
-//!                                               │  ▼ declared it down
+//!                                               │  ▼ said Down in a hello
 //!                                               Down
 //! ```
 //!
@@ -25,7 +25,6 @@ mod bus;
 mod flap_damping;
 mod quality;
 mod reassembly;
-mod remote_down;
 mod timers;
 mod types;
 
@@ -40,7 +39,6 @@ pub use self::types::{
 use self::acquaintance::Contradiction;
 use self::quality::{QualityEstimator, QualityLimits};
 use self::reassembly::RoutingReassembly;
-use self::remote_down::RemoteDownNotice;
 
 use super::wire::frame::{Echo, Frame, Hello};
 use super::wire::hello_state::HelloState;
@@ -80,7 +78,6 @@ pub struct Link {
     /// It has failed since it was trusted last. It carries only what has no other path until it has
     /// proved itself as often as it has failed lately.
     damped: bool,
-    given_up: RemoteDownNotice,
     /// It is a link of a bus, whose hellos the link set sends; and the hello that is due.
     on_bus: bool,
     greeting: Option<u32>,
@@ -158,7 +155,6 @@ impl Link {
             calm: 0,
             proving: false,
             damped: false,
-            given_up: RemoteDownNotice::default(),
             on_bus: false,
             greeting: None,
             mtu: 0,
@@ -358,7 +354,6 @@ impl Link {
         let HelloArrival::New { missed } = self.meet(&hello, interval, now) else { return };
         self.calm = after(self.calm, missed);
         self.listen(&hello, missed, now);
-        self.hear_out(hello.stance, now);
         self.judge_quality(now);
         if self.carries() && hello.stance == HelloState::Down {
             self.go_down("the neighbour has given it up", now);
@@ -444,9 +439,6 @@ impl Link {
             record.arrivals.forget_loss();
         }
         self.state = state;
-        if state != LinkState::Suspect {
-            self.given_up.since = None;
-        }
         self.proving &= state == LinkState::Suspect;
         let neighbour = self.neighbour().cloned();
         self.outputs.push_back(LinkOutput::Changed { state, neighbour, reason });

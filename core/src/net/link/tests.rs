@@ -3,7 +3,6 @@
 use super::*;
 use crate::{Incarnation, NodeName};
 
-mod given_up;
 mod incarnations;
 mod repeated;
 

@@ -83,8 +83,6 @@ impl Router {
     /// Tells a neighbour all that we know of, so that it can send what we lack.
     pub(super) fn compare(&mut self, link: LinkId) {
         let Some(adjacent) = self.links.get_mut(&link) else { return };
-        let bytes = RoutingMessage::Numbered(link).encode();
-        self.outputs.push_back(RouterOutput::Routing { link, bytes });
         adjacent.compare_at = self.now + adjacent.patience(self.config.compare);
         self.wake_at = self.wake_at.min(adjacent.compare_at);
         let capacity = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / ID_LENGTH;
@@ -121,7 +119,7 @@ impl Router {
             if held.is_some_and(|held| *held == advertisement) {
                 confirmed.push(id);
                 if let Some(adjacent) = self.links.get_mut(&link) {
-                    adjacent.pending.remove(&id.origin);
+                    adjacent.confirm(id, self.id);
                 }
                 continue;
             }
@@ -165,7 +163,6 @@ impl Router {
         let expires = self.now + self.config.lifetime;
         self.wake_at = self.wake_at.min(expires);
         let before = self.known.remove(&origin).map(|before| before.advertisement);
-        self.hear_given_up(before.as_ref(), &advertisement);
         let same = before.is_some_and(|before| {
             before.edges == advertisement.edges && before.incarnation == advertisement.incarnation
         });
@@ -196,7 +193,7 @@ impl Router {
             } else if held < advertisement_id {
                 wanted.push(held);
             } else if let Some(adjacent) = self.links.get_mut(&link) {
-                adjacent.pending.remove(&origin);
+                adjacent.confirm(advertisement_id, self.id);
             }
         }
         if let Some((first, last)) = range

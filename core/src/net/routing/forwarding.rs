@@ -1,11 +1,11 @@
 //! Passing packets on: the look-up, and what becomes of what cannot be delivered.
 
-use super::{LinkHealth, Router, RouterOutput};
-use crate::net::routing::topology::DisjointPath;
+use super::{Router, RouterOutput};
 use crate::net::wire::frame::FRAME_HEADER;
 use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::net::wire::packet::{HOPS_MAX, Packet, PacketPriority, Payload, UndeliveredReason};
+use crate::sorted::SortedSet;
 use crate::{GatherBuffer, Instant};
 use bytes::Bytes;
 
@@ -28,14 +28,10 @@ impl Router {
             self.refusals.unexpected += 1;
             self.give_back(&packet, UndeliveredReason::TooManyHops);
         } else if packet.destination != self.id {
-            match packet.payload {
-                Payload::Copy { .. } => self.follow(packet),
-                Payload::Segment(_) | Payload::Return { .. } => self.forward(packet, link),
-            }
+            self.forward(packet, link);
         } else {
             match packet.payload {
-                Payload::Copy { relays, .. } if !relays.is_empty() => self.refusals.malformed += 1,
-                Payload::Segment(segment) | Payload::Copy { segment, .. } => {
+                Payload::Segment(segment) => {
                     self.take_segment(link, packet.source, segment.into_bytes());
                 }
                 Payload::Return { destination, reason } => {
@@ -63,26 +59,24 @@ impl Router {
         self.pass(link, &Packet { class, hops, destination, source, passed, payload });
     }
 
-    /// The same over ways that have as little in common as can be, each written into its copy: the
-    /// first one that arrives counts. A way that is too small for it is left out.
+    /// Sends a copy over every link to the destination and over both next hops of its route: the
+    /// first one that arrives counts. A link that is too small for it is left out.
     pub fn handle_copies(
         &mut self,
         destination: NodeId,
         class: PacketPriority,
         segment: &GatherBuffer,
     ) {
-        if self.routes.contains_key(&destination) && !self.ways.contains_key(&destination) {
-            let ways = self.topology().ways(destination);
-            self.ways.insert(destination, ways);
-        }
-        let ways = self.ways.get(&destination).cloned().unwrap_or_default();
-        let copies: Vec<_> = (0..)
-            .zip(ways)
-            .filter_map(|(copy, way)| self.copy_over(way, (destination, copy), class, segment))
+        let direct = self.links.iter().filter(|(_, adjacent)| adjacent.id == destination);
+        let hops = self.routes.get(&destination).map(|route| (route.next, route.alternate));
+        let hops = hops.into_iter().flat_map(|(next, alternate)| [Some(next), alternate]);
+        let links: SortedSet<_> = direct.map(|(link, _)| *link).chain(hops.flatten()).collect();
+        let copies: Vec<_> = links
+            .into_iter()
+            .filter_map(|link| self.copy_over(link, destination, class, segment))
             .collect();
-        if copies.len() < 2 {
-            // One way alone is followed by routes, each node knowing an alternate; or it is said
-            // why none is.
+        if copies.is_empty() {
+            // It comes back, with the reason.
             return self.handle_segment(destination, class, segment.clone());
         }
         self.outputs.extend(copies);
@@ -90,61 +84,18 @@ impl Router {
 
     fn copy_over(
         &mut self,
-        way: DisjointPath,
-        (destination, copy): (NodeId, u8),
+        link: LinkId,
+        destination: NodeId,
         class: PacketPriority,
         segment: &GatherBuffer,
     ) -> Option<RouterOutput> {
-        let mtu = self.links.get(&way.link)?.mtu.min(way.mtu);
+        let mtu = self.links.get(&link)?.mtu;
         let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
-        let is_near = way.relays.len() <= hops.into();
-        let segment = self.protect((destination, way.link), class, segment.clone())?;
-        let payload = match way.relays.split_first() {
-            None => Payload::Segment(segment),
-            Some((_, relays)) => Payload::Copy { copy, relays: relays.to_vec(), segment },
-        };
-        let packet =
-            Packet { class, hops, destination, source, passed: Vec::new(), payload }.parcel();
+        let segment = self.protect((destination, link), class, segment.clone())?;
+        let (payload, passed) = (Payload::Segment(segment), Vec::new());
+        let packet = Packet { class, hops, destination, source, passed, payload }.parcel();
         let fits = packet.len() + FRAME_HEADER <= mtu.into();
-        (fits && is_near).then_some(RouterOutput::Packet { link: way.link, packet })
-    }
-
-    /// Passes a copy on by the way that is written in it, and by no other: on one of its own it
-    /// would go where another copy goes already, or in a circle. What no copy brings, the session
-    /// repeats.
-    fn follow(&mut self, packet: Packet) {
-        let Packet { class, hops, destination, source, passed, payload } = packet;
-        let Payload::Copy { copy, mut relays, segment } = payload else { return };
-        if relays.contains(&self.id) {
-            self.refusals.malformed += 1;
-            return;
-        }
-        let next = if relays.is_empty() { destination } else { relays.remove(0) };
-        let payload = Payload::Copy { copy, relays, segment };
-        let link = hops.checked_sub(1).and_then(|hops| {
-            let packet = Packet { class, hops, destination, source, passed, payload }.parcel();
-            Some((self.parallel(next, copy, packet.len() + FRAME_HEADER)?, packet))
-        });
-        match link {
-            Some((link, packet)) => self.outputs.push_back(RouterOutput::Packet { link, packet }),
-            None => self.refusals.astray += 1,
-        }
-    }
-
-    /// Of several links to a neighbour, copies that both must pass it take different ones.
-    fn parallel(&self, next: NodeId, copy: u8, length: usize) -> Option<LinkId> {
-        let fitting = self
-            .links
-            .iter()
-            .filter(|(_, adjacent)| adjacent.id == next && length <= usize::from(adjacent.mtu));
-        let best = |usable: fn(LinkHealth) -> bool| -> Vec<LinkId> {
-            let usable = fitting.clone().filter(|(_, adjacent)| usable(adjacent.health));
-            usable.map(|(number, _)| *number).collect()
-        };
-        let links =
-            Some(best(|health| health < LinkHealth::Suspect)).filter(|links| !links.is_empty());
-        let links = links.unwrap_or_else(|| best(|_| true));
-        links.get(usize::from(copy) % links.len().max(1)).copied()
+        fits.then_some(RouterOutput::Packet { link, packet })
     }
 
     /// Forwards a packet that came over a link, to no node that has had it: nodes that hear of a

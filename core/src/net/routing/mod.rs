@@ -14,7 +14,6 @@ mod flooding;
 mod forwarding;
 mod keys;
 mod names;
-mod remote_down;
 mod timers;
 mod types;
 
@@ -35,7 +34,7 @@ use crate::{Incarnation, Instant, Machine, NodeName};
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::time::Duration;
-use topology::{Adjacency, DisjointPath, Route, Topology};
+use topology::{Adjacency, Route, Topology};
 
 /// The machine of a node's router.
 #[derive(Debug)]
@@ -50,9 +49,6 @@ pub struct Router {
     known: SortedMap<NodeId, DatabaseEntry>,
     own: Advertisement,
     routes: SortedMap<NodeId, Route>,
-    /// The disjoint paths of copies, computed for the first copy to a node after a change: as many
-    /// as routes.
-    ways: SortedMap<NodeId, Vec<DisjointPath>>,
     /// When the paths are computed again; `None` while they are current.
     compute_at: Option<Instant>,
     computed_at: Instant,
@@ -110,7 +106,6 @@ impl Router {
             known: SortedMap::new(),
             own,
             routes: SortedMap::new(),
-            ways: SortedMap::new(),
             compute_at: None,
             computed_at: Instant::ORIGIN,
             refresh_at,
@@ -207,9 +202,8 @@ impl Router {
         }
         self.unused.remove(&link);
         if health == LinkHealth::Down || mtu < MTU_MIN {
-            if let Some(lost) = self.links.remove(&link) {
+            if self.links.remove(&link).is_some() {
                 self.choose_anew();
-                self.say_given_up(&lost);
                 self.announce_links();
             }
             return;
@@ -234,14 +228,15 @@ impl Router {
                         cost,
                         mtu,
                         health,
-                        number_there: None,
                         pending,
+                        confirmed: 0,
                         compare_at: now,
                         differs_since: None,
                         keys_differ: false,
                         checks: Default::default(),
                     },
                 );
+                self.set_silent_aside(link);
                 self.announce_links();
                 self.compare(link);
             }
@@ -277,9 +272,6 @@ impl Router {
         for (link, Adjacency { neighbour, cost, mtu, health, .. }) in isolated_links {
             let status = LinkStatus { neighbour, health, cost, mtu: mtu.into() };
             self.isolated_links.insert(link, status);
-            // The last message to it: it learns at once that no node is behind its links.
-            let bytes = RoutingMessage::Announce(vec![self.own.clone()]).encode();
-            self.outputs.push_back(RouterOutput::Routing { link, bytes });
         }
     }
 
@@ -300,8 +292,6 @@ impl Router {
             }
             Ok(RoutingMessage::Have { range, ids }) => self.handle_have(link, range, &ids),
             Ok(RoutingMessage::Taken { by }) => self.handle_taken(by),
-            Ok(RoutingMessage::Numbered(number)) => self.handle_numbered(link, number),
-            Ok(RoutingMessage::GaveUp(lost)) => self.handle_given_up(link, lost),
             Err(error) => self.refusals.count(&error),
         }
     }
@@ -336,7 +326,6 @@ impl Router {
         self.computed_at = self.now;
         self.look_for_namesakes();
         let routes = self.topology().routes();
-        self.ways.clear();
         let mut before = std::mem::replace(&mut self.routes, routes);
         let mut found = Vec::new();
         for (id, route) in &self.routes {

@@ -6,7 +6,9 @@
 //! ```
 //!
 //! A restarted node has its name as soon as no path leads to its old incarnation: the links that
-//! led there have told of its end.
+//! led there have told of its end. Where two links of this node lead to two incarnations of another
+//! one, on two networks, this node challenges the first by a new advertisement. If the first
+//! confirms it within a second, ten on a narrow link, it keeps the name; if not, the second has it.
 //!
 //! Where two halves of a network meet that have each a node of one name, both hear that another
 //! incarnation advertises links in their name. Each outdoes the other (RFC 2328, 13.4). What an
@@ -41,6 +43,10 @@ const YIELDS_FOR: Duration = Duration::from_secs(10);
 pub(super) struct UnusedLink {
     status: LinkStatus,
     since: Instant,
+    /// The sequence of this node's advertisement that the other incarnation must confirm, and by
+    /// when; `None` once that is decided, and where no link leads to the other one.
+    challenge: u64,
+    decide_at: Option<Instant>,
     told_at: Instant,
     is_reported: bool,
 }
@@ -59,9 +65,12 @@ pub(super) struct Namesakes {
 }
 
 impl Router {
-    /// The incarnation that has the neighbour's name, if it is another one and is reached without
-    /// any link of this node to that name.
-    pub(super) fn name_holder(&self, neighbour: &Neighbour) -> Option<Incarnation> {
+    /// The incarnation that has the neighbour's name, if it is another one and is reached by
+    /// another link to it, or without any link of this node to that name.
+    fn name_holder(&self, link: LinkId, neighbour: &Neighbour) -> Option<Incarnation> {
+        if let Some(direct) = self.direct_holder(link, neighbour) {
+            return Some(direct);
+        }
         let id = NodeId::of(&neighbour.node);
         let held = self.known.get(&id)?.advertisement.incarnation;
         if held == neighbour.incarnation {
@@ -73,17 +82,70 @@ impl Router {
         is_reached.then_some(held)
     }
 
+    /// Links to other incarnations of a link's neighbour.
+    fn links_to_others<'a>(
+        &'a self,
+        link: LinkId,
+        neighbour: &'a Neighbour,
+    ) -> impl Iterator<Item = (LinkId, &'a Adjacency)> {
+        let id = NodeId::of(&neighbour.node);
+        let others = self.links.iter().map(|(other, near)| (*other, near));
+        others.filter(move |(other, near)| {
+            *other != link && near.id == id && near.neighbour.incarnation != neighbour.incarnation
+        })
+    }
+
+    /// The other incarnation of a link's neighbour to which another link leads, unless it has left
+    /// a challenge unanswered.
+    fn direct_holder(&self, link: LinkId, neighbour: &Neighbour) -> Option<Incarnation> {
+        let unused = self.unused.get(&link).filter(|unused| unused.status.neighbour == *neighbour);
+        let counts = |near: &Adjacency| {
+            unused.is_none_or(|unused| {
+                unused.decide_at.is_some() || near.confirmed >= unused.challenge
+            })
+        };
+        let mut others = self.links_to_others(link, neighbour);
+        let holder = others.find(|(_, near)| counts(near))?;
+        Some(holder.1.neighbour.incarnation)
+    }
+
+    /// A link is used from now on: those to other incarnations of its neighbour, which have left a
+    /// challenge unanswered, are not.
+    pub(super) fn set_silent_aside(&mut self, link: LinkId) {
+        let Some(used) = self.links.get(&link) else { return };
+        let silent = self.links_to_others(link, &used.neighbour);
+        let silent: Vec<_> = silent.map(|(other, near)| (other, status_of(near))).collect();
+        silent.into_iter().for_each(|(other, status)| self.set_aside(other, status));
+    }
+
+    /// The time of a challenge is over.
+    pub(super) fn decide_challenges(&mut self) {
+        let now = self.now;
+        for unused in self.unused.values_mut() {
+            unused.decide_at = unused.decide_at.filter(|at| *at > now);
+        }
+        self.use_links_again();
+    }
+
     /// Does not use a link.
     pub(super) fn set_aside(&mut self, link: LinkId, status: LinkStatus) {
-        if let Some(lost) = self.links.remove(&link) {
-            self.say_given_up(&lost);
+        if self.links.remove(&link).is_some() {
             self.announce_links();
         }
         match self.unused.get_mut(&link) {
             Some(unused) if unused.status.neighbour == status.neighbour => unused.status = status,
             _ => {
-                let (since, told_at) = (self.now, Instant::ORIGIN);
-                let unused = UnusedLink { status, since, told_at, is_reported: false };
+                let (since, told_at, is_reported) = (self.now, Instant::ORIGIN, false);
+                let others = self.links_to_others(link, &status.neighbour);
+                let wait = others.map(|(_, near)| near.patience(RESTARTED_WITHIN)).max();
+                let decide_at = wait.map(|wait| since + wait);
+                if let Some(at) = decide_at {
+                    self.renew();
+                    self.wake_at = self.wake_at.min(at);
+                }
+                let challenge = self.own.id.sequence;
+                let unused =
+                    UnusedLink { status, since, challenge, decide_at, told_at, is_reported };
                 self.unused.insert(link, unused);
             }
         }
@@ -107,6 +169,10 @@ impl Router {
         since.min().map(|since| since + RESTARTED_WITHIN)
     }
 
+    pub(super) fn challenge_due(&self) -> Option<Instant> {
+        self.unused.values().filter_map(|unused| unused.decide_at).min()
+    }
+
     /// Sets aside the links that have led to another incarnation for so long, where the announced
     /// one is reached.
     pub(super) fn set_namesakes_aside(&mut self) {
@@ -119,7 +185,7 @@ impl Router {
             }
         }
         for (link, status) in others {
-            if self.name_holder(&status.neighbour).is_some() {
+            if self.name_holder(link, &status.neighbour).is_some() {
                 self.set_aside(link, status);
             }
         }
@@ -139,21 +205,26 @@ impl Router {
     /// Whether a link with this neighbour is not used, for its name's sake or our own's.
     ///
     /// With keys the neighbour has proved who it is, and an advertisement may be a replay: the link
-    /// is used until it has led for a second to another incarnation than the one that outdoes it.
+    /// is used until it has led for a second to another incarnation than the one that outdoes it,
+    /// unless another link leads to the other one.
     pub(super) fn is_kept_out(&self, link: LinkId, neighbour: &Neighbour) -> bool {
         let is_judged = self.keys.is_none() || self.unused.contains_key(&link);
-        self.namesakes.yields_until.is_some() || is_judged && self.name_holder(neighbour).is_some()
+        self.namesakes.yields_until.is_some()
+            || self.direct_holder(link, neighbour).is_some()
+            || is_judged && self.name_holder(link, neighbour).is_some()
     }
 
     /// A neighbour whose link is not used announces itself over and over: it is told why, and after
     /// a while the user is.
     pub(super) fn handle_kept_out(&mut self, link: LinkId) {
         let now = self.now;
+        // Only an answered challenge is a reason to tell it.
+        let is_decided = |unused: &&UnusedLink| unused.decide_at.is_none_or(|at| at <= now);
         let due = |unused: &&UnusedLink| unused.told_at + TELL_INTERVAL <= now;
-        let Some(unused) = self.unused.get(&link).filter(due) else { return };
+        let Some(unused) = self.unused.get(&link).filter(is_decided).filter(due) else { return };
         let Neighbour { node, incarnation } = unused.status.neighbour.clone();
         let is_lasting = unused.since + RESTARTED_WITHIN <= now;
-        let Some(by) = self.name_holder(&unused.status.neighbour) else { return };
+        let Some(by) = self.name_holder(link, &unused.status.neighbour) else { return };
         let bytes = RoutingMessage::Taken { by }.encode();
         self.outputs.push_back(RouterOutput::Routing { link, bytes });
         self.go_on(RouterAlarm::NameTaken);

@@ -23,6 +23,9 @@ pub(crate) enum RouterTimer {
     ComputeRoutes,
     /// Uses no link whose node has been announced in another incarnation for 1 s.
     SetAside,
+    /// Decides between two incarnations of a node to which two links lead: 1 s after the second has
+    /// come, 10 s where the first has a narrow link.
+    Challenge,
     /// Uses the links again, 10 s after another node was found that had this one's name before.
     YieldEnd,
     /// Reports the nodes that a restarted router has not found again after a second (OSPF: grace
@@ -46,6 +49,7 @@ impl Timers for Router {
             CompareDatabase,
             ComputeRoutes,
             SetAside,
+            Challenge,
             YieldEnd,
             RestartGrace,
             AlarmClear,
@@ -62,6 +66,7 @@ impl Timers for Router {
             RouterTimer::CompareDatabase => links.map(|link| link.compare_at).min(),
             RouterTimer::ComputeRoutes => self.compute_at,
             RouterTimer::SetAside => self.set_aside_due(),
+            RouterTimer::Challenge => self.challenge_due(),
             RouterTimer::YieldEnd => self.namesakes.yields_until,
             RouterTimer::RestartGrace => self.remembered.as_ref().map(|(until, _)| *until),
             RouterTimer::AlarmClear => self.troubles.due(),
@@ -76,6 +81,7 @@ impl Timers for Router {
             RouterTimer::Retransmit | RouterTimer::CompareDatabase => self.synchronise(now),
             RouterTimer::ComputeRoutes => self.compute(),
             RouterTimer::SetAside => self.set_namesakes_aside(),
+            RouterTimer::Challenge => self.decide_challenges(),
             RouterTimer::YieldEnd => self.end_yield(),
             RouterTimer::RestartGrace => self.report_not_found_again(),
             RouterTimer::AlarmClear => self.end_troubles(),

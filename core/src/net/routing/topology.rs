@@ -1,15 +1,11 @@
 //! The shortest paths through a network, and the alternates to them.
 
-mod disjoint;
-
-pub(crate) use self::disjoint::DisjointPath;
-
 use super::keys::CheckBudget;
 use super::{LinkHealth, MTU_MIN};
 use crate::net::is_narrow;
 use crate::net::link::Neighbour;
 use crate::net::seal::INIT_LENGTH;
-use crate::net::wire::advertisement::{Advertisement, Edge};
+use crate::net::wire::advertisement::{Advertisement, AdvertisementId, Edge};
 use crate::net::wire::frame::FRAME_HEADER;
 use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
@@ -52,10 +48,10 @@ pub(crate) struct Adjacency {
     pub(crate) cost: u16,
     pub(crate) mtu: u16,
     pub(crate) health: LinkHealth,
-    /// What the neighbour calls it, as far as it has said.
-    pub(crate) number_there: Option<LinkId>,
     /// Origins whose advertisement the neighbour has not confirmed, and when to repeat it.
     pub(crate) pending: SortedMap<NodeId, Instant>,
+    /// The sequence of this node's newest advertisement that the neighbour has confirmed.
+    pub(crate) confirmed: u64,
     pub(crate) compare_at: Instant,
     /// Since when its node is announced in another incarnation.
     pub(crate) differs_since: Option<Instant>,
@@ -66,6 +62,14 @@ pub(crate) struct Adjacency {
 }
 
 impl Adjacency {
+    /// The neighbour has the newest advertisement of an origin. Some are of this node, `here`.
+    pub(crate) fn confirm(&mut self, newest: AdvertisementId, here: NodeId) {
+        self.pending.remove(&newest.origin);
+        if newest.origin == here {
+            self.confirmed = newest.sequence;
+        }
+    }
+
     /// How long an answer of the neighbour's may take, where it takes so long on a fast medium.
     pub(crate) fn patience(&self, fast: Duration) -> Duration {
         fast * if is_narrow(segment_limit(self.mtu)) { 10 } else { 1 }

@@ -116,11 +116,6 @@ pub enum RouterOutput {
         /// Why it did not.
         reason: UndeliveredReason,
     },
-    /// The neighbour says by another way that it has given this link up: tell the link.
-    GivenUp {
-        /// Which.
-        link: LinkId,
-    },
     /// A node can be reached, or has a new incarnation.
     Reachable {
         /// Which.

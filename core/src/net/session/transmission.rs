@@ -7,7 +7,7 @@ use super::reassembly::pieces_of;
 use super::round_trip::RttEstimator;
 use super::{Session, State};
 use crate::net::is_narrow;
-use crate::net::wire::packet::{PacketPriority, UndeliveredReason, WAY_MAX};
+use crate::net::wire::packet::{PacketPriority, UndeliveredReason};
 use crate::net::wire::segment::{
     ACKNOWLEDGED_TOGETHER, Ack, Data, DatagramAck, DelayTicks, PIECE_HEADER, Segment,
     SeparateStream, data_header,
@@ -149,12 +149,8 @@ impl Session {
         let ack_capacity = 32.min(mtu / 8);
         let part_max = self.config.chunk_max.min(self.congestion.part_max());
         let state = &mut self.streams[stream as usize];
-        // The path of each copy is written before it.
-        let path = if stream == TrafficClass::Redundant { WAY_MAX } else { 0 };
-        let header = data_header(state.outbound.next()) + path;
-        // Copies that do not fit onto their paths go one way.
-        let least = if stream == TrafficClass::Redundant { 48 } else { 16 };
-        let capacity = mtu.saturating_sub(header + ack_capacity).clamp(least, part_max.max(least));
+        let header = data_header(state.outbound.next());
+        let capacity = mtu.saturating_sub(header + ack_capacity).clamp(16, part_max.max(16));
         let Some((sequence, part)) = state.outbound.transmit(capacity, self.now) else {
             return false;
         };

@@ -178,8 +178,8 @@ impl AccessPolicy {
 }
 
 impl AccessDenied {
-    /// Whether a program has asked for it. What the middleware of another node says of itself, its
-    /// votes and faults, is refused as well, and is no reason to look at the programs.
+    /// Whether a program has asked for it. What the middleware of another node says of itself, and
+    /// its faults, is refused as well, and is no reason to look at the programs.
     pub fn is_of_a_program(&self) -> bool {
         let is_internal = self.verb == Verb::Tell && self.contract.starts_with(INTERNAL);
         self.verb != Verb::Recover && !is_internal
@@ -363,7 +363,7 @@ mod tests {
         assert_eq!(needs("blastema/command"), BindingNeeds::Nothing);
         assert_eq!(needs("blastema/replica"), BindingNeeds::Right(Verb::Claim));
         assert_eq!(needs("blastema/load-state"), BindingNeeds::OwnNode);
-        assert_eq!(needs("blastema/votes"), BindingNeeds::Membership);
+        assert_eq!(needs("blastema/await-end"), BindingNeeds::Membership);
         assert_eq!(needs("blastema/actor-message"), BindingNeeds::Nothing);
     }
 

@@ -51,12 +51,10 @@ macro_rules! words {
 words! {
     /// What a node is to the robot.
     Role {
-        /// Everything but what operators and wardens alone may.
+        /// Everything but what operators alone may.
         Node = "node",
         /// It operates other nodes as well.
         Operator = "operator",
-        /// Its votes isolate nodes by themselves.
-        Warden = "warden",
         /// Nothing that no line gives it.
         Guest = "guest",
     }

@@ -4,8 +4,6 @@
 //! announce:  0 │ advertisement … to the frame's end
 //! have:      1 │ range 0 or 1 │ first 4 │ last 4 │ id … to the frame's end
 //! taken:     2 │ incarnation 8
-//! numbered:  4 │ link 2
-//! gave up:   5 │ link 2
 //!
 //! advertisement: id 12 │ incarnation 8 │ n 1 │ name n │ s 1 bit, count 7 bits
 //!                │ count × (neighbour 4, incarnation 1, cost 2, mtu 2) │ s: signature 64
@@ -25,7 +23,6 @@
 
 use super::node_id::NodeId;
 use super::{Reader, WireError, Write};
-use crate::net::wire::link_id::LinkId;
 use crate::{Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
 
@@ -45,8 +42,6 @@ const ANNOUNCE: u8 = 0;
 const HAVE: u8 = 1;
 const SIGNED: u8 = 128;
 const TAKEN: u8 = 2;
-const NUMBERED: u8 = 4;
-const GAVE_UP: u8 = 5;
 
 /// Which advertisement: of two of one origin, the greater is the newer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -106,10 +101,6 @@ pub enum RoutingMessage {
         /// The other node's incarnation.
         by: Incarnation,
     },
-    /// I call this link so.
-    Numbered(LinkId),
-    /// Another link between us, which you call so, carries no more at this end.
-    GaveUp(LinkId),
 }
 
 impl Edge {
@@ -227,11 +218,6 @@ impl RoutingMessage {
                 bytes.put_u8(TAKEN);
                 bytes.put_u64(by.0);
             }
-            RoutingMessage::Numbered(link) | RoutingMessage::GaveUp(link) => {
-                let gave_up = matches!(self, RoutingMessage::GaveUp(_));
-                bytes.put_u8(if gave_up { GAVE_UP } else { NUMBERED });
-                bytes.put_u16(link.0);
-            }
         }
         bytes.freeze()
     }
@@ -267,15 +253,6 @@ impl RoutingMessage {
                 let by = Incarnation(reader.u64()?);
                 reader.end("a name that is taken")?;
                 Ok(RoutingMessage::Taken { by })
-            }
-            kind @ (NUMBERED | GAVE_UP) => {
-                let link = LinkId(reader.u16()?);
-                reader.end("a link's number")?;
-                Ok(if kind == GAVE_UP {
-                    RoutingMessage::GaveUp(link)
-                } else {
-                    RoutingMessage::Numbered(link)
-                })
             }
             _ => Err(WireError::Malformed { what: "a routing message's kind" }),
         }
@@ -326,14 +303,6 @@ mod tests {
         }
         let taken = RoutingMessage::Taken { by: Incarnation(9) };
         assert_eq!(RoutingMessage::decode(taken.encode()), Ok(taken));
-        for (sent, bytes) in [
-            (RoutingMessage::Numbered(LinkId(0x0102)), b"\x04\x01\x02"),
-            (RoutingMessage::GaveUp(LinkId(0x0102)), b"\x05\x01\x02"),
-        ] {
-            assert_eq!(&sent.encode()[..], bytes);
-            assert_eq!(RoutingMessage::decode(sent.encode()), Ok(sent));
-            assert!(RoutingMessage::decode([&bytes[..], b"\0"].concat().into()).is_err());
-        }
         for advertisement in [advertisement(), signed] {
             let one = RoutingMessage::Announce(vec![advertisement.clone()]).encode();
             assert_eq!(one.len(), 1 + advertisement.length());

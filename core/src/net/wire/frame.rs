@@ -293,14 +293,10 @@ mod tests {
         assert!(is_hello(&Frame::Hello(hello()).parcel()));
         assert!(!is_hello(&Frame::Routing(Bytes::new()).parcel()));
         for (class, expected) in [(PacketPriority::Control, true), (PacketPriority::Data, false)] {
-            let copy =
-                Payload::Copy { copy: 1, relays: vec![NodeId(3)], segment: Bytes::new().into() };
-            for payload in [Payload::Segment(Bytes::new().into()), copy] {
-                let (destination, source) = (NodeId(1), NodeId(2));
-                let packet =
-                    Packet { class, hops: 1, destination, source, passed: vec![], payload };
-                check(Frame::Data(packet.encode().into()), expected);
-            }
+            let (destination, source) = (NodeId(1), NodeId(2));
+            let (payload, passed) = (Payload::Segment(Bytes::new().into()), vec![]);
+            let packet = Packet { class, hops: 1, destination, source, passed, payload };
+            check(Frame::Data(packet.encode().into()), expected);
             // As large as is no longer copied, and after another node has forwarded it.
             for (length, passed) in (3_900..4_200).flat_map(|n| [(n, vec![]), (n, vec![NodeId(3)])])
             {

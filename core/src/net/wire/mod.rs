@@ -65,8 +65,6 @@ pub struct Refusals {
     pub stale: u64,
     /// Understood, but there was no receiver.
     pub unexpected: u64,
-    /// Copies whose next relay is no neighbour, or not at present. Another copy goes another way.
-    pub astray: u64,
     /// Understood, but from a node that is isolated, or by its way.
     pub isolated: u64,
     /// Not signed, or not sealed, by the node that it names as its origin.
@@ -96,7 +94,6 @@ impl Refusals {
             malformed: since(self.malformed, before.malformed),
             stale: since(self.stale, before.stale),
             unexpected: since(self.unexpected, before.unexpected),
-            astray: since(self.astray, before.astray),
             isolated: since(self.isolated, before.isolated),
             forged: since(self.forged, before.forged),
         }
@@ -117,7 +114,6 @@ impl Refusals {
             + self.malformed
             + self.stale
             + self.unexpected
-            + self.astray
             + self.isolated
             + self.forged
     }
@@ -133,7 +129,6 @@ impl fmt::Display for Refusals {
             (self.malformed, "malformed"),
             (self.stale, "stale"),
             (self.unexpected, "unexpected"),
-            (self.astray, "astray"),
             (self.isolated, "of isolated nodes"),
             (self.forged, "forged"),
         ];

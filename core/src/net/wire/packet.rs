@@ -5,24 +5,17 @@
 //! ┌──────────┬───────────────┬───────────────┬──────────────────────┐
 //! │ cc k hops│ destination   │ source        │ segment, or a return │
 //! └──────────┴───────────────┴───────────────┴──────────────────────┘
-//!   cc   class: 0 control, 1 data; 3 for what says its class itself: copies, and what was passed on
-//!   k    0 a segment for the destination's session, 1 a packet's return to its source;
-//!        with cc 3: 0 a copy, 1 passed on
+//!   cc   class: 0 control, 1 data; 3 for what was passed on, which has its class in its list
+//!   k    0 a segment for the destination's session, 1 a packet's return to its source, or with cc 3
 //!   hops how many more nodes may pass it on, 0 to 31
 //!
 //! return:    the destination that was not reached (4), the reason (1)
-//! copy:      cc 2 bits, which copy 2 bits, n 4 bits │ n × relay 4 │ segment
 //! passed on: cc 2 bits, k 1 bit, n 5 bits │ n × relay 4 │ segment, or a return
 //! ```
 //!
 //! Who passes a packet on writes itself behind those who did before, and gives it to none of them:
 //! whatever the nodes know of each other, no packet goes over a node twice. Between neighbours the
 //! list takes no byte.
-//!
-//! A copy's relays are those that still follow after the node that receives it. Each takes the
-//! first off the list and passes the copy on to that one, the last to the destination: the list
-//! only becomes shorter, and no node may stand on it twice, so that a copy cannot go in a circle
-//! whatever the nodes know of each other.
 
 use super::node_id::NodeId;
 use super::{Reader, WireError};
@@ -35,21 +28,13 @@ pub const PACKET_HEADER: usize = 9;
 /// The most nodes that may pass a packet on: five bits.
 pub const HOPS_MAX: u8 = 31;
 
-/// How many copies of one segment may be told apart: two bits.
-pub const COPIES_MAX: usize = 4;
-/// The most relays that a copy can name: four bits. The one that it is given to first is not named.
-pub const RELAYS_MAX: usize = 15;
-/// The most bytes that a copy's way takes before its segment.
-pub(crate) const WAY_MAX: usize = 1 + 4 * RELAYS_MAX;
-
 /// The bytes that a list of so many takes who have passed a packet on.
 pub(crate) const fn passed_length(relays: usize) -> usize {
     if relays == 0 { 0 } else { 1 + 4 * relays }
 }
 
 const RETURN: u8 = 0x20;
-const COPY: u8 = 0xc0;
-const PASSED: u8 = COPY | RETURN;
+const PASSED: u8 = 0xe0;
 
 /// How urgent a packet is. A queue that is not empty lets the more urgent go first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -71,7 +56,7 @@ pub struct Packet {
     pub destination: NodeId,
     /// Whom it is from.
     pub source: NodeId,
-    /// Who has passed it on so far, at most [`HOPS_MAX`]. Of a copy that is not written.
+    /// Who has passed it on so far, at most [`HOPS_MAX`].
     pub passed: Vec<NodeId>,
     /// What it carries.
     pub payload: Payload,
@@ -82,15 +67,6 @@ pub struct Packet {
 pub enum Payload {
     /// For the destination's session with the source.
     Segment(GatherBuffer),
-    /// The same, one of several that go different ways, and by no other than its own.
-    Copy {
-        /// Which, below [`COPIES_MAX`].
-        copy: u8,
-        /// The nodes that it is still to pass after the one that has it, at most [`RELAYS_MAX`].
-        relays: Vec<NodeId>,
-        /// The segment.
-        segment: GatherBuffer,
-    },
     /// A packet of the receiver's could not be delivered.
     Return {
         /// Where it should have gone.
@@ -145,10 +121,9 @@ impl Packet {
         let class = (self.class as u8) << 6;
         let (kind, length) = match &self.payload {
             Payload::Segment(segment) => (class, segment.copied()),
-            Payload::Copy { segment, .. } => (COPY, WAY_MAX + segment.copied()),
             Payload::Return { .. } => (class | RETURN, 5),
         };
-        let was_passed = kind != COPY && !self.passed.is_empty();
+        let was_passed = !self.passed.is_empty();
         let list = passed_length(self.passed.len());
         let mut bytes = BytesMut::with_capacity(PACKET_HEADER + list + length);
         bytes.put_u8(if was_passed { PASSED } else { kind } | self.hops.min(HOPS_MAX));
@@ -161,12 +136,6 @@ impl Packet {
         }
         match &self.payload {
             Payload::Segment(segment) => segment.behind(bytes),
-            Payload::Copy { copy, relays, segment } => {
-                debug_assert!(usize::from(*copy) < COPIES_MAX && relays.len() <= RELAYS_MAX);
-                bytes.put_u8(class | copy << 4 | relays.len() as u8);
-                relays.iter().for_each(|relay| bytes.put_u32(relay.0));
-                segment.behind(bytes)
-            }
             Payload::Return { destination, reason } => {
                 bytes.put_u32(destination.0);
                 bytes.put_u8(*reason as u8);
@@ -192,9 +161,6 @@ impl Packet {
             if passed.is_empty() {
                 return Err(WireError::Malformed { what: "an empty list" });
             }
-        } else if first & COPY == COPY {
-            let (class, payload) = read_copy(reader, destination, source)?;
-            return Ok(Packet { class, hops, destination, source, passed, payload });
         }
         let class = read_class(kind)?;
         let payload = if kind & RETURN == 0 {
@@ -217,7 +183,7 @@ impl Packet {
 /// Whether the first bytes of a packet say that it is of the class [`Control`](PacketPriority::Control).
 pub(crate) fn is_control(packet: &[u8]) -> bool {
     let class = match packet.first() {
-        Some(first) if first & COPY == COPY => packet.get(PACKET_HEADER),
+        Some(first) if first & PASSED == PASSED => packet.get(PACKET_HEADER),
         first => first,
     };
     class.is_some_and(|class| class >> 6 == PacketPriority::Control as u8)
@@ -249,18 +215,6 @@ fn read_class(first: u8) -> Result<PacketPriority, WireError> {
     }
 }
 
-fn read_copy(
-    mut reader: Reader,
-    destination: NodeId,
-    source: NodeId,
-) -> Result<(PacketPriority, Payload), WireError> {
-    let way = reader.u8()?;
-    let class = read_class(way)?;
-    let copy = way >> 4 & (COPIES_MAX as u8 - 1);
-    let relays = read_relays(&mut reader, way & RELAYS_MAX as u8, destination, source)?;
-    Ok((class, Payload::Copy { copy, relays, segment: reader.rest().into() }))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -280,11 +234,6 @@ mod tests {
         Packet { passed: relays.iter().map(|relay| NodeId(*relay)).collect(), ..packet(payload) }
     }
 
-    fn copy_over(relays: &[u32]) -> Payload {
-        let relays = relays.iter().map(|relay| NodeId(*relay)).collect();
-        Payload::Copy { copy: 1, relays, segment: Bytes::from_static(b"hi").into() }
-    }
-
     #[test]
     fn the_bytes_of_a_packet_are_these_for_ever() {
         let segment = packet(Payload::Segment(Bytes::from_static(b"hi").into()));
@@ -292,8 +241,6 @@ mod tests {
         let returned =
             Payload::Return { destination: NodeId(7), reason: UndeliveredReason::TooManyHops };
         assert_eq!(&packet(returned).encode()[..], b"\x68\x01\x02\x03\x04\0\0\0\x05\0\0\0\x07\x01");
-        let bytes = b"\xc8\x01\x02\x03\x04\0\0\0\x05\x52\0\0\0\x07\0\0\0\x08hi";
-        assert_eq!(&packet(copy_over(&[7, 8])).encode()[..], bytes);
         let segment = Payload::Segment(Bytes::from_static(b"hi").into());
         let bytes = b"\xe8\x01\x02\x03\x04\0\0\0\x05\x42\0\0\0\x07\0\0\0\x08hi";
         assert_eq!(&passed_by(&[7, 8], segment).encode()[..], bytes);
@@ -325,16 +272,6 @@ mod tests {
                 }
             }
         }
-        let relays: Vec<_> = (10..10 + RELAYS_MAX as u32).collect();
-        for relays in [&[][..], &[7], &relays] {
-            let packet = packet(copy_over(relays));
-            assert_eq!(Packet::decode(packet.encode()), Ok(packet.clone()));
-            let way = packet.encode().len() - 2;
-            assert!(way <= PACKET_HEADER + WAY_MAX);
-            for cut in 0..way {
-                assert_eq!(Packet::decode(packet.encode().slice(..cut)), Err(WireError::Truncated));
-            }
-        }
         let no_class = Packet::decode(Bytes::from_static(&[0xc0; 10]));
         assert!(matches!(no_class, Err(WireError::Malformed { .. })));
         let no_reason =
@@ -346,8 +283,6 @@ mod tests {
     fn a_way_that_goes_in_a_circle_is_refused() {
         // Over a node twice, back to where it is from, or on from where it should end.
         for relays in [&[7, 8, 7][..], &[7, 5], &[0x01020304, 7]] {
-            let refused = Packet::decode(packet(copy_over(relays)).encode());
-            assert!(matches!(refused, Err(WireError::Malformed { .. })), "{relays:?}");
             let segment = Payload::Segment(Bytes::from_static(b"hi").into());
             let refused = Packet::decode(passed_by(relays, segment).encode());
             assert!(matches!(refused, Err(WireError::Malformed { .. })), "{relays:?}");

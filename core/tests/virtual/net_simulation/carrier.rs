@@ -1,5 +1,5 @@
-//! One end of a cable loses its carrier, and a switch stands between: the other end learns it by
-//! another way.
+//! One end of a cable loses its carrier, and a switch stands between: the other end finds it by
+//! hellos.
 
 use crate::net_simulation::world::{CALM, MS, STORM, World, for_seeds, long, name};
 use blastema_core::net::link::LinkState;
@@ -54,9 +54,9 @@ impl World {
     }
 }
 
-/// With hellos every 20 ms, a link without any report is suspect after 40.
+/// With hellos every 20 ms, a link is suspect after 40.
 #[test]
-fn the_other_end_does_not_wait_for_hellos_where_there_is_another_way() {
+fn the_other_end_takes_another_way_as_soon_as_a_hello_is_late() {
     let check = |nodes, wires: &[(usize, usize)], within| {
         for_seeds(0..10, |seed| {
             let mut world = World::new(seed, nodes, wires, CALM);
@@ -64,15 +64,14 @@ fn the_other_end_does_not_wait_for_hellos_where_there_is_another_way() {
             let slowest = world.slowest_around_the_pull();
 
             assert!(slowest <= within, "{slowest:?} over {wires:?}");
-            assert_eq!(world.given_up, 1);
         });
     };
     // Another cable between the two; over one node; over one of two cables to it.
-    check(2, &[(0, 1), (0, 1)], 4 * MS);
-    check(3, &[(0, 1), (0, 2), (2, 1)], 5 * MS);
-    check(3, &[(0, 1), (0, 2), (0, 2), (2, 1)], 5 * MS);
+    check(2, &[(0, 1), (0, 1)], 44 * MS);
+    check(3, &[(0, 1), (0, 2), (2, 1)], 45 * MS);
+    check(3, &[(0, 1), (0, 2), (0, 2), (2, 1)], 45 * MS);
     // No alternate is known beforehand: the routes are computed again.
-    check(5, &[(0, 1), (0, 2), (2, 3), (3, 4), (4, 1)], 15 * MS);
+    check(5, &[(0, 1), (0, 2), (2, 3), (3, 4), (4, 1)], 85 * MS);
 }
 
 #[test]
@@ -83,14 +82,13 @@ fn the_last_way_is_kept_until_hellos_judge_it() {
     world.pull(0, 0);
     world.run(10 * MS);
 
-    assert_eq!(world.state(0, 1), LinkState::Up, "no path carries the report");
+    assert_eq!(world.state(0, 1), LinkState::Up, "no hello is late");
     world.run(100 * MS);
     assert_eq!(world.state(0, 1), LinkState::Down);
-    assert_eq!(world.given_up, 0);
 }
 
 #[test]
-fn a_link_that_comes_up_is_never_taken_for_one_that_was_given_up() {
+fn links_come_up_again_however_often_nodes_die() {
     let wires = [(0, 1), (0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)];
     for_seeds(0..10, |seed| {
         let mut world = World::new(seed, 4, &wires, CALM);
@@ -105,7 +103,6 @@ fn a_link_that_comes_up_is_never_taken_for_one_that_was_given_up() {
         }
         world.run(Duration::from_secs(3));
 
-        assert_eq!(world.given_up, 0);
         let mut links = world.nodes.iter().flatten().flat_map(|node| &node.links);
         assert!(links.all(|(_, _, link)| link.state() == LinkState::Up));
     });
@@ -135,7 +132,6 @@ fn what_is_pulled_and_plugged_in_a_storm_comes_back_every_time() {
 
         assert_eq!(world.delivered.len() as u64, world.count_sent());
         assert!(world.returned.is_empty());
-        assert!(world.given_up > 0);
         let mut links = world.nodes.iter().flatten().flat_map(|node| &node.links);
         assert!(links.all(|(_, _, link)| link.state() == LinkState::Up));
     });
@@ -144,12 +140,11 @@ fn what_is_pulled_and_plugged_in_a_storm_comes_back_every_time() {
 /// Node 2 tells node 1 in the name of node 0, every 5 ms, that node 0 has no links, and once that
 /// it has.
 #[test]
-fn who_lies_about_a_link_of_others_diverts_them_for_two_hellos_and_takes_nothing_down() {
+fn a_node_that_lies_about_a_link_of_others_diverts_nothing_and_takes_nothing_down() {
     for_seeds([30, 31, 32, 34], |seed| {
         let mut world = World::new(seed, 3, &[(0, 1), (0, 2), (2, 1)], CALM);
         world.run(2000 * MS);
         let first = AdvertisementId::first_sequence(Incarnation(1));
-        let mut suspect = Duration::ZERO;
         for n in 0..800 {
             let node = name(0);
             let (origin, incarnation) = (NodeId::of(&node), Incarnation(1));
@@ -172,17 +167,10 @@ fn who_lies_about_a_link_of_others_diverts_them_for_two_hellos_and_takes_nothing
             world.settle(1);
             assert!(world.send(0, 1, 50) && world.send(1, 0, 50));
             world.run(5 * MS);
-            assert_ne!(world.state(0, 1), LinkState::Down);
-            let diverted = world.state(0, 1) == LinkState::Suspect;
-            suspect += if diverted { 5 * MS } else { Duration::ZERO };
+            assert_eq!(world.state(0, 1), LinkState::Up);
         }
         world.run(1000 * MS);
 
-        // Once in ten seconds, and node 2's link with the victim's neighbour is no different. With
-        // keys, what the origin has not signed diverts nothing.
-        assert_eq!(suspect > Duration::ZERO, world.roster.is_none(), "{suspect:?}");
-        assert!(suspect <= 50 * MS, "{suspect:?}");
-        assert!(world.given_up <= 2, "{}", world.given_up);
         assert!(world.returned.is_empty());
         assert_eq!(world.delivered.len() as u64, world.count_sent());
     });

@@ -92,8 +92,6 @@ pub(crate) struct World {
     pub(crate) count: u64,
     /// How often some traffic went another way.
     pub(crate) path_changes: u64,
-    /// How often a link became suspect for what its neighbour said by another way.
-    pub(crate) given_up: u64,
     pub(crate) trace: DefaultHasher,
     pub(crate) sent: BTreeMap<(usize, u64, usize), u64>,
     /// What arrived, and in which incarnation of the receiver.
@@ -166,7 +164,6 @@ impl World {
             frames: BTreeMap::new(),
             count: 0,
             path_changes: 0,
-            given_up: 0,
             trace: DefaultHasher::new(),
             sent: BTreeMap::new(),
             delivered: BTreeMap::new(),
@@ -315,10 +312,7 @@ impl World {
                             LinkState::Down | LinkState::Connecting => LinkHealth::Down,
                         };
                         self.downs += u64::from(health == LinkHealth::Down);
-                        let given_up = link.is_given_up();
-                        self.given_up += u64::from(given_up);
-                        let cost =
-                            if given_up { u16::MAX } else { link.quality().cost_percent / 10 };
+                        let cost = link.quality().cost_percent / 10;
                         let mtu = self.wires[wire].mtu;
                         let status = LinkStatus { neighbour, health, cost, mtu };
                         router.handle_link(number, status, self.now);
@@ -402,9 +396,6 @@ impl World {
                     if let Some(session) = sessions.get_mut(&source) {
                         session.handle_segment(segment, now);
                     }
-                }
-                RouterOutput::GivenUp { link } => {
-                    node.links[link.0 as usize].2.handle_given_up(now);
                 }
                 RouterOutput::Reachable { node: peer, incarnation, mtu } => {
                     let id = NodeId::of(&peer);

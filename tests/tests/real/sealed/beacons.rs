@@ -38,6 +38,7 @@ fn nodes_with_keys_find_each_other_by_beacons_also_with_rosters_of_two_serial_nu
 
         assert!(base.connected("arm", PATIENCE).await, "{:?}", base.links().await);
         assert_eq!(ask(&base, "arm").await, 1);
+        assert!(base.links().await.iter().all(|link| link.seal.is_some()));
         for node in [base, arm] {
             node.shutdown().await;
         }

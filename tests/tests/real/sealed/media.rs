@@ -1,6 +1,6 @@
 //! Each medium that leaves the process carries sealed links.
 
-use super::{PATIENCE, ask, is_up, node, until};
+use super::{PATIENCE, ask, node};
 use blastema::{Network, Node};
 use blastema_ptys::{Adapters, Cable};
 use blastema_tests::{RobotKeys, free_addresses};
@@ -85,36 +85,6 @@ fn a_serial_line_carries_sealed_links_and_a_can_bus_authenticated_ones() {
         };
         end(carries(folder.path(), [network(1, "right"), network(2, "left")], "SHA", 20).await)
             .await;
-    });
-}
-
-#[test]
-fn nodes_that_discover_each_other_get_sealed_links() {
-    let _turn = blastema_doubles::turn();
-    blastema::run(async {
-        let folder = tempfile::tempdir().expect("a folder");
-        let keys = RobotKeys::new(folder.path(), &["left", "middle", "right"], 1);
-        let at = free_addresses(3);
-        let lan =
-            |own: usize| Network::new("lan", &format!("udp://{}", at[own])).discover_anybody();
-        let middle = || at[1].to_string();
-        let left = node(&keys, "left", lan(0).peer("middle", &middle())).start().await.unwrap();
-        let right = node(&keys, "right", lan(2).peer("middle", &middle())).start().await.unwrap();
-        let network = lan(1).peer("left", &at[0].to_string()).peer("right", &at[2].to_string());
-        let middle = node(&keys, "middle", network).start().await.unwrap();
-
-        // By way of the middle's gossip.
-        until(async || left.links().await.len() == 2 && is_up(&left).await, "it is found").await;
-        assert!(left.connected("right", PATIENCE).await);
-        assert_eq!(ask(&left, "right").await, 1);
-        until(
-            async || left.links().await.iter().all(|link| link.seal.is_some()),
-            "both links are sealed",
-        )
-        .await;
-        for node in [left, right, middle] {
-            node.shutdown().await;
-        }
     });
 }
 

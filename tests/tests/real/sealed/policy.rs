@@ -8,8 +8,8 @@ use super::{PATIENCE, until};
 use blastema::core::net::trust::policy::Role;
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, ClaimError, ClaimPolicy, ClaimState, DeadReason, FaultKind, FaultLocation, Hold,
-    Network, NodeBuilder, ServiceSpec, StartError, Stateful, VariableSpec,
+    ActuatorSpec, ClaimError, ClaimPolicy, ClaimState, DeadReason, FaultKind, Hold, Network,
+    NodeBuilder, ServiceSpec, Stateful, VariableSpec,
 };
 use blastema_tests::{RobotKeys, free_addresses};
 use std::fs;
@@ -382,50 +382,5 @@ fn a_component_has_its_name_as_soon_as_the_roster_lets_it() {
         for node in [base, arm, head] {
             node.shutdown().await;
         }
-    });
-}
-
-#[test]
-fn the_word_of_a_warden_of_the_roster_isolates_and_that_of_another_node_does_not() {
-    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
-    blastema::run(async {
-        let nodes = [("base", Role::Node), ("arm", Role::Node), ("head", Role::Warden)];
-        let robot = Robot::new(&nodes, &[]);
-        let [base, arm, head] = robot.start_all().await;
-        let keeps_out = async |node: &Node, other: &str| {
-            let faults = node.faults().await.entries;
-            faults.iter().any(|entry| {
-                let located = &entry.fault.location;
-                entry.fault.kind == FaultKind::NodeFaulty
-                    && matches!(located, FaultLocation::Node(node) if node.as_str() == other)
-            })
-        };
-        arm.isolate("head").expect("it may vote");
-        // Votes go ahead of requests: this one has been judged when the requests are answered.
-        let wheels = arm.sender::<Hello>("base:wheels").expect("a name");
-        for _ in 0..20 {
-            wheels.ask(Hello("arm".into())).await.expect("no warden keeps the arm out");
-        }
-        assert!(!keeps_out(&base, "head").await);
-        head.isolate("arm").expect("it may vote");
-        until(async || keeps_out(&base, "arm").await, "the base keeps the arm out").await;
-        assert!(!keeps_out(&base, "head").await);
-        for node in [base, arm, head] {
-            node.shutdown().await;
-        }
-    });
-}
-
-#[test]
-fn a_warden_in_the_program_that_the_roster_does_not_name_is_refused_at_the_start() {
-    let _turn = blastema_doubles::turn();
-    blastema::run(async {
-        let folder = tempfile::tempdir().expect("a folder");
-        let keys = RobotKeys::new(folder.path(), &NODES, 1);
-        let network = Network::new("lan", "udp://127.0.0.1:0").peer("arm", "127.0.0.1:1");
-        let base = Node::builder("base").keys(keys.of("base")).network(network).warden("arm");
-        let refused = base.start().await.map(|_| ()).expect_err("it is no warden");
-        let StartError::Keys(why) = &refused else { panic!("{refused}") };
-        assert!(why.contains("arm") && why.contains("role warden"), "{why}");
     });
 }

@@ -56,7 +56,10 @@ impl Pair {
     async fn start(scheme: &'static str) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let keys = RobotKeys::new(folder.path(), &NODES, 1);
-        let mut at: Vec<_> = free_addresses(2).iter().map(ToString::to_string).collect();
+        let mut at: Vec<_> = match scheme {
+            "unix" => NODES.map(|node| folder.path().join(node).display().to_string()).into(),
+            _ => free_addresses(2).iter().map(ToString::to_string).collect(),
+        };
         at.push(folder.path().display().to_string());
         let right = Process::start_with(module_path!(), scheme, &at, &[]);
         let left = node(&keys, "left", network(scheme, 0, &at)).start().await.expect("it starts");
@@ -94,9 +97,10 @@ impl Pair {
 fn a_killed_process_is_found_again_with_new_keys_and_serves_no_request_of_the_past() {
     let _turn = blastema_doubles::turn();
     blastema::run(async {
-        for scheme in ["udp", "tcp"] {
+        let rounds = if blastema_doubles::long() { 334 } else { 10 };
+        for scheme in ["udp", "tcp", "unix"] {
             let mut pair = Pair::start(scheme).await;
-            for round in 0..5 {
+            for round in 0..rounds {
                 let before = pair.incarnation().await;
                 // A request to the process that was killed is told to be lost, and is not served.
                 let first = pair.first_answer().await;

@@ -407,7 +407,7 @@ fn only_operators_and_nodes_that_a_line_names_operate_a_node() {
     };
 
     check(Role::Operator, &[], true);
-    for role in [Role::Node, Role::Warden, Role::Guest] {
+    for role in [Role::Node, Role::Guest] {
         check(role, &[], false);
     }
     check(Role::Node, &["only left may operate on right"], true);

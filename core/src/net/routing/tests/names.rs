@@ -28,6 +28,78 @@ fn a_second_node_of_a_name_is_kept_out_and_told_while_no_other_node_notices() {
     assert_eq!([B, C, D].map(|by| net.reached(by, "a")), [Some(2); 3], "its turn has come");
 }
 
+/// Two links of a node lead to two incarnations of another, on two networks; the second is cheaper.
+fn with_a_second_on_another_network((first, second): (u64, u64)) -> Router {
+    let mut router = router();
+    for (link, incarnation, cost) in [(FIRST, first, 9), (SECOND, second, 1)] {
+        router.handle_link(link, incarnation_up(incarnation, cost), at(1000));
+        outputs(&mut router, 1010);
+    }
+    assert_eq!(sent_to_a(&mut router), Some(FIRST), "the second waits");
+    router
+}
+
+fn incarnation_up(incarnation: u64, cost: u16) -> LinkStatus {
+    let neighbour = Neighbour { node: named("a"), incarnation: Incarnation(incarnation) };
+    LinkStatus { neighbour, health: LinkHealth::Up, cost, mtu: 1400 }
+}
+
+fn sent_to_a(router: &mut Router) -> Option<LinkId> {
+    router.handle_segment(id("a"), PacketPriority::Data, "segment".into());
+    over(router.poll_output())
+}
+
+#[test]
+fn a_second_node_on_another_network_takes_nothing_from_the_first_that_answers() {
+    for incarnations in [(1, 2), (2, 1)] {
+        let mut router = with_a_second_on_another_network(incarnations);
+        let (first, second) = incarnations;
+        let ids = vec![router.own.id];
+        router.handle_routing(FIRST, RoutingMessage::Have { range: None, ids }.encode(), at(1100));
+        outputs(&mut router, 2000);
+        assert_eq!(sent_to_a(&mut router), Some(FIRST));
+
+        let announce = RoutingMessage::Announce(vec![advertisement("a", 1, &[("own", 1)])]);
+        router.handle_routing(SECOND, announce.encode(), at(2010));
+        let (node, incarnation, by) = (named("a"), Incarnation(second), Incarnation(first));
+        let taken = RoutingMessage::Taken { by }.encode();
+        let reported = outputs(&mut router, 2020);
+        assert!(reported.contains(&RouterOutput::Routing { link: SECOND, bytes: taken }));
+        assert!(
+            reported.contains(&RouterOutput::KeptOut { node, incarnation, by }),
+            "{reported:?}"
+        );
+
+        let down = LinkStatus { health: LinkHealth::Down, ..incarnation_up(first, 9) };
+        router.handle_link(FIRST, down, at(2030));
+        (2030..2060).for_each(|now| drop(outputs(&mut router, now)));
+        assert_eq!(sent_to_a(&mut router), Some(SECOND), "the first has ended");
+        assert_eq!(router.route(id("a")).unwrap().incarnation, incarnation);
+    }
+}
+
+#[test]
+fn a_second_node_on_another_network_has_the_name_of_one_that_answers_no_challenge() {
+    for incarnations in [(1, 2), (2, 1)] {
+        let mut router = with_a_second_on_another_network(incarnations);
+        // What it has confirmed before says nothing.
+        let before = AdvertisementId { sequence: router.own.id.sequence - 1, ..router.own.id };
+        let have = RoutingMessage::Have { range: None, ids: vec![before] };
+        router.handle_routing(FIRST, have.encode(), at(1100));
+        outputs(&mut router, 1990);
+        assert_eq!(sent_to_a(&mut router), Some(FIRST));
+
+        (2000..2060).for_each(|now| drop(outputs(&mut router, now)));
+
+        assert_eq!(sent_to_a(&mut router), Some(SECOND));
+        assert_eq!(router.route(id("a")).unwrap().incarnation, Incarnation(incarnations.1));
+        let down = LinkStatus { health: LinkHealth::Down, ..incarnation_up(incarnations.0, 9) };
+        router.handle_link(FIRST, down, at(2070));
+        (2070..2080).for_each(|now| drop(outputs(&mut router, now)));
+        assert_eq!(sent_to_a(&mut router), Some(SECOND));
+    }
+}
+
 #[test]
 fn a_node_that_begins_anew_has_its_name_at_once() {
     // With one cable, and with two that notice it one after the other.
