@@ -1,5 +1,6 @@
 //! Names without a node: two of three nodes can draw the map, and who asks for it need not know
-//! which one does. The nodes also find each other by themselves, by beacons.
+//! which one does. The nodes also find each other by themselves: the asker has only described the
+//! first, and finds the second by its beacons.
 //!
 //! All nodes live in one process here, so that the example is one program; as three programs they
 //! would be the same.
@@ -34,8 +35,11 @@ impl Handle<Author> for Cartographer {
 }
 
 /// A node that sends its address to the group, and makes a link to each node that does the same.
-fn node(name: &str, own: SocketAddr, group: &str) -> NodeBuilder {
-    let network = Network::udp("ethernet", own).beacons(group).discover_anybody();
+fn node(name: &str, own: SocketAddr, group: &str, peers: &[(&str, SocketAddr)]) -> NodeBuilder {
+    let mut network = Network::udp("ethernet", own).beacons(group).discover_anybody();
+    for (peer, address) in peers {
+        network = network.peer(peer, &address.to_string());
+    }
     Node::builder(name).network(network)
 }
 
@@ -48,20 +52,20 @@ fn cartographer(on: &'static str) -> ChildSpec<Cartographer> {
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [a, b, c, group] = free_addresses()?;
     let group = format!("239.255.77.11:{}", group.port());
-    let first = node("module1", a, &group);
+    let first = node("module1", a, &group, &[("module2", b), ("asker", c)]);
     let first = first.child(cartographer("module1")).start().await?;
-    let asker = node("asker", c, &group).start().await?;
+    let asker = node("asker", c, &group, &[("module1", a)]).start().await?;
     let mut watch = asker.watch_name("map")?;
     println!("map is at {}", tokio::time::timeout(PATIENCE, watch.held()).await?);
 
-    let second = node("module2", b, &group);
+    let second = node("module2", b, &group, &[("module1", a)]);
     let second = second.child(cartographer("module2")).start().await?;
-    // Once they have received each other's beacons, they have a link.
+    // Once they have received each other's beacons, they have a link of their own.
     tokio::time::timeout(PATIENCE, linked(&asker, "module2")).await?;
     let map: Sender<Author> = asker.sender("*:map")?;
     assert_eq!(map.ask(Author).await?, "module1"); // module2 stands by
 
-    // The node that holds the name ends without a word.
+    // The node that holds the name, and that the others were told of, ends without a word.
     drop(first);
     println!("map is at {}", tokio::time::timeout(PATIENCE, watch.held()).await?);
     assert_eq!(map.ask(Author).await?, "module2"); // the same sender
