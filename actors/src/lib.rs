@@ -71,6 +71,7 @@
 //! | choose what to do by a tree | `trees::BehaviorTree`, [manual](manual::trees) |
 //! | find the holder of a name | [`Node::claim`], [`ChildSpec::claim`], [`Claim`], [`NameWatch`] |
 //! | run microcontrollers as components | [`DeviceSpec`], [manual](manual::devices) |
+//! | run programs in any language as components | [`ProcessSpec`] |
 //! | outlive a node | [`ServiceSpec`], [`Stateful`], [`ServiceRef`] |
 //! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`MonitorRow`] |
 //! | recover | [`recovery::Plan`], [`RecoveryStrategy`] |
@@ -88,10 +89,11 @@
 //! | `zenoh` | networks over Zenoh, and `ZenohBridge`, which publishes topics as plain keys; compiles for minutes, and is no default |
 //! | `unix` | [`NodeBuilder::inspection_socket`] too, at which `blastema monitor` looks |
 //! | `device` | [small devices](manual::devices), and `serial`; with `ip` also those on UDP |
+//! | `process` | [programs in any language](ProcessSpec) as components |
 //! | `trees` | [behaviour trees](manual::trees) as components |
 //! | `journal` | `journal` and `NodeBuilder::journal`, by SQLite: needs a C compiler |
 //!
-//! The default is all media but Zenoh. A robot of one process needs none of it: with
+//! The default is all media but Zenoh, `device` and `process`. A robot of one process needs none of it: with
 //! `default-features = false` no code of a network is compiled.
 
 // What the other modules have for the network alone is not used without it.
@@ -122,6 +124,8 @@ mod net;
 mod node;
 mod parameters;
 mod port;
+#[cfg(feature = "process")]
+mod process;
 mod registry;
 mod runtime;
 #[cfg(feature = "network")]
@@ -214,6 +218,12 @@ pub use node::{
 // Microcontrollers.
 #[cfg(feature = "device")]
 pub use crate::device::{DeviceDescription, DeviceProxy, DeviceSpec};
+
+// Programs in any language.
+#[cfg(feature = "process")]
+pub use crate::platform::processes::{launch_processes, launch_processes_by};
+#[cfg(feature = "process")]
+pub use crate::process::{ProcessSpec, SupervisedProcess};
 
 // Names of the whole robot.
 #[cfg(feature = "network")]
@@ -312,6 +322,12 @@ pub mod prelude {
 pub mod program {
     pub use crate::liveness::sampler::Running;
     pub use crate::platform::errors::{Fatal, ReportBoxed};
+
+    /// Comes before everything else in `main`.
+    pub fn begin() {
+        #[cfg(feature = "process")]
+        crate::launch_processes();
+    }
 }
 
 /// Runs a future on this thread until it completes, in a runtime that nodes can start in.

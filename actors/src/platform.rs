@@ -5,7 +5,13 @@ pub(crate) mod errors;
 pub(crate) mod file_lock;
 #[cfg(feature = "network")]
 pub(crate) mod key_files;
+#[cfg(feature = "process")]
+pub(crate) mod launcher;
+#[cfg(feature = "process")]
+mod output_lines;
 pub(crate) mod panics;
+#[cfg(feature = "process")]
+pub(crate) mod processes;
 pub(crate) mod processor_time;
 pub(crate) mod replace_file;
 pub(crate) mod signals;
@@ -14,6 +20,10 @@ pub(crate) mod systemd;
 pub(crate) mod wall_time;
 pub(crate) mod watchdog_device;
 
+#[cfg(feature = "process")]
+pub use output_lines::read_lines;
+#[cfg(feature = "process")]
+pub use processes::finish_output;
 pub use signals::{Termination, Terminations};
 
 use blastema_core::{Incarnation, Instant};

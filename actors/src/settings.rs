@@ -165,6 +165,23 @@ pub(crate) const SHUTDOWN_WITHIN: Setting<Duration> = Setting {
     cure: "write any span",
 };
 
+/// How far apart two signs of life of a program may be. It sends them twice as often, and its
+/// launcher looks when one is due.
+pub(crate) const WATCHDOG: Setting<Duration, ()> = Setting {
+    name: "watchdog",
+    default: (),
+    range: Duration::from_millis(10)..=HOUR,
+    cure: "write 10 ms to an hour",
+};
+
+/// Less than a mebibyte is less than a program that does nothing has.
+pub(crate) const MEMORY_LIMIT: Setting<u64, ()> = Setting {
+    name: "memory_limit",
+    default: (),
+    range: 1 << 20..=u64::MAX,
+    cure: "no program has less: allow 1 MiB (1048576 bytes) at least",
+};
+
 /// How long a channel of a condition may be silent. More than an hour is no connection.
 pub(crate) const CONDITION_TIMEOUT: Setting<Duration, ()> = Setting {
     name: "the timeout",

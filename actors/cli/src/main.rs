@@ -26,6 +26,7 @@ const NOT_DONE: u8 = 2;
 const PARTLY_DONE: u8 = 1;
 
 fn main() -> ExitCode {
+    blastema::launch_processes();
     let outcome = match Arguments::parse().subcommand {
         Subcommand::Monitor(options) => {
             monitor::run(&options).map(|()| true).map_err(|error| error.to_string())

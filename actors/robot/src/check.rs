@@ -167,9 +167,10 @@ impl<'a> RobotChecker<'a> {
         for component in node.components() {
             let name = component.type_name.as_str();
             let known = types.kinds(component.device.is_some());
-            let is_known = match &component.tree {
-                Some(file) => self.tree(component, file),
-                None => known.contains(&name),
+            let is_known = match (&component.tree, &component.process) {
+                (Some(file), _) => self.tree(component, file),
+                (None, Some(process)) => process.program() != Path::new(""),
+                (None, None) => known.contains(&name),
             };
             let has_endpoint = component.device.as_ref().is_none_or(|device| !device.at.is_empty());
             if !is_known || !has_endpoint {
@@ -260,6 +261,12 @@ impl<'a> RobotChecker<'a> {
                 let help = "correct it; see the manual's page on small devices".to_owned();
                 let at = (origin_of(name.as_str()), part.into());
                 ("robot::setting", at, format!("of {name}, {why}"), help)
+            }
+            StartError::Spec(SpecError::Process { name, setting, why }) => {
+                let part = if setting == "launcher" { "name" } else { "program" };
+                let (sentence, help) = why.split_once(": ").unwrap_or((&why, ""));
+                let at = (origin_of(name.as_str()), part.into());
+                ("robot::setting", at, sentence.to_owned(), help.to_owned())
             }
             StartError::Spec(SpecError::ActuatorSettings { name, contract, field, why }) => {
                 let settings = (&*contract, field.as_deref());

@@ -3,7 +3,7 @@
 use blastema::core::port::{PortAddress, PortConnection};
 use blastema::detection::Liveness;
 use blastema::recovery::{Ladder, Restart, Strategy, WhenExceeded};
-use blastema::{ActuatorSettings, ClaimPolicy, FaultKind, WhenFull};
+use blastema::{ActuatorSettings, ClaimPolicy, FaultKind, ProcessSpec, WhenFull};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -206,6 +206,8 @@ pub struct ComponentDescription {
     pub plan: Vec<AnswerDescription>,
     /// Where the device is that the component stands for.
     pub device: Option<DeviceSettings>,
+    /// The program that the component stands for.
+    pub process: Option<ProcessSpec>,
     #[doc(hidden)]
     #[serde(skip)]
     pub origin: ElementOrigin,

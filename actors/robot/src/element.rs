@@ -14,7 +14,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Elements and attributes that have their place in the format and no meaning yet.
-const NOT_YET: [&str; 23] = [
+const NOT_YET: [&str; 21] = [
     "composite",
     "export",
     "fault-kind",
@@ -22,7 +22,6 @@ const NOT_YET: [&str; 23] = [
     "member",
     "mode",
     "port",
-    "process",
     "service",
     "variant",
     "automatic-shutdown",
@@ -30,7 +29,6 @@ const NOT_YET: [&str; 23] = [
     "commanders",
     "executable",
     "max-recovery",
-    "memory-limit",
     "on-give-up",
     "placement",
     "priority",
@@ -122,6 +120,11 @@ impl<'a> RobotElement<'a> {
             self.find("robot::missing", sentence, at, Some(format!("add `{name}=\"…\"`")));
         }
         self.take(name, parse)
+    }
+
+    /// The folder of the outermost file.
+    pub(crate) fn folder(&self) -> &'a Path {
+        self.reading.root
     }
 
     /// The path that is the value of an attribute.

@@ -6,6 +6,7 @@ use crate::description::{
 };
 use crate::reader::{RUNGS, STRATEGIES};
 use crate::value::word_of;
+use blastema::ProcessSpec;
 use blastema::core::port::PortConnection;
 use blastema::recovery::Strategy;
 
@@ -93,10 +94,12 @@ impl GraphText {
                 ChildDescription::Component(component) => {
                     let ComponentDescription { name, type_name, tree, rate_hz, device, .. } =
                         &**component;
+                    let process = component.process.as_ref().map(ProcessSpec::program);
+                    let process = process.map(|program| format!("process {}", program.display()));
                     let rate = rate_hz.map(|rate| format!(", {rate} Hz")).unwrap_or_default();
                     let tree = tree.as_ref().and_then(|file| file.file_name());
                     let tree = tree.map(|file| format!("tree {}", file.display()));
-                    let kind = tree.as_ref().unwrap_or(type_name);
+                    let kind = tree.as_ref().or(process.as_ref()).unwrap_or(type_name);
                     let at = device.as_ref().map(|device| format!(", device at {}", device.at));
                     let about = format!("{kind}{rate}{}", at.unwrap_or_default());
                     let id = format!("{node}:{name}");

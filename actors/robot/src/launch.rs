@@ -1,7 +1,7 @@
 //! All nodes of a robot on one computer: each is a process, which is started again when it dies.
 
 use blastema::core::recovery::{Backoff, RestartWindow};
-use blastema::platform::{self, Terminations};
+use blastema::platform::{self, Terminations, finish_output, read_lines};
 use blastema::sleep;
 use rustix::process::{Pid, Signal, kill_process};
 use std::ffi::OsString;
@@ -9,7 +9,7 @@ use std::io::Write;
 use std::pin::pin;
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
-use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, BufReader};
+use tokio::io::AsyncRead;
 use tokio::process::{Child, Command};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::{JoinHandle, spawn_local};
@@ -27,13 +27,8 @@ const RESTARTS: u32 = 3;
 const PERIOD: Duration = Duration::from_secs(10);
 /// Longer than a node takes to stop with the default `shutdown-within` of a few components.
 const STOP_WITHIN: Duration = Duration::from_secs(30);
-/// What a process has written is in the pipe when it ends. A process that it has started may hold
-/// the pipe open for ever.
-const PRINTED_WITHIN: Duration = Duration::from_secs(1);
 /// Between two signals to a node that is to end at once: longer than it takes to see one.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(50);
-/// A longer line is printed in several.
-const LINE_MAX: u64 = 16 * 1024;
 
 /// The nodes to start, in this order.
 pub(crate) struct Launch<'a> {
@@ -157,10 +152,10 @@ async fn keep(
                     Err(failed(format!("it did not stop within {STOP_WITHIN:?}, and was killed")))
                 }
             };
-            finish(printing).await;
+            finish_output(printing).await;
             return stopped;
         };
-        finish(printing).await;
+        finish_output(printing).await;
         if status.success() {
             return Ok(());
         }
@@ -216,35 +211,11 @@ fn print_lines(
     name: &str,
     output: Option<impl AsyncRead + Unpin + 'static>,
 ) -> Option<JoinHandle<()>> {
-    let (mut output, name) = (BufReader::new(output?), name.to_owned());
-    Some(spawn_local(async move {
-        let mut line = Vec::new();
-        while let Ok(1..) = (&mut output).take(LINE_MAX).read_until(b'\n', &mut line).await {
-            print_line(&name, &String::from_utf8_lossy(&line));
-            line.clear();
-        }
-    }))
-}
-
-/// Waits for the output of a process that has ended. What still holds the pipes open writes into
-/// nothing.
-async fn finish(printing: [Option<JoinHandle<()>>; 2]) {
-    let mut printing: Vec<_> = printing.into_iter().flatten().collect();
-    let all = async {
-        for outputs in &mut printing {
-            let _ = outputs.await;
-        }
-    };
-    tokio::select! {
-        () = all => {}
-        () = sleep(PRINTED_WITHIN) => {}
-    }
-    for outputs in printing {
-        outputs.abort();
-    }
+    let (output, name) = (output?, name.to_owned());
+    Some(spawn_local(read_lines(output, move |line| print_line(&name, line))))
 }
 
 fn print_line(name: &str, line: &str) {
     // A reader of the output that has gone is no fault of the robot.
-    let _ = writeln!(std::io::stdout().lock(), "[{name}] {}", line.trim_end());
+    let _ = writeln!(std::io::stdout().lock(), "[{name}] {line}");
 }

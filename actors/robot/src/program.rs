@@ -178,6 +178,7 @@ impl Types {
     /// signal ends and whose hooks do not finish in time sets its outputs to safe values, and
     /// returns 128 and the signal's number.
     pub fn main(self) -> ExitCode {
+        blastema::launch_processes();
         match RobotArguments::parse().command {
             RobotCommand::Run { file, node, until_stdin_ends } => {
                 self.run(&file, node.as_deref(), until_stdin_ends)

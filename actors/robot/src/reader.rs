@@ -13,7 +13,7 @@ use blastema::core::port::{ConnectError, PortAddress, PortConnection};
 use blastema::detection::{Liveness, Pull, Push};
 use blastema::recovery::{Backoff, Ladder, RecoveryAction, Restart, Strategy, WhenExceeded};
 use blastema::trees::byte_at;
-use blastema::{ActuatorSettings, ClaimPolicy, NodeName, WhenFull};
+use blastema::{ActuatorSettings, ClaimPolicy, NodeName, ProcessSpec, WhenFull};
 use roxmltree::{Document, Error, ParsingOptions};
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -234,6 +234,7 @@ impl RobotReader<'_> {
             "lost-communication",
             "component",
             "device",
+            "process",
             "supervisor",
         ];
         for element in element.children(&children) {
@@ -474,7 +475,7 @@ fn rules(element: &RobotElement<'_>) -> SupervisorDescription {
     }
 }
 
-/// A component or device, once for each copy, or a supervisor with what is below it.
+/// A component, device or process, once for each copy, or a supervisor with what is below it.
 fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
     if element.name() != "supervisor" {
         // The attribute is the same for each copy, and is read before there is one.
@@ -485,11 +486,12 @@ fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
         // Of one whose copies are wrong, the rest is read as that of a single copy.
         let is_wrong = copies.is_none() && element.node.has_attribute("copies");
         let copies = copies.or_else(|| is_wrong.then(|| vec!["0".to_owned()]));
-        let Some(copies) = copies else { return children.push(component(element)) };
+        let read = if element.name() == "process" { process } else { component };
+        let Some(copies) = copies else { return children.push(read(element)) };
         for copy in &copies {
             let copied = element.copy(copy);
             copied.take("copies", value::text);
-            children.push(component(&copied));
+            children.push(read(&copied));
         }
         return element.leave();
     }
@@ -506,7 +508,7 @@ fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
         origin: element.origin(),
         ..rules(element)
     };
-    for element in element.children(&["component", "device", "supervisor"]) {
+    for element in element.children(&["component", "device", "process", "supervisor"]) {
         child(&element, &mut supervisor.children);
     }
     children.push(ChildDescription::Supervisor(supervisor));
@@ -562,7 +564,42 @@ fn component(element: &RobotElement<'_>) -> ChildDescription {
         claims,
         plan: answers(element),
         device: is_device.then(|| device(element)),
+        process: None,
         origin: element.origin(),
+    }))
+}
+
+/// When a process is at work.
+const READINESS: [(&str, bool); 2] = [("notify", false), ("started", true)];
+
+/// A program, which has few of the settings of a component.
+fn process(element: &RobotElement<'_>) -> ChildDescription {
+    let restart = element.take("restart", |text| value::word("a restart type", &RESTARTS, text));
+    let ready = element.take("ready", |text| value::word("a time to be ready", &READINESS, text));
+    let mut arguments = element.take("arguments", value::words).unwrap_or_default();
+    let more = element.children(&["arg"]);
+    arguments.extend(more.iter().filter_map(|argument| argument.need("value", value::text)));
+    let name = element.need("name", value::object_name).unwrap_or_default();
+    let program = element.need("program", value::text).unwrap_or_default();
+    let mut spec = ProcessSpec::new(&name, program).arguments(arguments).folder(element.folder());
+    for (name, value) in texts(element.distinct("env", "name"), ["name", "value"]) {
+        spec = spec.variable(&name, value);
+    }
+    let watchdog = element.take("watchdog", value::duration);
+    spec = watchdog.into_iter().fold(spec, ProcessSpec::watchdog);
+    let limit = element.take("memory-limit", value::size);
+    spec = limit.into_iter().fold(spec, ProcessSpec::memory_limit);
+    ChildDescription::Component(Box::new(ComponentDescription {
+        name,
+        restart: restart.unwrap_or_default(),
+        depends_on: element.take("depends-on", value::words).unwrap_or_default(),
+        essential: element.take("essential", value::flag).unwrap_or_default(),
+        ready_within: element.take("ready-within", value::duration),
+        shutdown_within: element.take("shutdown-within", value::duration),
+        plan: answers(element),
+        process: Some(if ready == Some(true) { spec.ready_at_start() } else { spec }),
+        origin: element.origin(),
+        ..ComponentDescription::default()
     }))
 }
 

@@ -15,7 +15,7 @@ use blastema::prelude::*;
 use blastema::trees::{BehaviorTree, TreeLeaves};
 use blastema::{
     Connected, DeviceDescription, DeviceSpec, Fault, Link, LostCommunicationPolicy, Network,
-    NodeBuilder, RecoveryStrategy, Rung,
+    NodeBuilder, RecoveryStrategy, Rung, SupervisedProcess,
 };
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -351,12 +351,19 @@ impl Types {
         Ok(policy)
     }
 
-    /// What is done with the type of a component, or with its tree.
+    /// What is done with the type of a component, or with its tree or program.
     fn registered<T>(
         &self,
         component: &ComponentDescription,
         use_it: impl FnOnce(&RegisteredComponent) -> T,
     ) -> Result<T, String> {
+        if let Some(process) = component.process.clone() {
+            let make = move |component: &ComponentDescription| {
+                configured(process.clone().child(), component)
+            };
+            let description = blastema::describe::<SupervisedProcess>();
+            return Ok(use_it(&RegisteredComponent::of(make, description, None)));
+        }
         let Some(file) = &component.tree else {
             let unknown = || format!("no type `{}` is registered", component.type_name);
             return Ok(use_it(self.components.get(&component.type_name).ok_or_else(unknown)?));
@@ -435,10 +442,14 @@ impl Types {
             let known = components.iter().map(|known| known.name.as_str());
             UnknownPort::new(format!("node {name} has no component `{object}`"), object, known)
         })?;
-        if component.tree.is_some() {
-            let sentence = format!("{object} is a tree, and has no ports");
-            let help = "let its leaves name what they use".to_owned();
-            return Err(UnknownPort { sentence, help, label: "a tree" });
+        for (is_it, label, help) in [
+            (component.tree.is_some(), "a tree", "let its leaves name what they use"),
+            (component.process.is_some(), "a process", "connect components, or write a node"),
+        ] {
+            if is_it {
+                let sentence = format!("{object} is {label}, and has no ports");
+                return Err(UnknownPort { sentence, help: help.to_owned(), label });
+            }
         }
         let Some(of) = self.description(&component.type_name) else { return Ok(None) };
         of.port(address, is_out).map(Some).map_err(|error| {

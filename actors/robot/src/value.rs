@@ -162,6 +162,13 @@ pub(crate) fn rate(text: &str) -> ParsedValue<f64> {
     with_unit("a rate", &[("Hz", 1.0), ("kHz", 1e3)], text)
 }
 
+/// A number of bytes.
+pub(crate) fn size(text: &str) -> ParsedValue<u64> {
+    let units = [("MiB", f64::from(1 << 20)), ("GiB", f64::from(1 << 30)), ("KiB", 1024.0)];
+    // A float that is too large becomes the largest number.
+    with_unit("a size", &units, text).map(|bytes| bytes as u64)
+}
+
 /// A kind of fault: its words with `-` between them, its code, or a code of the application's own.
 pub(crate) fn fault(text: &str) -> ParsedValue<FaultKind> {
     let known = FaultKind::BUILT_IN.iter().map(|kind| (fault_word(kind), kind));

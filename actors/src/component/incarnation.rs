@@ -90,6 +90,8 @@ pub(crate) struct IncarnationState<C: Component> {
     operations: OnceCell<Arc<LongOperations>>,
     /// Of the message that is served, or was last.
     pub(crate) captured_at: Cell<Option<Instant>>,
+    /// It was ordered to end.
+    pub(crate) is_leaving: Cell<bool>,
     /// While the incarnation leaves work: whether it has settled.
     pub(crate) settled: Cell<Option<bool>>,
     /// There only where something was asked for.
@@ -107,6 +109,7 @@ impl<C: Component> IncarnationState<C> {
             token: Arc::default(),
             activity,
             captured_at: Cell::new(None),
+            is_leaving: Cell::new(false),
             settled: Cell::new(None),
             wishes: Cell::default(),
             wished: Cell::new(false),

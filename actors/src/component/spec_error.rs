@@ -103,6 +103,17 @@ pub enum SpecError {
         /// What is wrong, and what to write.
         why: String,
     },
+    /// A process cannot be as it is described.
+    #[cfg(feature = "process")]
+    #[error("the process {name} cannot be: {why}")]
+    Process {
+        /// The process.
+        name: ObjectName,
+        /// The setting of its [`ProcessSpec`](crate::ProcessSpec) that is wrong.
+        setting: &'static str,
+        /// What is wrong, and what to write.
+        why: String,
+    },
     /// A bridge to Zenoh cannot be as it is described.
     #[cfg(feature = "zenoh")]
     #[error("the bridge {name} cannot be: {why}")]

@@ -18,6 +18,7 @@
 //! | [conditions] | whether an operator, a node or a topic is still connected, and what the robot does alone |
 //! | [trees] | behaviour trees: files, leaves, and what becomes of a leaf that fails |
 //! | [devices] | microcontrollers as components: firmware, lines, faults, what a restart restores |
+//! | [processes] | programs in any language as children of a supervisor: readiness, watchdog, memory, output |
 //! | [services] | services that a standby on another node takes over |
 //! | [supervision] | which components are restarted together, how often, and the safe state |
 //! | [faults] | the list of faults, roots and symptoms |
@@ -70,6 +71,9 @@ pub mod trees {}
 
 #[doc = include_str!("devices.md")]
 pub mod devices {}
+
+#[doc = include_str!("processes.md")]
+pub mod processes {}
 
 #[doc = include_str!("services.md")]
 pub mod services {}

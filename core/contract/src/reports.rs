@@ -52,7 +52,8 @@ pub struct StateReported {
     pub incarnation: Incarnation,
     /// Where it now stands.
     pub state: Lifecycle,
-    /// For `Error` and `Fatal`: why, as the component said it.
+    /// For `Error` and `Fatal`: why, as the component said it. For `Active`: what a program says of
+    /// itself.
     pub reason: Option<String>,
 }
 

@@ -27,6 +27,8 @@ fn run_in(
     if let Some(parameter) = function.sig.generics.params.first() {
         return Err(Error::new_spanned(parameter, format!("`{name}` cannot be generic")));
     }
+    // Tests have a `main` of their own.
+    let begin = attribute.is_none().then(|| quote!(#runtime::program::begin();));
     let fails = attribute.is_none() && returns_result(&function.sig.output);
     let ItemFn { attrs, vis, sig, block } = &mut function;
     if fails {
@@ -39,6 +41,7 @@ fn run_in(
         return Ok(quote! {
             #(#attrs)*
             #vis #sig {
+                #begin
                 let ended: #output = #runtime::run(async move #block);
                 match ended {
                     ::core::result::Result::Ok(done) => ::std::process::Termination::report(done),
@@ -54,6 +57,7 @@ fn run_in(
         #attribute
         #(#attrs)*
         #vis #sig {
+            #begin
             #runtime::run(async move #block)
         }
     })

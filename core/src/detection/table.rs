@@ -49,8 +49,8 @@ pub struct MonitorRow {
     pub current: Option<CurrentHandler>,
     /// Its sending and receiving is forbidden.
     pub isolated: bool,
-    /// Why it is in error, has ended, or what it has declared; or a link's or node's condition. It
-    /// goes when its cause does.
+    /// Why it is in error, has ended, or what it has declared; the `STATUS=` of a program at work;
+    /// or a link's or node's condition. It goes when its cause does.
     pub note: Option<String>,
 }
 

@@ -251,6 +251,27 @@ fn small_devices_are_recovered_with_no_line_for_that_on_their_chips() {
 }
 
 #[test]
+fn python_process_is_killed_and_hangs_and_serves_again() {
+    let _turn = blastema_doubles::turn();
+    if Command::new("python3").arg("-V").output().is_err() {
+        return check("python_process", &["this example needs python3: install it"]);
+    }
+    check(
+        "python_process",
+        &[
+            "planner: incarnation 1 plans",
+            "-- kill -KILL",
+            "vision: fatal error: its program was ended by signal 9, SIGKILL",
+            "planner: incarnation 2 plans",
+            "-- kill -USR1",
+            "vision: silence: it did not say that it is alive (WATCHDOG=1) for 1s",
+            "planner: incarnation 3 plans",
+            "-- the node has ended, and the program with it",
+        ],
+    );
+}
+
+#[test]
 fn own_medium_carries_requests_over_two_fifos() {
     let _turn = blastema_doubles::turn();
     check("own_medium", &["3 squared is 9", "12 squared is 144"]);

@@ -27,4 +27,5 @@ mod sealed;
 mod settings;
 mod slow_machine;
 mod slow_path;
+mod supervised_processes;
 mod trees;

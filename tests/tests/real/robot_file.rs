@@ -2,8 +2,9 @@
 //! seal them; `check` and `describe` need no robot.
 
 use blastema_tests::{RobotKeys, free_addresses};
-use std::fs;
+use std::fs::{self, Permissions};
 use std::io::{BufRead, BufReader, Read};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Output, Stdio};
 use std::sync::mpsc::{Receiver, sync_channel};
@@ -380,6 +381,34 @@ fn a_signal_during_the_start_undoes_it_in_reverse_order() {
         let why = format!("{at}node base: {by} ended the node while it started");
         assert_eq!(robot.lines_with(&why).len(), 1, "{:#?}", robot.seen);
     }
+}
+
+#[test]
+fn a_program_in_a_file_runs_in_its_folder_and_is_started_again_and_stopped_with_its_node() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let script = "#!/bin/sh\ntrap 'echo it stops; exit 0' TERM\necho \"$1 of $WHO\"\n\
+                  while [ ! -e end ]; do sleep 0.02; done\nrm end\nexit 3\n";
+    fs::write(path("talker"), script).expect("it can be written");
+    fs::set_permissions(path("talker"), Permissions::from_mode(0o755)).expect("it is ours");
+    let text = r#"<robot schema="1" name="ranger"><node name="base">
+  <process name="talker" program="./talker" ready="started">
+    <arg value="the voice"/><env name="WHO" value="base"/>
+  </process>
+  <component name="display" type="Display"/>
+</node></robot>"#;
+    let file = path("one.robot.xml");
+    fs::write(&file, text).expect("it can be written");
+
+    let mut robot = RunningRobot::start(&file, &[]);
+    robot.until_each(&["[talker] the voice of base", "display begins"]);
+    fs::write(path("end"), "").expect("it can be written");
+    robot.until("base:talker: its program ended with exit status 3");
+    robot.until("[talker] the voice of base");
+    robot.interrupt();
+    assert_eq!(robot.status(), 0, "{:#?}", robot.seen);
+    assert_eq!(robot.lines_with("[talker] it stops").len(), 1, "{:#?}", robot.seen);
 }
 
 #[test]

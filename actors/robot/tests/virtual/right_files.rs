@@ -5,7 +5,7 @@ use blastema::core::port::PortConnection;
 use blastema::detection::{Liveness, Pull, Push};
 use blastema::prelude::*;
 use blastema::recovery::Backoff;
-use blastema::{ActuatorSettings, ClaimPolicy, CommandTimeout, SupervisionTree};
+use blastema::{ActuatorSettings, ClaimPolicy, CommandTimeout, ProcessSpec, SupervisionTree};
 use blastema_robot::RobotDescription;
 use blastema_robot::description::{
     AnswerDescription, ChildDescription, CommandDescription, ComponentDescription,
@@ -223,10 +223,31 @@ fn whole() -> RobotDescription {
         }),
         ..Default::default()
     };
+    let [vision, second] = ["0", "1"].map(|copy| ComponentDescription {
+        name: format!("vision/{copy}"),
+        restart: Restart::Transient,
+        depends_on: vec!["gripper".into()],
+        essential: true,
+        ready_within: Some(3 * SECOND),
+        shutdown_within: Some(SECOND),
+        plan: vec![answer(FaultKind::Fatal, Ladder::first(RecoveryAction::Restart).times(5))],
+        process: Some(
+            ProcessSpec::new(&format!("vision/{copy}"), "sh")
+                .arguments(["-u".to_owned(), "vision.sh".to_owned(), format!("--camera {copy}")])
+                .variable("HELLO", "20ms")
+                .folder(Path::new("tests/right").canonicalize().expect("it is there"))
+                .watchdog(2 * SECOND)
+                .memory_limit(512 << 20)
+                .ready_at_start(),
+        ),
+        ..Default::default()
+    });
     let arm = NodeDescription {
         name: "arm".into(),
         root: SupervisorDescription {
-            children: [gripper, hand].map(|it| ChildDescription::Component(Box::new(it))).into(),
+            children: [gripper, vision, second, hand]
+                .map(|it| ChildDescription::Component(Box::new(it)))
+                .into(),
             ..Default::default()
         },
         endpoints: vec![

@@ -186,8 +186,8 @@ impl<C: Component> ComponentExecutor<C> {
     fn obey(&mut self) {
         for command in self.commands.take() {
             match command {
-                HostCommand::Stop => self.lifecycle.handle_stop(StopOrder::Stop),
-                HostCommand::MakeWay => self.lifecycle.handle_stop(StopOrder::MakeWay),
+                HostCommand::Stop => self.leave_by(StopOrder::Stop),
+                HostCommand::MakeWay => self.leave_by(StopOrder::MakeWay),
                 HostCommand::Reset => self.lifecycle.handle_reset(),
                 HostCommand::Activate(active) => self.lifecycle.handle_activate(active),
                 // The arbiter of the next incarnation attaches them all.
@@ -199,6 +199,11 @@ impl<C: Component> ComponentExecutor<C> {
             }
             self.pass_reports();
         }
+    }
+
+    fn leave_by(&mut self, order: StopOrder) {
+        self.state.is_leaving.set(true);
+        self.lifecycle.handle_stop(order);
     }
 
     /// One poll of everything. Ready when the last incarnation here is over.

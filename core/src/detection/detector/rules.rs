@@ -260,7 +260,9 @@ impl Detector {
         let before = std::mem::replace(&mut seen.state, state);
         seen.doomed |= state == Lifecycle::Fatal;
         let on_the_way = matches!(state, Lifecycle::Initialized | Lifecycle::Finalized);
-        if let Some(reason) = reason.as_ref().filter(|_| on_the_way || before == state) {
+        // At work, what a program says of itself is no failure.
+        let has_failed = on_the_way || before == state && state != Lifecycle::Active;
+        if let Some(reason) = reason.as_ref().filter(|_| has_failed) {
             self.note_failed_stop(scene, reason);
         }
         if before == state {

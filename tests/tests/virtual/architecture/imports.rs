@@ -27,6 +27,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("service", TO_DIRECTORY),
     ("bridge", TO_NET),
     ("device", TO_NET_AND_VALUES),
+    ("process", TO_HOST),
     ("parameters", &["arbiter", "component", "variable"]),
 ];
 const TO_REGISTRY: &[&str] =
