@@ -229,7 +229,7 @@ fn a_path_that_can_be_no_socket_is_refused_at_start_with_what_to_do() {
         let cases: [(&Path, &str); 7] = [
             (Path::new("module1.sock"), "give the absolute path"),
             (Path::new(""), "give the absolute path"),
-            (folder.path(), "there is a folder: choose the path of a file in it"),
+            (folder.path(), "the path is that of a folder: give the path of a file in it"),
             (&file, "no socket: remove it, or choose another path"),
             (&file.join("socket"), "what should be its folder is none: choose another"),
             (&long, "choose a shorter one"),

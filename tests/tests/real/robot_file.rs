@@ -238,7 +238,8 @@ fn a_process_whose_output_is_held_is_started_again_and_stops() {
     robot.until("[right] display begins");
     robot.interrupt();
 
-    assert_eq!(robot.status(), 0, "{:#?}", robot.seen);
+    let status = robot.status();
+    assert!([0, 3].contains(&status), "{status}: {:#?}", robot.seen);
 }
 
 /// A robot of two nodes: a map and a group with these components, and an arm that needs them.
@@ -284,7 +285,9 @@ fn components_are_configured_and_start_in_order_and_are_finalized_in_reverse() {
     robot.until_each(&["[base] motors is active", "[arm] gripper is active"]);
     robot.interrupt();
 
-    assert_eq!(robot.status(), 0, "{:#?}", robot.seen);
+    // 3 where the signal came before the whole node was up: its start was undone.
+    let status = robot.status();
+    assert!([0, 3].contains(&status), "{status}: {:#?}", robot.seen);
     let expected = [
         "map is initialized with 2.5 kg",
         "map is active",
