@@ -26,8 +26,8 @@ use tracing::info;
 /// What the program has written is in the pipe when its launcher ends.
 const PRINTED_WITHIN: Duration = Duration::from_secs(1);
 
-/// The program that is run again as a launcher.
-static LAUNCHER: OnceLock<PathBuf> = OnceLock::new();
+/// The program that is run as a launcher: the one that is named, else this one.
+static LAUNCHER: [OnceLock<PathBuf>; 2] = [const { OnceLock::new() }; 2];
 
 /// Lets this program launch the [processes](crate::ProcessSpec) of its nodes: write it as the first
 /// line of `main`. [`#[blastema::main]`](macro@crate::main) and `blastema_robot::Types::main` do so
@@ -37,19 +37,19 @@ static LAUNCHER: OnceLock<PathBuf> = OnceLock::new();
 /// a run does not return from here.
 pub fn launch_processes() {
     super::launcher::take_stage();
-    launch_processes_by("/proc/self/exe");
+    let _ = LAUNCHER[1].set("/proc/self/exe".into());
 }
 
 /// Has another program launch the [processes](crate::ProcessSpec) of this program's nodes: one
 /// whose `main` begins with [`launch_processes`], such as `blastema`. For tests, whose `main` is
-/// not their own. The first call counts.
+/// not their own. The first program that is named counts.
 pub fn launch_processes_by(program: impl Into<PathBuf>) {
-    let _ = LAUNCHER.set(program.into());
+    let _ = LAUNCHER[0].set(program.into());
 }
 
 /// The program that launches processes, where there is one.
 pub(crate) fn launcher() -> Option<&'static PathBuf> {
-    LAUNCHER.get()
+    LAUNCHER.iter().find_map(OnceLock::get)
 }
 
 /// A program to run.
