@@ -292,7 +292,9 @@ impl IncarnationLifecycle {
     /// What runs was cut off: the incarnation ends here.
     pub(crate) fn handle_cut_off(&mut self, during: &str, within: Duration) {
         let reason = format!("{during} was cut off: it had not stopped within {within:?}");
-        self.enter(self.state, Some(reason));
+        let is_at_work = self.state == Lifecycle::Active;
+        let state = if is_at_work { Lifecycle::Initialized } else { self.state };
+        self.enter(state, Some(reason));
     }
 
     /// Something that the hook needs is not there yet.

@@ -302,7 +302,7 @@ fn an_incarnation_that_does_not_end_in_time_is_ended_out_of_order() {
 
         assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Stopped);
         let cut_off = "on_deactivated was cut off: it had not stopped within 2s".to_owned();
-        assert!(states(&stage).contains(&(Lifecycle::Active, Some(cut_off))));
+        assert!(states(&stage).contains(&(Lifecycle::Initialized, Some(cut_off))));
     });
 }
 
