@@ -167,6 +167,7 @@ pub(crate) const SHUTDOWN_WITHIN: Setting<Duration> = Setting {
 
 /// How far apart two signs of life of a program may be. It sends them twice as often, and its
 /// launcher looks when one is due.
+#[cfg(feature = "process")]
 pub(crate) const WATCHDOG: Setting<Duration, ()> = Setting {
     name: "watchdog",
     default: (),
@@ -175,6 +176,7 @@ pub(crate) const WATCHDOG: Setting<Duration, ()> = Setting {
 };
 
 /// Less than a mebibyte is less than a program that does nothing has.
+#[cfg(feature = "process")]
 pub(crate) const MEMORY_LIMIT: Setting<u64, ()> = Setting {
     name: "memory_limit",
     default: (),
