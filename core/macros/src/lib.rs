@@ -134,6 +134,9 @@ pub fn parameters(input: TokenStream) -> TokenStream {
 /// # mod blastema {
 /// #     pub use blastema_macros::main;
 /// #     pub fn run<F: Future<Output = ()>>(_: F) {}
+/// #     pub mod program {
+/// #         pub fn begin() {}
+/// #     }
 /// # }
 /// #[blastema::main(crate = "crate::blastema")] // `#[blastema::main]` where the facade is used
 /// async fn main() {
