@@ -233,9 +233,9 @@ pub use crate::directory::{
 
 // Nodes, their trees and their networks.
 #[cfg(feature = "network")]
-pub use crate::net::RosterRow;
-#[cfg(feature = "network")]
 pub use crate::net::operator::{KeyStatus, NetworkSeal, OrderError};
+#[cfg(feature = "network")]
+pub use crate::net::{RosterRow, keys::KeysPermissions};
 #[cfg(feature = "network")]
 pub use crate::registry::access::AccessRefusal;
 #[cfg(feature = "network")]

@@ -233,6 +233,14 @@ pub(crate) fn own_arbiter() -> io::Result<actix_rt::ArbiterHandle> {
     }
 }
 
+/// How many more files this process may open, where the system says so.
+#[cfg(feature = "network")]
+pub(crate) fn files_left() -> Option<usize> {
+    let most = rustix::process::getrlimit(rustix::process::Resource::Nofile).current?;
+    let open = std::fs::read_dir("/proc/self/fd").ok()?.count();
+    Some(usize::try_from(most).unwrap_or(usize::MAX).saturating_sub(open))
+}
+
 /// Writes to standard error what a user must know without reading the log.
 pub(crate) fn tell_person(text: &str) {
     // Standard error may be closed: then the log has it alone.

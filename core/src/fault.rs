@@ -192,7 +192,7 @@ impl FaultKind {
             FaultKind::Unavailable => "unavailable",
             FaultKind::CrashLoop => "crash loop",
             FaultKind::NodePaused => "node paused",
-            FaultKind::Insecure => "insecure network",
+            FaultKind::Insecure => "insecure",
             FaultKind::Forbidden => "forbidden",
             FaultKind::ConnectionLost => "connection lost",
             FaultKind::Custom(code) => code,

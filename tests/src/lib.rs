@@ -112,7 +112,9 @@ impl RobotKeys {
     pub fn new(folder: &Path, nodes: &[&str], seed: u8) -> Self {
         let keys = RobotKeys(folder.to_owned());
         let roster = RobotKeys::roster(nodes, seed, 1);
-        fs::write(folder.join("ranger.roster"), roster).expect("a folder");
+        let list = folder.join("ranger.roster");
+        fs::write(&list, roster).expect("a folder");
+        fs::set_permissions(&list, Permissions::from_mode(0o644)).expect("it is ours");
         for node in nodes {
             let (robot, signer) = (name("ranger"), Seed::new([seed; 32]).signer());
             let key = KeyFile { robot, node: name(node), seed: seed_of(node, seed), signer };

@@ -2,7 +2,7 @@
 
 use super::own_incarnation;
 use crate::platform;
-use crate::platform::key_files::{folder_of, read_public, read_secret};
+use crate::platform::key_files::{folder_of, read_public, read_roster, read_secret};
 use blastema_contract::transport::MediumAddress;
 use blastema_core::net::routing::RouterKeys;
 use blastema_core::net::seal::{NoiseCrypto, SealProfile, Sealer, SealerConfig};
@@ -14,6 +14,7 @@ use blastema_core::net::trust::roster::{NodeRoster, RosterOrder};
 use blastema_core::net::{NeighbourKey, NodeId};
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName};
+use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use zeroize::Zeroizing;
@@ -26,6 +27,20 @@ pub(crate) struct NodeKeys {
     /// The roster's signed text.
     text: Arc<str>,
     path: PathBuf,
+    permissions: KeysPermissions,
+}
+
+/// Whether keys and rosters that other users can read or change are refused.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum KeysPermissions {
+    /// They are refused when the node starts, with the command that mends it.
+    #[default]
+    Checked,
+    /// They are taken. For secrets that a container has mounted with permissions of its own. The
+    /// fault `B25` says so for as long as the node runs.
+    Unchecked,
 }
 
 /// How the frames of one network are sealed.
@@ -58,8 +73,13 @@ impl NodeKeys {
     ///
     /// # Errors
     /// What is wrong, in which file, and what to do.
-    pub(crate) fn read(file: &Path, node: &NodeName) -> Result<Self, String> {
-        let own = KeyFile::parse(&read_secret(file)?);
+    pub(crate) fn read(
+        file: &Path,
+        node: &NodeName,
+        permissions: KeysPermissions,
+    ) -> Result<Self, String> {
+        let is_checked = permissions == KeysPermissions::Checked;
+        let own = KeyFile::parse(&if is_checked { read_secret(file) } else { read_public(file) }?);
         let own = own.map_err(|error| format!("{}: {error}", file.display()))?;
         if own.node != *node {
             return Err(format!(
@@ -69,8 +89,10 @@ impl NodeKeys {
             ));
         }
         let path = roster_path(file, &own.robot);
-        let text = read_public(&path).map_err(|error| {
-            format!("{error}: copy {}.roster beside {}", own.robot, file.display())
+        let text = if is_checked { read_roster(&path) } else { read_public(&path) };
+        let text = text.map_err(|error| match path.exists() {
+            true => error,
+            false => format!("{error}: copy {}.roster beside {}", own.robot, file.display()),
         })?;
         let roster = NodeRoster::parse_signed(&text, &own.signer)
             .map_err(|error| format!("{}: {error}", path.display()))?;
@@ -94,8 +116,26 @@ impl NodeKeys {
                  copy the newest {node}.key and {robot}.roster here",
                 file.display()
             )),
-            Some(_) => Ok(NodeKeys { own, roster, text: text.as_str().into(), path }),
+            Some(_) => Ok(NodeKeys { own, roster, text: text.as_str().into(), path, permissions }),
         }
+    }
+
+    /// What is unsafe about where the keys lie.
+    pub(crate) fn danger(&self) -> Option<String> {
+        let secret = folder_of(&self.path).join(format!("{}.robot", self.own.robot));
+        if secret.exists() {
+            return Some(format!(
+                "{} signs the roster, and lies on a node: who reads it commands the robot: move it \
+                 to the computer of the robot's builder",
+                secret.display()
+            ));
+        }
+        (self.permissions == KeysPermissions::Unchecked).then(|| {
+            format!(
+                "other users may read or change the keys in {}: their permissions are unchecked",
+                folder_of(&self.path).display()
+            )
+        })
     }
 
     /// The node's incarnation that starts now, above the one before it. It is kept beside the key.
@@ -317,7 +357,8 @@ pub(super) mod tests {
         fs::write(&key, own.to_text().as_bytes()).expect("a folder");
         fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("it is ours");
         fs::write(&list, roster(&[("base", 1), ("arm", 2)], 5)).expect("a folder");
-        NodeKeys::read(&key, &name("base")).expect("they fit")
+        fs::set_permissions(&list, Permissions::from_mode(0o644)).expect("it is ours");
+        NodeKeys::read(&key, &name("base"), KeysPermissions::Checked).expect("they fit")
     }
 
     #[test]

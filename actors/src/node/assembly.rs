@@ -20,6 +20,8 @@ use super::inspection::InspectionActor;
 #[cfg(feature = "unix")]
 use super::inspection::StartInspection;
 use super::lost_communication::{KeptPolicy, LostCommunicationPolicy};
+#[cfg(feature = "network")]
+use super::network::hosts::Hosts;
 use super::safety::{EndCause, SignalWait};
 use super::tree::{PreparedTree, SupervisorSpec, TreeEnvironment};
 use super::watchdogs::ProcessWatchdogs;
@@ -152,6 +154,10 @@ impl NodeBuilder {
 
 /// Finds what is wrong with the networks, or else the tree, or else the rest of the description.
 fn check(mut builder: NodeBuilder) -> Result<Vec<StartError>, Vec<StartError>> {
+    #[cfg(feature = "network")]
+    {
+        builder.networks.hosts = Hosts::Numbered(Default::default());
+    }
     let node = builder.checked_name()?;
     // The chain is made for the names of its objects alone.
     builder.placement = ActorPlacement::Here;

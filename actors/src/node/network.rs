@@ -7,6 +7,7 @@ mod connections;
 pub(in crate::node) mod description;
 mod exposure;
 pub(in crate::node) mod file;
+pub(in crate::node) mod hosts;
 mod isolation;
 mod operation;
 mod ready;
@@ -20,6 +21,7 @@ use crate::net::Interface;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
 use actix::Addr;
 use blastema_contract::transport::{Cut, Impair, MediumAddress, Partition, Restore};
+use blastema_transports::endpoint::NamedHost;
 use blastema_transports::frame_medium::FrameMedium;
 use blastema_transports::{
     Endpoint, EndpointError, FaultInjector, FrameTransport, MemoryConfig, Reach,
@@ -28,7 +30,7 @@ use blastema_transports::{
 use blastema_transports::{TcpConfig, UdpConfig};
 use serde::Deserialize;
 use std::fmt;
-use std::net::SocketAddr;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
 pub use blastema_contract::transport::Direction;
@@ -60,6 +62,8 @@ pub use isolation::IsolateError;
 pub struct Network {
     name: String,
     medium: Medium,
+    /// The endpoint's text, until the name of the host in it is looked up.
+    named_endpoint: Option<String>,
     links: Vec<Link>,
     faults: Option<u64>,
     interface: Option<Interface>,
@@ -124,6 +128,14 @@ impl Medium {
             _ => None,
         }
     }
+
+    /// A socket that is bound to one address uses the interface that has it.
+    fn interface(&self) -> Option<Interface> {
+        self.socket().and_then(|(named, bind)| match named {
+            Some(named) => Some(Interface::Named(named.to_owned())),
+            None => Interface::of(bind.ip()),
+        })
+    }
 }
 
 impl fmt::Debug for Network {
@@ -134,17 +146,23 @@ impl fmt::Debug for Network {
 
 impl Network {
     /// The medium that this text describes, such as `udp://0.0.0.0:7400` or
-    /// `serial:///dev/ttyUSB0?baud=921600`. The [manual](crate::manual::media) lists them all.
+    /// `serial:///dev/ttyUSB0?baud=921600`. The [manual](crate::manual::media) lists them all. For
+    /// an IP address the name of a host may stand, which is looked up once, when the node starts.
     ///
     /// A text that is wrong is [`StartError::Endpoint`](crate::StartError::Endpoint) when the node
     /// starts.
     pub fn new(name: &str, endpoint: &str) -> Self {
-        match Endpoint::parse(endpoint) {
-            Ok((endpoint, insecure)) => {
-                Network { insecure, ..Network::over(name, Medium::At(endpoint)) }
-            }
-            Err(error) => Network::over(name, Medium::Unreadable(error)),
-        }
+        let named = NamedHost::find(endpoint);
+        let parsed = match named {
+            Some(named) => named.parse((Ipv4Addr::UNSPECIFIED, 0).into()),
+            None => Endpoint::parse(endpoint),
+        };
+        let named_endpoint = named.map(|_| endpoint.to_owned());
+        let (medium, insecure) = match parsed {
+            Ok((endpoint, insecure)) => (Medium::At(endpoint), insecure),
+            Err(error) => (Medium::Unreadable(error), false),
+        };
+        Network { insecure, named_endpoint, ..Network::over(name, medium) }
     }
 
     /// A medium of the application's own.
@@ -178,17 +196,13 @@ impl Network {
     }
 
     fn over(name: &str, medium: Medium) -> Self {
-        // A socket that is bound to one address uses the interface that has it.
-        let interface = medium.socket().and_then(|(named, bind)| match named {
-            Some(named) => Some(Interface::Named(named.to_owned())),
-            None => Interface::of(bind.ip()),
-        });
         Network {
             name: name.to_owned(),
+            interface: medium.interface(),
             medium,
+            named_endpoint: None,
             links: Vec::new(),
             faults: None,
-            interface,
             admission: None,
             beacons: None,
             insecure: false,
@@ -304,7 +318,7 @@ impl Link {
     }
 
     /// The node called `neighbour`, at this address as its medium writes it: `10.0.0.2:7400`,
-    /// `/run/module2.sock`, a number on a CAN bus; empty on a serial line, which has one
+    /// `module2.local:7400` (looked up once, when the node starts), `/run/module2.sock`, a number on a CAN bus; empty on a serial line, which has one
     /// other end.
     ///
     /// An address that is wrong is [`StartError::Endpoint`](crate::StartError::Endpoint) when the

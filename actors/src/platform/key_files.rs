@@ -37,6 +37,23 @@ pub fn read_public(path: &Path) -> Result<Zeroizing<String>, String> {
     read(path, &mut file, &metadata)
 }
 
+/// Reads the roster beside a key, if no other user can change or replace it.
+///
+/// # Errors
+/// What is wrong with the file or its folder, and the command that mends it.
+pub(crate) fn read_roster(path: &Path) -> Result<Zeroizing<String>, String> {
+    let (mut file, metadata) = open(path, |_| String::new())?;
+    let mode = metadata.mode() & 0o7777;
+    if mode & 0o022 != 0 {
+        let path = path.display();
+        return Err(format!(
+            "{path} can be changed by others (mode {mode:04o}): chmod go-w {path}"
+        ));
+    }
+    check_folder(path, folder_of(path))?;
+    read(path, &mut file, &metadata)
+}
+
 fn open(path: &Path, cure: fn(&io::Error) -> String) -> Result<(File, Metadata), String> {
     let failed = |error: io::Error| unreadable(path, &error) + &cure(&error);
     // A FIFO would keep the thread until another process writes to it.
@@ -166,6 +183,24 @@ mod tests {
         for mode in [0o777, 0o770, 0o702] {
             let refused = with(0o600, mode).expect_err("others can write there");
             let cure = format!("(mode {mode:04o}): chmod go-w {}", folder.path().display());
+            assert!(refused.ends_with(&cure), "{refused}");
+        }
+    }
+
+    #[test]
+    fn a_roster_that_others_can_change_is_refused_and_may_be_read_by_all() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("ranger.roster");
+        fs::write(&path, "text").expect("it can be written");
+        let with = |mode: u32| {
+            fs::set_permissions(&path, Permissions::from_mode(mode)).expect("it is ours");
+            read_roster(&path).map(|text| text.len())
+        };
+
+        assert_eq!((with(0o644), with(0o400)), (Ok(4), Ok(4)));
+        for mode in [0o664, 0o646] {
+            let refused = with(mode).expect_err("others can write it");
+            let cure = format!("(mode {mode:04o}): chmod go-w {}", path.display());
             assert!(refused.ends_with(&cure), "{refused}");
         }
     }

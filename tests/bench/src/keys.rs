@@ -34,7 +34,8 @@ impl BenchKeys {
         }
         let roster = NodeRoster::new(name("bench"), listed).expect("nodes of different names");
         let path = keys.0.path().join("bench.roster");
-        fs::write(path, roster.sign(&signer)).expect("a folder");
+        fs::write(&path, roster.sign(&signer)).expect("a folder");
+        fs::set_permissions(&path, Permissions::from_mode(0o644)).expect("it is ours");
         keys
     }
 

@@ -164,7 +164,7 @@ fn a_network_that_leaves_the_computer_starts_only_when_it_is_insecure_and_is_sho
             assert_eq!(
                 insecure_faults(&node).await,
                 [format!(
-                    "warning: insecure network of module1:transport/lan: network lan ({medium}) is \
+                    "warning: insecure of module1:transport/lan: network lan ({medium}) is \
                      insecure: every station on it can command this robot"
                 )]
             );

@@ -63,6 +63,35 @@ fn a_node_that_cannot_start_says_why_and_leaves_no_thread() {
 }
 
 #[test]
+fn hosts_have_names_which_a_start_looks_up_and_a_check_does_not() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let ports: Vec<u16> = free_addresses(2).iter().map(SocketAddr::port).collect();
+        let node = |own: usize, peer: &str, at: &str| {
+            let endpoint = format!("tcp://localhost:{}", ports[own]);
+            let network = Network::new("lan", &endpoint).peer(peer, at);
+            Node::builder(["left", "right"][own]).network(network)
+        };
+        let left = node(0, "right", &format!("localhost:{}", ports[1])).start().await;
+        let right = node(1, "left", &format!("localhost:{}", ports[0])).start().await;
+        let (left, right) = (left.expect("it starts"), right.expect("it starts"));
+        assert!(left.connected("right", Duration::from_secs(60)).await, "{:?}", left.links().await);
+        left.shutdown().await;
+        right.shutdown().await;
+
+        let unknown = || node(0, "right", "arm.invalid:7400");
+        assert!(unknown().check().is_empty(), "{:?}", unknown().check());
+        let error = unknown().start().await.expect_err("it is reserved for no host").to_string();
+        let says = |words: &str| assert!(error.contains(words), "{error}");
+        says("network lan: arm.invalid:7400 cannot be looked up");
+        says("/etc/hosts");
+        let itself = node(0, "right", &format!("localhost:{}", ports[0]));
+        let error = itself.start().await.expect_err("it is itself").to_string();
+        assert!(error.contains("our own address"), "{error}");
+    });
+}
+
+#[test]
 fn a_process_plays_its_role() {
     if role().is_none() {
         return;

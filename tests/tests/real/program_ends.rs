@@ -3,7 +3,7 @@
 #![allow(clippy::print_stdout, reason = "the processes tell the test what they do")]
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Hold, NodeBuilder};
+use blastema::{ActuatorSpec, Hold, Network, NodeBuilder};
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::net::UnixDatagram;
@@ -161,6 +161,7 @@ fn a_process_plays_its_role() {
             "unsafe" => drop_with_outputs_that_panic().await,
             "plain" => drop_without_outputs().await,
             "asks" => ask_a_joint().await,
+            "listens" => listen_for_strangers().await,
             "hangs" | "hangs in main" | "hangs without outputs" | "stops slowly" => {
                 stop_with(&role).await
             }
@@ -269,6 +270,29 @@ async fn ask_a_joint() -> Result<(), Box<dyn std::error::Error>> {
     println!("asked");
     node.shutdown().await;
     Ok(())
+}
+
+/// Has a network on which strangers may connect.
+async fn listen_for_strangers() -> Result<(), Box<dyn std::error::Error>> {
+    let network = Network::new("cable", "tcp://127.0.0.1:0").peer("module2", "127.0.0.1:9");
+    let node = Node::builder("module1").network(network).start().await?;
+    println!("started");
+    node.shutdown().await;
+    Ok(())
+}
+
+/// Else they could keep a peer out that comes back.
+#[test]
+fn a_program_whose_strangers_could_use_up_its_files_is_refused() {
+    let _turn = blastema_doubles::turn();
+    for (files, starts) in [(32, false), (64, false), (256, true)] {
+        let (code, lines, errors) = Process::start_with_files("listens", files).end();
+        assert_eq!((lines.iter().any(|line| line == "started"), code == Some(0)), (starts, starts));
+        assert!(
+            starts || errors.contains("LimitNOFILE=") && errors.contains("strangers"),
+            "{errors}"
+        );
+    }
 }
 
 #[test]

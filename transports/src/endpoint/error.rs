@@ -46,8 +46,8 @@ pub enum EndpointProblem {
         /// The feature of the package `blastema` that it needs.
         feature: &'static str,
     },
-    /// There is no IP address where one must stand. Names of hosts are not looked up: who answers
-    /// would depend on a server, and it takes time.
+    /// There is no IP address where one must stand. The name of a host may stand there for a node,
+    /// which looks it up when it starts; here it must be one in numbers.
     #[error(
         "`{found}` is no IP address: write it in numbers, as in 10.0.0.1:7400 or [fd00::1]:7400"
     )]
@@ -190,6 +190,12 @@ fn suggest(nearest: Option<&String>, known: &[String]) -> String {
 impl EndpointError {
     pub(super) fn new(text: &str, at: Range<usize>, problem: EndpointProblem) -> Self {
         EndpointError { text: text.to_owned(), at, problem: Box::new(problem) }
+    }
+
+    /// The error as one of a text in which each place stands elsewhere.
+    pub(super) fn shown_in(self, text: &str, place: impl Fn(usize) -> usize) -> Self {
+        let at = place(self.at.start)..place(self.at.end);
+        EndpointError { text: text.to_owned(), at, ..self }
     }
 
     /// What is wrong.

@@ -11,6 +11,7 @@
 
 mod can;
 mod error;
+mod host;
 mod media;
 mod reach;
 mod settings;
@@ -21,7 +22,7 @@ mod zenoh;
 
 pub use self::can::{CanConfig, CanNodeConfig, SLCAN_BIT_RATES, SLCAN_DATA_RATES, SlcanConfig};
 pub use self::error::{EndpointError, EndpointProblem};
-
+pub use self::host::NamedHost;
 pub use self::settings::is_interface;
 
 use self::settings::Settings;
@@ -229,6 +230,17 @@ impl Endpoint {
         })
     }
 
+    /// How many connections may be open there beside those of peers.
+    pub fn strangers(&self) -> usize {
+        match self {
+            #[cfg(feature = "tcp")]
+            Endpoint::Tcp(config) => config.strangers,
+            #[cfg(feature = "unix")]
+            Endpoint::Unix(config) => config.strangers,
+            _ => 0,
+        }
+    }
+
     /// Finds what is wrong with settings that were not read from a text, such as an address of our
     /// own that no node can have.
     ///
@@ -370,10 +382,13 @@ fn ip(text: &str, at: Range<usize>, found: &str) -> Result<SocketAddr, EndpointE
         return whole(EndpointProblem::NoPort { example });
     }
     let Some((host, port)) = found.rsplit_once(':') else {
-        return whole(EndpointProblem::NotIp { found: found.to_owned() });
+        return match host::is_host(found) {
+            true => whole(EndpointProblem::NoPort { example: format!("{found}:7400") }),
+            false => whole(EndpointProblem::NotIp { found: found.to_owned() }),
+        };
     };
     let inner = host.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(host);
-    if inner.parse::<IpAddr>().is_err() {
+    if inner.parse::<IpAddr>().is_err() && (port.parse::<u16>().is_ok() || !host::is_host(host)) {
         let end = at.start + host.len();
         let problem = EndpointProblem::NotIp { found: host.to_owned() };
         return Err(EndpointError::new(text, at.start..end, problem));

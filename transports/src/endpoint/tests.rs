@@ -187,10 +187,31 @@ fn a_medium_that_is_missing_or_unknown_is_pointed_at() {
 }
 
 #[test]
+fn the_name_of_a_host_is_found_and_an_error_beside_it_is_shown_in_the_text_with_it() {
+    let address = "[fd00::1]:7400".parse().expect("an address");
+    let found = |text: &str| NamedHost::find(text).map(|named| named.name().to_owned());
+    for text in ["udp://10.0.0.1:7400", "[fd00::1]:7400", "unix:///run/a:1", "ro!bot:1", "a..b:1"] {
+        assert_eq!(found(text), None);
+    }
+    for text in ["arm.local:7400", "arm-1:0", "tcp://arm.local.:7400?mtu=1400"] {
+        assert!(found(text).is_some(), "{text}");
+    }
+
+    let named = NamedHost::find("udp://arm.local:7400?buad=1").expect("a name");
+    let error = named.parse(address).expect_err("no such setting");
+    assert_eq!((error.part(), error.at().start), ("buad", 21));
+    assert!(error.to_string().contains("udp://arm.local:7400?buad=1"), "{error}");
+    let (endpoint, _) = NamedHost::find("udp://arm:7400").unwrap().parse(address).unwrap();
+    assert_eq!(endpoint.to_string(), "udp://[fd00::1]:7400");
+}
+
+#[test]
 fn a_wrong_ip_address_is_pointed_at_in_its_wrong_part() {
     bad("udp://0.0.0:7400", "0.0.0", 6, "no IP address");
     bad("tcp://localhost:7400", "localhost", 6, "write it in numbers");
-    bad("tcp://robot", "robot", 6, "no IP address");
+    bad("tcp://robot", "robot", 6, "the port is missing: write robot:7400");
+    bad("tcp://ro!bot", "ro!bot", 6, "no IP address");
+    bad("tcp://robot:x", "x", 12, "no port");
     bad("udp://10.0.0.1", "10.0.0.1", 6, "the port is missing: write 10.0.0.1:7400");
     bad("udp://[fd00::1]", "[fd00::1]", 6, "write [fd00::1]:7400");
     bad("udp://fd00::1", "fd00::1", 6, "write [fd00::1]:7400");

@@ -18,10 +18,11 @@ use crate::service::{Carried, ReplicaBody, ServiceSpecError};
 use actix::prelude::*;
 use blastema_contract::monitor::Register;
 use blastema_contract::notifier::AddPort;
+use blastema_contract::reports::FaultDeclared;
 use blastema_contract::transport::Close;
 use blastema_core::detection::RecovererPort;
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_core::{Incarnation, NodeName};
+use blastema_core::{FaultKind, Incarnation, NodeName};
 use std::time::Duration;
 
 /// The networks of a node that runs.
@@ -29,6 +30,8 @@ pub(in crate::node) struct Networks {
     pub(in crate::node) handle: NetHandle,
     pub(in crate::node) cables: SortedMap<String, Cable>,
     pub(in crate::node) rows: Vec<NetworkRow>,
+    /// What is unsafe about where the keys lie.
+    danger: Option<String>,
     transports: Vec<Recipient<Close>>,
     pub(super) arbiter: Option<ArbiterHandle>,
     /// The nodes that the description names.
@@ -112,10 +115,19 @@ impl NodeAssembly {
         Ok(())
     }
 
-    /// The fault of an insecure network stands from the start of the node to its end.
+    /// The faults of insecure networks and of keys that others may read stand from the start of the
+    /// node to its end.
     pub(super) fn declare_insecure_networks(&self) {
         let rows = self.networks.iter().flat_map(|networks| &networks.rows);
-        rows.filter_map(NetworkRow::fault).for_each(|fault| self.parts.monitor.do_send(fault));
+        let danger = self.networks.iter().filter_map(|networks| networks.danger.clone());
+        let of_keys = danger.map(|detail| FaultDeclared {
+            object: named("net/roster"),
+            incarnation: Incarnation::FIRST,
+            kind: FaultKind::Insecure,
+            detail,
+        });
+        let faults = rows.filter_map(NetworkRow::fault).chain(of_keys);
+        faults.for_each(|fault| self.parts.monitor.do_send(fault));
     }
 
     pub(super) fn carry_services(
@@ -152,6 +164,7 @@ fn make_networks(
     let (mut specs, mut cables) = (Vec::new(), SortedMap::new());
     let (mut neighbours, mut enrolments) = (SortedSet::new(), Vec::new());
     let has_keys = keys.is_some();
+    let danger = keys.as_ref().and_then(|keys| keys.danger());
     let mut links = Vec::new();
     let rows: Vec<_> = networks.iter().map(|network| network.row(has_keys)).collect();
     rows.iter().for_each(NetworkRow::log);
@@ -225,7 +238,7 @@ fn make_networks(
     }
     let transports = transports.clone();
     let networks =
-        Networks { handle, cables, rows, transports, arbiter, described, links, silence };
+        Networks { handle, cables, rows, danger, transports, arbiter, described, links, silence };
     Ok((networks, enrolments))
 }
 

@@ -1,6 +1,7 @@
 //! How other nodes are described, and what is done by way of them.
 
 use super::NodeBuilder;
+use crate::net::keys::KeysPermissions;
 use crate::node::network::Network;
 use crate::service::{ServiceSpec, Stateful};
 use std::path::PathBuf;
@@ -58,6 +59,13 @@ impl NodeBuilder {
     /// [`StartError::Keys`](crate::StartError::Keys) when the node starts.
     pub fn keys(mut self, file: impl Into<PathBuf>) -> Self {
         self.networks.key_file = Some(file.into());
+        self
+    }
+
+    /// Sets whether keys and rosters that other users can read or change are refused, as they are
+    /// by default.
+    pub fn keys_permissions(mut self, permissions: KeysPermissions) -> Self {
+        self.networks.keys_permissions = permissions;
         self
     }
 

@@ -4,6 +4,7 @@ use super::{Admitted, Link, Medium, Network, Remote};
 use crate::net::Interface;
 use crate::net::keys::NodeKeys;
 use crate::node::error::StartError;
+use crate::platform;
 use crate::settings::SettingError;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
 use blastema_contract::transport::MediumAddress;
@@ -57,6 +58,29 @@ pub(in crate::node) fn check_networks(
         }
     }
     Ok(())
+}
+
+/// So many files a node has open beside its connections: event loops, sockets, its logs.
+const FILES_OF_NODE: usize = 32;
+
+/// Strangers must not use up the files that connections of peers need.
+pub(in crate::node) fn check_files(networks: &[Network]) -> Result<(), StartError> {
+    let strangers = |network: &Network| match &network.medium {
+        Medium::At(endpoint) => endpoint.strangers(),
+        _ => 0,
+    };
+    let listening = networks.iter().filter(|network| strangers(network) > 0);
+    let needed: usize = listening.map(|network| strangers(network) + network.links.len()).sum();
+    let Some(left) = platform::files_left() else { return Ok(()) };
+    if needed == 0 || needed + FILES_OF_NODE <= left {
+        return Ok(());
+    }
+    Err(StartError::Network(format!(
+        "this process may open {left} more files, and its networks and the node need {}: raise the \
+         limit (`ulimit -n`, or `LimitNOFILE=` of a systemd service), or set `strangers` of the \
+         endpoints lower",
+        needed + FILES_OF_NODE
+    )))
 }
 
 impl Network {

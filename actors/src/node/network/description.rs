@@ -1,10 +1,11 @@
 //! What the description of a node says of other nodes.
 
 use super::Network;
-use super::checks::check_networks;
+use super::checks::{check_files, check_networks};
 use super::file::NetworkFile;
+use super::hosts::Hosts;
 use super::services::{check_service, check_service_order};
-use crate::net::keys::NodeKeys;
+use crate::net::keys::{KeysPermissions, NodeKeys};
 use crate::node::error::StartError;
 use crate::platform;
 use crate::service::{Carried, ServiceSpecError};
@@ -22,10 +23,12 @@ use tracing::warn;
 pub(in crate::node) struct NetworkDescription {
     pub(in crate::node) networks: Vec<Network>,
     pub(in crate::node) file: NetworkFile,
+    pub(in crate::node) hosts: Hosts,
     pub(in crate::node) services: Vec<Result<Carried, ServiceSpecError>>,
     pub(in crate::node) session_timeout: Duration,
     /// The file of the node's key.
     pub(in crate::node) key_file: Option<PathBuf>,
+    pub(in crate::node) keys_permissions: KeysPermissions,
     /// What that file and the roster beside it say, once they are read.
     pub(in crate::node) keys: Option<Arc<NodeKeys>>,
 }
@@ -38,9 +41,11 @@ impl Default for NetworkDescription {
         NetworkDescription {
             networks: Vec::new(),
             file: NetworkFile::default(),
+            hosts: Hosts::LookedUp,
             services: Vec::new(),
             session_timeout: SESSION_TIMEOUT.default,
             key_file: None,
+            keys_permissions: KeysPermissions::Checked,
             keys: None,
         }
     }
@@ -51,13 +56,18 @@ impl NetworkDescription {
     pub(in crate::node) fn check(&mut self, node: &NodeName) -> Result<(), Vec<StartError>> {
         SESSION_TIMEOUT.check(self.session_timeout).map_err(StartError::from)?;
         self.read_file()?;
+        self.networks.iter_mut().try_for_each(|network| self.hosts.resolve(network))?;
         self.read_keys(node)?;
         let services = self.services.iter().map(|service| service.as_ref().map_err(Clone::clone));
         let services: Result<Vec<&Carried>, _> = services.collect();
         let services = services.map_err(StartError::from)?;
         services.iter().try_for_each(|service| check_service(service))?;
         check_service_order(&services)?;
-        check_networks(&self.networks, node, self.keys.as_deref())
+        check_networks(&self.networks, node, self.keys.as_deref())?;
+        match self.hosts {
+            Hosts::LookedUp => Ok(check_files(&self.networks)?),
+            Hosts::Numbered(_) => Ok(()),
+        }
     }
 
     /// The other nodes that it names.
@@ -101,6 +111,7 @@ impl NetworkDescription {
     fn read_file(&mut self) -> Result<(), StartError> {
         let Some(mut described) = self.file.read()? else { return Ok(()) };
         self.key_file = self.key_file.take().or(described.keys.take());
+        self.keys_permissions = described.keys_permissions.unwrap_or(self.keys_permissions);
         self.networks.extend(described.into_networks());
         Ok(())
     }
@@ -120,7 +131,7 @@ impl NetworkDescription {
         platform::random_bytes().map_err(|error| {
             StartError::Keys(format!("the system gives no random numbers (getrandom: {error})"))
         })?;
-        let keys = NodeKeys::read(&file, node);
+        let keys = NodeKeys::read(&file, node, self.keys_permissions);
         let keys = keys.map_err(|error| StartError::Keys(format!("{named_by}{error}")))?;
         self.keys = Some(Arc::new(keys));
         Ok(())

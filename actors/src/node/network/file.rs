@@ -14,6 +14,7 @@
 //! The table is put together first, from the file and the overrides, and then read as one.
 
 use super::{Link, MediumKind, Network};
+use crate::net::keys::KeysPermissions;
 use crate::node::error::StartError;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{self, MapAccess, SeqAccess, Visitor};
@@ -43,6 +44,8 @@ pub(in crate::node) struct NetworkFile {
 pub(super) struct DescribedNetworks {
     /// The file of the node's key.
     pub(super) keys: Option<PathBuf>,
+    /// Whether the permissions of that file, its folder and the roster are checked.
+    pub(super) keys_permissions: Option<KeysPermissions>,
     #[serde(default)]
     networks: BTreeMap<String, DescribedNetwork>,
 }

@@ -2,7 +2,7 @@
 
 use super::{PATIENCE, ask, node, until};
 use blastema::prelude::*;
-use blastema::{Link, LinkState, Network, NodeBuilder, StartError};
+use blastema::{FaultKind, KeysPermissions, Link, LinkState, Network, NodeBuilder, StartError};
 use blastema_tests::{RobotKeys, free_addresses};
 use std::env;
 use std::fs::{self, Permissions};
@@ -64,6 +64,9 @@ fn keys_that_cannot_be_used_are_refused_with_what_to_do() {
         fs::copy(revoked.path().join("ranger.roster"), &roster).unwrap();
         check(udp(), &["left is not in roster 1 of ranger", "copy the newest roster"]).await;
         fs::write(&roster, &good).unwrap();
+        set_mode(&roster, 0o664);
+        check(udp(), &["ranger.roster can be changed by others (mode 0664): chmod go-w"]).await;
+        set_mode(&roster, 0o644);
 
         check(udp().insecure(), &["network lan is insecure and the node has keys"]).await;
         let unknown = Network::new("lan", "udp://127.0.0.1:0").peer("gripper", "127.0.0.1:9");
@@ -75,6 +78,41 @@ fn keys_that_cannot_be_used_are_refused_with_what_to_do() {
 
         let node = node(&keys, "left", udp()).start().await.expect("nothing is wrong any more");
         node.shutdown().await;
+    });
+}
+
+/// As in a container that has mounted them.
+#[test]
+fn keys_with_unchecked_permissions_and_the_robots_secret_beside_them_are_a_standing_fault() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let keys = RobotKeys::new(folder.path(), &NODES, 1);
+        let stands = async |builder: NodeBuilder, words: &str| {
+            let node = builder.start().await.expect("it starts");
+            let is_told = async || {
+                let mut faults = node.faults().await.entries.into_iter().map(|entry| entry.fault);
+                faults
+                    .any(|fault| fault.kind == FaultKind::Insecure && fault.detail.contains(words))
+            };
+            until(is_told, words).await;
+            node.shutdown().await;
+        };
+
+        set_mode(&keys.of("left"), 0o644);
+        set_mode(folder.path(), 0o777);
+        let unchecked = node(&keys, "left", udp()).keys_permissions(KeysPermissions::Unchecked);
+        stands(unchecked, "permissions are unchecked").await;
+        let set = node(&keys, "left", udp()).set("keys_permissions=unchecked");
+        stands(set, "permissions are unchecked").await;
+        let (set, wrong) = (node(&keys, "left", udp()), "keys_permissions=none");
+        let refused = set.set(wrong).start().await.expect_err("no such value");
+        assert!(refused.to_string().contains("unchecked"), "{refused}");
+
+        set_mode(&keys.of("left"), 0o600);
+        set_mode(folder.path(), 0o700);
+        fs::write(folder.path().join("ranger.robot"), "a secret").expect("a folder");
+        stands(node(&keys, "left", udp()), "signs the roster, and lies on a node").await;
     });
 }
 
