@@ -86,14 +86,13 @@
 //! | --- | --- |
 //! | `network` | what takes more than one node: [`Network`], [`Link`] and [`Cable`], networks in memory and over [media](medium) of an application's own; [services](manual::services); [names of the whole robot](manual::names); what a node says of networks, links, routes and sessions ([`NetworkSnapshot`], [`Node::connected`]), and [`Node::isolate`] |
 //! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each, and `network` |
-//! | `zenoh` | networks over Zenoh, and `ZenohBridge`, which publishes topics as plain keys; compiles for minutes, and is no default |
 //! | `unix` | [`NodeBuilder::inspection_socket`] too, at which `blastema monitor` looks |
 //! | `device` | [small devices](manual::devices), and `serial`; with `ip` also those on UDP |
 //! | `process` | [programs in any language](ProcessSpec) as components |
 //! | `trees` | [behaviour trees](manual::trees) as components |
 //! | `journal` | `journal` and `NodeBuilder::journal`, by SQLite: needs a C compiler |
 //!
-//! The default is all media but Zenoh, `device` and `process`. A robot of one process needs none of it: with
+//! The default is all media, `device` and `process`. A robot of one process needs none of it: with
 //! `default-features = false` no code of a network is compiled.
 
 // What the other modules have for the network alone is not used without it.
@@ -107,8 +106,6 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 mod actuator;
 mod arbiter;
-#[cfg(feature = "zenoh")]
-mod bridge;
 mod component;
 mod condition;
 #[cfg(feature = "device")]
@@ -252,8 +249,6 @@ pub use blastema_core::net::{ByteRate, LinkState, LinkTraffic, Refusals, Route};
 pub use blastema_macros::main;
 #[cfg(feature = "network")]
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
-#[cfg(feature = "zenoh")]
-pub use node::ZenohBridge;
 #[cfg(feature = "network")]
 pub use node::{
     Cable, Direction, Impairment, IsolateError, Link, LinkName, MediumKind, MediumRow,

@@ -1,8 +1,5 @@
 //! Whole systems under test.
 
-#[cfg(feature = "zenoh")]
-pub mod zenoh_router;
-
 use blastema::core::NodeName;
 use blastema::core::net::trust::crypto::Seed;
 use blastema::core::net::trust::key_file::KeyFile;

@@ -54,8 +54,6 @@ pub mod tcp;
 pub mod udp;
 #[cfg(feature = "unix")]
 pub mod unix;
-#[cfg(feature = "zenoh")]
-pub mod zenoh;
 
 #[cfg(all(feature = "can", target_os = "linux"))]
 pub use can::CanBus;
@@ -80,8 +78,3 @@ pub use tcp::{Tcp, TcpConfig};
 pub use udp::{Udp, UdpConfig};
 #[cfg(feature = "unix")]
 pub use unix::{Unix, UnixConfig};
-#[cfg(feature = "zenoh")]
-pub use zenoh::{
-    PutError, ZenohClient, ZenohClientConfig, ZenohConfig, ZenohKey, ZenohKeyUse, ZenohNetwork,
-    ZenohOpened, ZenohReader, ZenohState,
-};

@@ -610,7 +610,6 @@ pub(crate) fn address_of(endpoint: &EndpointDescription) -> String {
         "udp" => setting("own").unwrap_or_else(|| place.to_owned()),
         "serial" => String::new(),
         "can" | "slcan" => setting("address").unwrap_or_else(|| "0".to_owned()),
-        "zenoh" => place.rsplit('/').next().unwrap_or_default().to_owned(),
         _ => place.to_owned(),
     }
 }

@@ -14,6 +14,7 @@ use crate::messaging::sender::{DetachedSender, Sender};
 use crate::messaging::sink::MessageSink;
 use crate::platform;
 use blastema_contract::reports::FaultDeclared;
+use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::{
     Contract, DeliveryError, FaultKind, Incarnation, Instant, Lifecycle, NameError, ObjectAddress,
     ObjectName,
@@ -238,6 +239,21 @@ impl<C: Component> Context<C> {
                 kind,
                 detail,
             });
+        }
+    }
+
+    /// Ends a fault of this kind that the component has declared.
+    pub fn clear_fault(&self, kind: FaultKind) {
+        self.cell.record.clear(kind);
+    }
+
+    /// Counts messages of a contract that the component could not pass on, as one that speaks to
+    /// other systems may have to, among the [dead letters](crate::Node::dead_letters) of its name.
+    pub fn count_undelivered<M: Contract>(&self, why: &DeliveryError, many: u64) {
+        if many > 0 {
+            let record = &self.cell.record;
+            let reason = DeadReason::from(why);
+            record.environment.dead_letters.take_many(None, &record.name, M::NAME, (reason, many));
         }
     }
 

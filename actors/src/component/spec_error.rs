@@ -114,15 +114,6 @@ pub enum SpecError {
         /// What is wrong, and what to write.
         why: String,
     },
-    /// A bridge to Zenoh cannot be as it is described.
-    #[cfg(feature = "zenoh")]
-    #[error("the bridge {name} cannot be: {why}")]
-    Bridge {
-        /// The bridge.
-        name: String,
-        /// What is wrong, and what to write.
-        why: String,
-    },
     /// A setting makes no sense.
     #[error("{setting} of {name} is {value}: {cure}")]
     Setting {

@@ -29,7 +29,6 @@
 //! | [security] | keys that seal networks; who can speak to a node, and what `insecure` means |
 //! | [names] | names of the whole robot: addresses without a node |
 //! | [media] | what a network can be made of, written as one string; media of one's own |
-//! | [bridge] | topics as plain keys of Zenoh, for programs in Python and other languages |
 //! | [guarantees] | order, loss, restarts, and the times until faults are found |
 //! | [limits] | every bound, its reason, and how to change it |
 //! | [testing] | components and whole nodes in virtual time |
@@ -104,9 +103,6 @@ pub mod names {}
 
 #[doc = include_str!("media.md")]
 pub mod media {}
-
-#[doc = include_str!("bridge.md")]
-pub mod bridge {}
 
 #[doc = include_str!("guarantees.md")]
 pub mod guarantees {}

@@ -13,8 +13,6 @@
 //! own.
 
 pub(crate) mod assembly;
-#[cfg(feature = "zenoh")]
-mod bridge;
 mod builder;
 mod checks;
 mod conditions;
@@ -41,8 +39,6 @@ mod to_the_end;
 mod tree;
 mod watchdogs;
 
-#[cfg(feature = "zenoh")]
-pub use bridge::ZenohBridge;
 pub use builder::NodeBuilder;
 pub use conditions::Heartbeats;
 pub use controller::NodeState;

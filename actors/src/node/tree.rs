@@ -38,9 +38,6 @@ pub struct SupervisorSpec {
     /// How its own supervisor keeps it.
     kept: ChildRules,
     children: Vec<Entry>,
-    /// What was wrong with what it was made of.
-    #[cfg(feature = "zenoh")]
-    refused: Option<SpecError>,
 }
 
 enum Entry {
@@ -60,14 +57,7 @@ impl SupervisorSpec {
     pub fn new(name: &str, strategy: Strategy) -> Self {
         let rules = SupervisorRules { strategy, ..SupervisorRules::default() };
         let (name, kept) = (name.to_owned(), ChildRules::supervisor());
-        SupervisorSpec {
-            name,
-            rules,
-            kept,
-            children: Vec::new(),
-            #[cfg(feature = "zenoh")]
-            refused: None,
-        }
+        SupervisorSpec { name, rules, kept, children: Vec::new() }
     }
 
     /// Sets how many restarts are allowed in one `period`: of each child, or of all together where
@@ -133,13 +123,6 @@ impl SupervisorSpec {
     /// Adds a supervisor as a child.
     pub fn supervisor(mut self, spec: SupervisorSpec) -> Self {
         self.children.push(Entry::Supervisor(spec));
-        self
-    }
-
-    /// It cannot be prepared.
-    #[cfg(feature = "zenoh")]
-    pub(super) fn refused(mut self, why: SpecError) -> Self {
-        self.refused = Some(why);
         self
     }
 
@@ -251,10 +234,6 @@ impl SupervisorSpec {
         tree_environment: &TreeEnvironment<'_>,
         tree: &mut PreparedTree,
     ) -> Result<SupervisorChild, SpecError> {
-        #[cfg(feature = "zenoh")]
-        if let Some(why) = self.refused {
-            return Err(why);
-        }
         let name = ObjectName::new(&self.name).map_err(SpecError::Supervisor)?;
         let name = SpecError::check_name(name)?;
         let refused = self.check_intensity().err();

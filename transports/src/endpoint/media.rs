@@ -7,14 +7,13 @@ use blastema_core::suggestion::nearest;
 /// built with it.
 pub(super) type KnownMedium = (&'static str, &'static str, bool);
 
-pub(super) const MEDIA: [KnownMedium; 8] = [
+pub(super) const MEDIA: [KnownMedium; 7] = [
     ("udp", "ip", cfg!(feature = "udp")),
     ("tcp", "ip", cfg!(feature = "tcp")),
     ("unix", "unix", cfg!(feature = "unix")),
     ("serial", "serial", cfg!(feature = "serial")),
     ("can", "can", cfg!(feature = "can")),
     ("slcan", "slcan", cfg!(feature = "slcan")),
-    ("zenoh", "zenoh", cfg!(feature = "zenoh")),
     ("memory", "network", true),
 ];
 

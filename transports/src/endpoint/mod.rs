@@ -17,8 +17,6 @@ mod reach;
 mod settings;
 #[cfg(any(feature = "udp", feature = "tcp"))]
 mod validation;
-#[cfg(feature = "zenoh")]
-mod zenoh;
 
 pub use self::can::{CanConfig, CanNodeConfig, SLCAN_BIT_RATES, SLCAN_DATA_RATES, SlcanConfig};
 pub use self::error::{EndpointError, EndpointProblem};
@@ -34,8 +32,6 @@ use crate::tcp::TcpConfig;
 use crate::udp::UdpConfig;
 #[cfg(feature = "unix")]
 use crate::unix::UnixConfig;
-#[cfg(feature = "zenoh")]
-use crate::zenoh::{ZenohConfig, is_chunk};
 use blastema_contract::transport::MediumAddress;
 use blastema_core::net::routing::MTU_MIN;
 #[cfg(feature = "udp")]
@@ -67,7 +63,6 @@ const LONGEST: Duration = Duration::from_secs(3600);
 /// | `serial:///dev/ttyUSB0` | a serial line | `baud`, `parity`, `stop_bits`, `flow`, `rs485`, `rts`, `rts_before`, `rts_after`, `mtu`, `queue_time` |
 /// | `can://can0` | a CAN interface | `fd`, `bit_rate_switch`, `bitrate`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
 /// | `slcan:///dev/ttyACM0` | a CAN adapter on a serial port | `bitrate`, `fd`, `bit_rate_switch`, `data_bitrate`, `baud`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
-/// | `zenoh://ranger/base` | the end `base` of the robot `ranger` in a Zenoh network | `connect`, `listen` (lists of Zenoh's endpoints, as in `tcp/10.0.0.1:7447`), `file` (a configuration of Zenoh), `mtu` |
 /// | `memory://name` | between nodes of one process | |
 ///
 /// Each takes `insecure` too, with or without `=true`: see [`Endpoint::parse`].
@@ -103,9 +98,6 @@ pub enum Endpoint {
     Can(CanConfig),
     /// `slcan://`
     Slcan(SlcanConfig),
-    /// `zenoh://`
-    #[cfg(feature = "zenoh")]
-    Zenoh(ZenohConfig),
     /// `memory://`: the name of our end.
     Memory(String),
 }
@@ -146,8 +138,6 @@ impl Endpoint {
             "serial" => serial(&parts, &mut settings),
             "can" => can(&parts, &mut settings),
             "slcan" => slcan(&parts, &mut settings),
-            #[cfg(feature = "zenoh")]
-            "zenoh" => zenoh::parse(&parts, &mut settings),
             _ => memory(&parts),
         }?;
         let insecure = settings.flag("insecure")?;
@@ -168,15 +158,13 @@ impl Endpoint {
             Endpoint::Serial(_) => "serial",
             Endpoint::Can(_) => "can",
             Endpoint::Slcan(_) => "slcan",
-            #[cfg(feature = "zenoh")]
-            Endpoint::Zenoh(_) => "zenoh",
             Endpoint::Memory(_) => "memory",
         }
     }
 
     /// Reads a peer's address as this medium writes it: `10.0.0.2:7400`, a path, a number on the
-    /// CAN bus, the name of an end in memory or in a Zenoh network; nothing on a serial line, which leads to one peer
-    /// only.
+    /// CAN bus, the name of an end in memory; nothing on a serial line, which leads to one
+    /// peer only.
     ///
     /// # Errors
     /// The text is no address there.
@@ -209,11 +197,6 @@ impl Endpoint {
                 };
                 number.map(MediumAddress::Can).map_err(|_| "write its number on the bus, 0 to 255")
             }
-            #[cfg(feature = "zenoh")]
-            Endpoint::Zenoh(_) => match is_chunk(text) {
-                true => Ok(MediumAddress::Own(text.into())),
-                false => Err("write the name of its end, as in zenoh://ranger/NAME"),
-            },
             Endpoint::Memory(_) => match text {
                 "" => Err("write the name of its end"),
                 name => Ok(MediumAddress::Memory(name.into())),
@@ -252,8 +235,6 @@ impl Endpoint {
             Endpoint::Udp(config) => validation::check_udp(config),
             #[cfg(feature = "tcp")]
             Endpoint::Tcp(config) => validation::check_tcp(config),
-            #[cfg(feature = "zenoh")]
-            Endpoint::Zenoh(config) => config.objection().map_or(Ok(()), Err),
             _ => Ok(()),
         }
     }
@@ -284,10 +265,6 @@ impl Endpoint {
                 } else {
                     None
                 }
-            }
-            #[cfg(feature = "zenoh")]
-            (Endpoint::Zenoh(config), MediumAddress::Own(peer)) => {
-                (config.name.as_str() == &**peer).then_some(OURSELVES)
             }
             (Endpoint::Memory(own), MediumAddress::Memory(peer)) => {
                 (own.as_str() == &**peer).then_some(OURSELVES)

@@ -25,8 +25,6 @@ impl Endpoint {
             #[cfg(feature = "serial")]
             Endpoint::Serial(_) => Reach::Network,
             Endpoint::Can(_) | Endpoint::Slcan(_) => Reach::Network,
-            #[cfg(feature = "zenoh")]
-            Endpoint::Zenoh(_) => Reach::Network,
             Endpoint::Memory(_) => Reach::Process,
         }
     }
@@ -52,8 +50,6 @@ impl fmt::Display for Endpoint {
             Endpoint::Serial(config) => write!(f, "{}", config.path.display()),
             Endpoint::Can(CanConfig { interface, .. }) => f.write_str(interface),
             Endpoint::Slcan(SlcanConfig { path, .. }) => write!(f, "{}", path.display()),
-            #[cfg(feature = "zenoh")]
-            Endpoint::Zenoh(config) => write!(f, "{}/{}", config.namespace, config.name),
             Endpoint::Memory(name) => f.write_str(name),
         }
     }
@@ -78,8 +74,6 @@ mod tests {
         check("serial:///dev/ttyUSB0?baud=9600", Reach::Network);
         check("can://can0", Reach::Network);
         check("slcan:///dev/ttyACM0", Reach::Network);
-        #[cfg(feature = "zenoh")]
-        check("zenoh://fleet/ranger/base?connect=tcp/127.0.0.1:7447", Reach::Network);
         let mut media = Vec::new();
         if cfg!(feature = "udp") {
             media.push("udp");

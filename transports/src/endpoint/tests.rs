@@ -177,13 +177,8 @@ fn a_medium_that_is_missing_or_unknown_is_pointed_at() {
     bad("0.0.0.0:7400", "", 0, "begins with its medium");
     bad("", "", 0, "begins with its medium");
     bad("upd://0.0.0.0:7400", "upd", 0, "did you mean `udp`?");
-    let known = match cfg!(feature = "zenoh") {
-        true => "there are udp, tcp, unix, serial, can, slcan, zenoh, memory",
-        false => "there are udp, tcp, unix, serial, can, slcan, memory",
-    };
+    let known = "there are udp, tcp, unix, serial, can, slcan, memory";
     bad("zigbee://x", "zigbee", 0, known);
-    #[cfg(not(feature = "zenoh"))]
-    bad("zenoh://ranger/base", "zenoh", 0, "add the feature `zenoh` to the dependency on blastema");
 }
 
 #[test]
@@ -465,34 +460,4 @@ fn no_text_makes_the_parser_panic() {
             assert!(error.to_string().lines().count() == 3, "{text:?}: {error}");
         }
     }
-}
-
-#[cfg(feature = "zenoh")]
-#[test]
-fn an_end_in_a_zenoh_network_has_a_robot_a_name_and_a_router() {
-    let Endpoint::Zenoh(config) = good(
-        "zenoh://fleet/ranger/base?connect=tcp/10.0.0.1:7447,tls/router.example:7447&mtu=1400",
-    ) else {
-        panic!()
-    };
-    assert_eq!((config.namespace.as_str(), config.name.as_str()), ("fleet/ranger", "base"));
-    assert_eq!(config.connect, ["tcp/10.0.0.1:7447", "tls/router.example:7447"]);
-    assert_eq!((config.mtu, config.listen.len()), (1_400, 0));
-    let Endpoint::Zenoh(config) = good("zenoh://ranger/base?listen=tcp/0.0.0.0:7447") else {
-        panic!()
-    };
-    assert_eq!(config.listen, ["tcp/0.0.0.0:7447"]);
-
-    bad("zenoh://", "", 8, "the name of the robot, or of our end in it, is missing");
-    bad("zenoh://ranger", "ranger", 8, "as in zenoh://ranger/base");
-    bad("zenoh://ranger/", "ranger/", 8, "is missing");
-    bad("zenoh://ranger/b*se", "ranger/b*se", 8, "names have letters, digits");
-    bad("zenoh://ranger/base?connect=10.0.0.1", "10.0.0.1", 28, "as in tcp/10.0.0.1:7447");
-    bad("zenoh://ranger/base?file=zenoh.json5", "zenoh.json5", 25, "a path");
-    let alone: Endpoint = "zenoh://ranger/base".parse().expect("it says where");
-    assert!(alone.check().expect_err("to no router").contains("add connect="));
-    let base: Endpoint = good("zenoh://ranger/base?connect=tcp/10.0.0.1:7447");
-    assert_eq!(base.peer("arm"), Ok(MediumAddress::Own("arm".into())));
-    assert!(base.peer("base").is_err_and(|error| error.to_string().contains("our own address")));
-    assert!(base.peer("a/b").is_err_and(|error| error.to_string().contains("the name of its end")));
 }

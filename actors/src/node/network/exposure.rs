@@ -81,8 +81,6 @@ impl Network {
             Medium::At(Endpoint::Serial(config)) => config.mtu,
             Medium::At(Endpoint::Can(config)) => Some(config.node.mtu),
             Medium::At(Endpoint::Slcan(config)) => Some(config.node.mtu),
-            #[cfg(feature = "zenoh")]
-            Medium::At(Endpoint::Zenoh(config)) => Some(config.mtu),
             _ => None,
         }
     }

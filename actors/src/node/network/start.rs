@@ -114,13 +114,6 @@ impl Medium {
                 };
                 Transport::from(guardian.start(object, arbiter, make))
             }
-            #[cfg(feature = "zenoh")]
-            Medium::At(Endpoint::Zenoh(config)) => {
-                let make = move |_: &mut Context<FrameTransport>| {
-                    FrameTransport::new(blastema_transports::ZenohNetwork::new(config))
-                };
-                Transport::from(guardian.start(object, arbiter, make))
-            }
             Medium::At(Endpoint::Memory(end)) => {
                 let config = MemoryConfig::new(&MemoryMedium::of_this_process(), &end);
                 return Medium::Memory(config).start(network, object, guardian, arbiter);

@@ -2,7 +2,8 @@
 
 use super::media::in_real_time;
 use super::*;
-use blastema_transports::{FrameTransport, ZenohConfig, ZenohNetwork};
+use blastema_transports::FrameTransport;
+use blastema_zenoh::ZenohNetwork;
 use std::net::TcpListener;
 use tokio::runtime::Runtime;
 use zenoh::{Config, Session, Wait};
@@ -79,9 +80,8 @@ impl Medium for OverZenoh {
                 format!("end{}", self.ends.get())
             }
         };
-        let mut config = ZenohConfig::new("fleet/ranger", &name);
-        config.connect.push(self.at.clone());
-        let (address, panic) = start(FrameTransport::new(ZenohNetwork::new(config)));
+        let network = ZenohNetwork::new("fleet/ranger", &name).connect(&self.at);
+        let (address, panic) = start(FrameTransport::new(network));
         Opened { transport: address.into(), wrapper: None, panic }
     }
 

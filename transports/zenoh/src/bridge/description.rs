@@ -1,16 +1,31 @@
 //! How a bridge to plain keys of Zenoh is described.
 
-use super::tree::SupervisorSpec;
-use crate::bridge::{BridgedContract, InletQueue, ZenohConnection, ZenohInlet, ZenohOutlet};
-use crate::component::spec_error::SpecError;
-use crate::host::spec::ChildSpec;
-use crate::messaging::queue::WhenFull;
-use blastema_core::recovery::Strategy;
-use blastema_core::{Delivery, Event};
-use blastema_transports::{ZenohClient, ZenohClientConfig, ZenohKey, ZenohKeyUse};
+use super::BridgedContract;
+use super::connection::ZenohConnection;
+use super::inlet::{InletQueue, ZenohInlet};
+use super::outlet::ZenohOutlet;
+use crate::client::{ZenohClient, ZenohKey, ZenohKeyUse, objection};
+use crate::ends::Ends;
+use blastema::core::Delivery;
+use blastema::prelude::*;
+use blastema::recovery::Strategy;
+use blastema::{SupervisorSpec, WhenFull};
+use std::error::Error;
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
+
+/// Why a bridge cannot be as it is described, and what to write.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BridgeError(String);
+
+impl fmt::Display for BridgeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl Error for BridgeError {}
 
 /// Adds the component of one topic, which has this number, to the bridge of this name.
 type AddTopic =
@@ -20,12 +35,11 @@ type AddTopic =
 /// there: for programs that know nothing of Blastema, in whatever language has Zenoh.
 ///
 /// It becomes a supervisor with a component for the connection and one for each topic.
-/// [The manual](crate::manual::bridge) has a program in Python for the other side, and says what is
-/// guaranteed.
+/// The page of the crate has a program in Python for the other side, and says what is guaranteed.
 ///
 /// ```
 /// use blastema::prelude::*;
-/// use blastema::ZenohBridge;
+/// use blastema_zenoh::ZenohBridge;
 ///
 /// #[derive(Clone, Debug, Event)]
 /// #[contract(name = "demo/pose")]
@@ -45,12 +59,14 @@ type AddTopic =
 ///     .connect("tcp/10.0.0.1:7447")
 ///     .publish::<Pose>("pose", "pose")        // the topic `pose` is the key `ranger/pose`
 ///     .subscribe::<Goal>("goal", "goal");     // what is written to `ranger/goal` is published
-/// let builder = Node::builder("base").supervisor(bridge.into());
+/// let builder = Node::builder("base").supervisor(bridge.try_into()?);
+/// # Ok::<(), blastema_zenoh::BridgeError>(())
 /// ```
 #[must_use = "a bridge does nothing until it is given to a node or a supervisor"]
 pub struct ZenohBridge {
     name: String,
-    config: ZenohClientConfig,
+    namespace: String,
+    ends: Ends,
     keys: Vec<ZenohKey>,
     topics: Vec<AddTopic>,
     objection: Option<String>,
@@ -58,7 +74,7 @@ pub struct ZenohBridge {
 
 impl fmt::Debug for ZenohBridge {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} to {} with {} topics", self.name, self.config.namespace, self.keys.len())
+        write!(f, "{} to {} with {} topics", self.name, self.namespace, self.keys.len())
     }
 }
 
@@ -66,11 +82,10 @@ impl ZenohBridge {
     /// A bridge without topics, whose keys begin with `namespace`, such as `ranger` or
     /// `fleet/ranger`.
     pub fn new(namespace: &str) -> Self {
-        let mut config = ZenohClientConfig::default();
-        namespace.clone_into(&mut config.namespace);
         ZenohBridge {
             name: "zenoh-bridge".to_owned(),
-            config,
+            namespace: namespace.to_owned(),
+            ends: Ends::default(),
             keys: Vec::new(),
             topics: Vec::new(),
             objection: None,
@@ -87,19 +102,19 @@ impl ZenohBridge {
     /// Connects to a router, or another client, as Zenoh writes it: `tcp/10.0.0.1:7447`. Of
     /// several, the first that answers is used.
     pub fn connect(mut self, endpoint: &str) -> Self {
-        self.config.connect.push(endpoint.to_owned());
+        self.ends.connect.push(endpoint.to_owned());
         self
     }
 
     /// Listens itself, for clients without a router.
     pub fn listen(mut self, endpoint: &str) -> Self {
-        self.config.listen.push(endpoint.to_owned());
+        self.ends.listen.push(endpoint.to_owned());
         self
     }
 
     /// A configuration of Zenoh in JSON5 or YAML, for all else: certificates, users, timeouts.
     pub fn file(mut self, path: impl Into<PathBuf>) -> Self {
-        self.config.file = Some(path.into());
+        self.ends.file = Some(path.into());
         self
     }
 
@@ -116,7 +131,7 @@ impl ZenohBridge {
             let outlet = move || ZenohOutlet::<E>::new(client.clone(), number);
             // The newest events count, where they cannot all be written.
             let spec = ChildSpec::new(&format!("{name}/out/{topic}"), outlet)
-                .queue(crate::settings::QUEUE.default, WhenFull::DropOldest)
+                .queue(ChildSpec::<ZenohOutlet<E>>::QUEUE, WhenFull::DropOldest)
                 .with_ports(move |ports| drop(ports.listen::<E>().on(&topic)));
             supervisor.child(spec)
         }));
@@ -128,7 +143,7 @@ impl ZenohBridge {
     /// keys and the policy of the robot.
     pub fn subscribe<E: Event>(mut self, topic: &str, key: &str) -> Self {
         let Some(contract) = self.contract::<E>() else { return self };
-        let whole = format!("{}/{key}", self.config.namespace);
+        let whole = format!("{}/{key}", self.namespace);
         let queue = Arc::new(InletQueue::<E>::new(&whole, contract.clone()));
         self.add_key(key, &contract, ZenohKeyUse::Read(queue.clone()));
         let topic = topic.to_owned();
@@ -151,21 +166,23 @@ impl ZenohBridge {
     }
 }
 
-impl From<ZenohBridge> for SupervisorSpec {
-    /// What is wrong with the bridge is refused when the node starts.
-    fn from(bridge: ZenohBridge) -> Self {
-        let ZenohBridge { name, config, keys, topics, objection } = bridge;
-        let objection =
-            objection.or_else(|| config.objection(keys.iter().map(|key| key.key.as_str())));
-        let mut supervisor = SupervisorSpec::new(&name, Strategy::OneForOne);
-        if let Some(why) = objection {
-            return supervisor.refused(SpecError::Bridge { name, why });
+impl TryFrom<ZenohBridge> for SupervisorSpec {
+    type Error = BridgeError;
+
+    fn try_from(bridge: ZenohBridge) -> Result<Self, BridgeError> {
+        let ZenohBridge { name, namespace, ends, keys, topics, objection: of_contract } = bridge;
+        let of_keys = || objection(&namespace, &ends, keys.iter().map(|key| key.key.as_str()));
+        if let Some(why) = of_contract.or_else(of_keys) {
+            return Err(BridgeError(format!("the bridge {name} cannot be: {why}")));
         }
-        let client = ZenohClient::new(config, keys);
+        let client = ZenohClient::new(namespace, ends, keys);
         let ours = client.clone();
         let connection = move || ZenohConnection::new(ours.clone());
-        supervisor = supervisor.child(ChildSpec::new(&format!("{name}/connection"), connection));
+        let supervisor = SupervisorSpec::new(&name, Strategy::OneForOne)
+            .child(ChildSpec::new(&format!("{name}/connection"), connection));
         let topics = topics.into_iter().enumerate();
-        topics.fold(supervisor, |supervisor, (number, add)| add(supervisor, &name, &client, number))
+        let add =
+            |supervisor, (number, add): (usize, AddTopic)| add(supervisor, &name, &client, number);
+        Ok(topics.fold(supervisor, add))
     }
 }

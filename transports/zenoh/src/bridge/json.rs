@@ -4,8 +4,8 @@
 //! text that does not fit names a line and a column, and it passes over unknown fields.
 //! So the text is walked beside the structure first: each misfit is named by its place in the event.
 
-use blastema_core::contract::layout::{Fields, Primitive, Shape};
-use blastema_core::{LayoutDescription, suggestion};
+use blastema::core::contract::layout::{Fields, Primitive, Shape};
+use blastema::core::{LayoutDescription, suggestion};
 use serde_json::Value;
 
 /// Where a value does not fit, and how.

@@ -5,18 +5,12 @@
 //! and only so many events in each span of time are published.
 
 use super::{BridgedContract, json};
-use crate::component::Component;
-use crate::component::Failure;
-use crate::component::cell::ComponentCell;
-use crate::component::context::Context;
-use crate::platform;
-use crate::platform::panics;
-use crate::topic::Publisher;
-use blastema_core::contract::codec;
-use blastema_core::delivery::dead_letters::DeadReason;
-use blastema_core::{DeliveryError, Event, FaultKind, Instant};
-use blastema_transports::ZenohReader;
+use crate::client::ZenohReader;
+use blastema::Publisher;
+use blastema::core::contract::codec;
+use blastema::prelude::*;
 use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::Notify;
@@ -29,7 +23,7 @@ const WAITING_BYTES_MAX: usize = 4 << 20;
 /// which hold 1024, are not filled from outside.
 const BATCH: usize = 64;
 const SPAN: Duration = Duration::from_millis(10);
-/// A refusal is reported so often at most, and is over so long after the last one.
+/// Refusals are reported so often, and are over so long after the last one.
 const REPORT_EVERY: Duration = Duration::from_secs(1);
 const OVER_AFTER: Duration = Duration::from_secs(60);
 
@@ -104,8 +98,8 @@ impl<E: Event> ZenohReader for InletQueue<E> {
 
     fn receive(&self, schema: &str, text: &[u8]) {
         // To read it runs what is the user's, on a thread of Zenoh's.
-        let read = panics::caught(|| self.read(schema, text));
-        let event = match read.unwrap_or_else(|panicked| Err(format!("to read it {panicked}"))) {
+        let read = catch_unwind(AssertUnwindSafe(|| self.read(schema, text)));
+        let event = match read.unwrap_or_else(|_| Err("to read it has panicked".into())) {
             Ok(event) => event,
             Err(why) => {
                 return self.tell(|waiting| {
@@ -152,132 +146,72 @@ impl<E> Incoming<E> {
 pub(crate) struct ZenohInlet<E: Event> {
     queue: Arc<InletQueue<E>>,
     topic: String,
+    /// When values were refused last, while the fault stands.
+    last_refusal: Option<blastema::Instant>,
 }
 
 impl<E: Event> ZenohInlet<E> {
     pub(crate) fn new(queue: Arc<InletQueue<E>>, topic: &str) -> Self {
-        ZenohInlet { queue, topic: topic.to_owned() }
+        ZenohInlet { queue, topic: topic.to_owned(), last_refusal: None }
+    }
+
+    /// Counts and reports what was refused.
+    fn report(&mut self, cx: &mut Context<Self>) {
+        let mut waiting = self.queue.lock();
+        let Incoming { displaced, too_large, misfits, .. } = &mut *waiting;
+        let [displaced, too_large, misfits] = [displaced, too_large, misfits].map(std::mem::take);
+        let why = waiting.why.clone();
+        drop(waiting);
+        let limit = text_limit(E::MAX_SIZE);
+        cx.count_undelivered::<E>(&DeliveryError::Full, displaced);
+        cx.count_undelivered::<E>(&DeliveryError::TooLarge { limit }, too_large);
+        let reason = String::new();
+        cx.count_undelivered::<E>(&DeliveryError::Undecodable { reason }, misfits);
+        let refused = too_large + misfits;
+        if refused > 0 {
+            let key = &self.queue.key;
+            let detail = format!("{refused} refused of what was written to {key}; the last: {why}");
+            cx.declare_fault(FaultKind::CheckFailed, detail);
+            self.last_refusal = Some(cx.now());
+        } else if self.last_refusal.is_some_and(|last| cx.now() - last >= OVER_AFTER) {
+            cx.clear_fault(FaultKind::CheckFailed);
+            self.last_refusal = None;
+        }
     }
 }
 
 impl<E: Event> Component for ZenohInlet<E> {
     async fn on_startup(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
         let publisher = cx.publisher::<E>(&self.topic)?;
-        let work = InletWork {
-            queue: self.queue.clone(),
-            publisher,
-            cell: cx.cell.clone(),
-            span_began: cx.now(),
-            published: 0,
-            refused: 0,
-            last_report: None,
-            last_refusal: None,
-        };
-        cx.spawn(work.run());
+        cx.spawn(publish(self.queue.clone(), publisher));
+        cx.every(REPORT_EVERY, Self::report);
         Ok(())
     }
 }
 
-/// The task of one incarnation of an inlet.
-struct InletWork<E: Event> {
-    queue: Arc<InletQueue<E>>,
-    publisher: Publisher<E>,
-    cell: Arc<ComponentCell<ZenohInlet<E>>>,
-    /// The span that runs, and how many were published in it.
-    span_began: Instant,
-    published: usize,
-    /// Refusals that are not reported yet.
-    refused: u64,
-    last_report: Option<Instant>,
-    /// While the fault stands.
-    last_refusal: Option<Instant>,
-}
-
-impl<E: Event> InletWork<E> {
-    async fn run(mut self) {
-        loop {
-            let pause = self.publish();
-            // Also in a flood, which leaves no span without a pause.
-            let report = self.report();
-            let queue = self.queue.clone();
-            match (pause, report) {
-                (Some(pause), _) => platform::sleep(pause).await,
-                (None, Some(within)) => {
-                    let _ = tokio::time::timeout(within, queue.more.notified()).await;
-                }
-                (None, None) => queue.more.notified().await,
-            }
-        }
-    }
-
-    /// Publishes what the span allows, and says how long to pause if that is less than what waits.
-    fn publish(&mut self) -> Option<Duration> {
-        let now = platform::now();
-        let lasts = now - self.span_began;
-        if lasts >= SPAN {
-            (self.span_began, self.published) = (now, 0);
-        }
-        while self.published < BATCH {
+/// Publishes what comes, as much as each span allows, for ever.
+async fn publish<E: Event>(queue: Arc<InletQueue<E>>, publisher: Publisher<E>) {
+    loop {
+        let mut published = 0;
+        while published < BATCH {
             // The lock is not held while listeners are served.
-            let event = self.queue.lock().pop()?;
-            self.publisher.publish_or_count(event, None);
-            self.published += 1;
-        }
-        Some(SPAN.saturating_sub(lasts).max(Duration::from_millis(1)))
-    }
-
-    /// Counts and reports what was refused, and says when to look again.
-    fn report(&mut self) -> Option<Duration> {
-        let now = platform::now();
-        let mut waiting = self.queue.lock();
-        let counts = [
-            (DeliveryError::Full, std::mem::take(&mut waiting.displaced)),
-            (
-                DeliveryError::TooLarge { limit: text_limit(E::MAX_SIZE) },
-                std::mem::take(&mut waiting.too_large),
-            ),
-            (
-                DeliveryError::Undecodable { reason: String::new() },
-                std::mem::take(&mut waiting.misfits),
-            ),
-        ];
-        let why = waiting.why.clone();
-        drop(waiting);
-        let refused = counts[1].1 + counts[2].1;
-        for (reason, many) in counts.iter().filter(|(_, many)| *many > 0) {
-            let reason = DeadReason::from(reason);
-            let letters = &self.cell.record.environment.dead_letters;
-            letters.take_many(None, &self.cell.record.name, E::NAME, (reason, *many));
-        }
-        if refused > 0 {
-            self.refused += refused;
-            self.last_refusal = Some(now);
-        }
-        let since = |at: Instant| now - at;
-        if self.refused > 0 {
-            if let Some(last) = self.last_report.filter(|at| since(*at) < REPORT_EVERY) {
-                return Some(REPORT_EVERY - since(last));
+            let Some(event) = queue.lock().pop() else { break };
+            if publisher.publish(event).is_err() {
+                queue.lock().displaced += 1;
             }
-            let many = std::mem::take(&mut self.refused);
-            self.last_report = Some(now);
-            let key = &self.queue.key;
-            let detail = format!("{many} refused of what was written to {key}; the last: {why}");
-            self.cell.record.declare(FaultKind::CheckFailed, detail);
+            published += 1;
         }
-        let last = self.last_refusal?;
-        if since(last) < OVER_AFTER {
-            return Some(OVER_AFTER - since(last));
+        match published {
+            0 => queue.more.notified().await,
+            _ => blastema::sleep(SPAN).await,
         }
-        self.last_refusal = None;
-        self.cell.record.clear(FaultKind::CheckFailed);
-        None
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use blastema_macros::{Event, Structure};
+    use blastema::{Event, Structure};
     use serde_json::{Value, json};
     use std::collections::BTreeMap;
 
@@ -363,7 +297,7 @@ mod tests {
         refused(&changed("/tool", json!("Griper")), r#"`tool` is "Griper": is "Gripper" meant?"#);
         refused(&changed("/tool", json!("Gripper")), "without its value");
         refused(&changed("/tool", json!({ "None": 1 })), "with a value");
-        refused(&changed("/tool/Gripper/width", json!(1e300)), "`tool.Gripper.width` is 1e300");
+        refused(&changed("/tool/Gripper/width", json!(1e300)), "`tool.Gripper.width` is 1e");
         refused(&changed("/tool", json!({ "Welder": [1, 256] })), "`tool.Welder[1]` is 256");
         refused(&changed("/labels", json!({ "many": "" })), "`labels.many` is no key: u8");
         refused(&changed("/raw", json!("abc")), r#"`raw` is "abc", where an array"#);

@@ -1,12 +1,12 @@
 //! What opens a bridge's client of Zenoh, and says how it is connected.
 
-use crate::component::cell::ComponentCell;
-use crate::component::context::Context;
-use crate::component::{Component, Failure};
-use blastema_core::FaultKind;
-use blastema_transports::{ZenohClient, ZenohOpened, ZenohState};
+use crate::client::{ZenohClient, ZenohOpened, ZenohState};
+use blastema::prelude::*;
 use std::sync::Arc;
-use tokio::sync::watch;
+use std::time::Duration;
+
+/// How often it looks how the client is connected.
+const LOOK_EVERY: Duration = Duration::from_millis(250);
 
 /// Opens the client in each incarnation, and closes it at the end of one.
 ///
@@ -15,11 +15,32 @@ use tokio::sync::watch;
 pub(crate) struct ZenohConnection {
     client: Arc<ZenohClient>,
     opened: Option<ZenohOpened>,
+    is_lost: bool,
 }
 
 impl ZenohConnection {
     pub(crate) fn new(client: Arc<ZenohClient>) -> Self {
-        ZenohConnection { client, opened: None }
+        ZenohConnection { client, opened: None, is_lost: false }
+    }
+
+    /// Reports each change.
+    fn look(&mut self, cx: &mut Context<Self>) {
+        match self.client.present_state() {
+            ZenohState::Lost if !self.is_lost => {
+                let places = self.client.places();
+                let detail = format!(
+                    "Zenoh at {places}: the connection is lost: is the router running, and \
+                     reachable? It is connected again when it is"
+                );
+                cx.declare_fault(FaultKind::Unavailable, detail);
+                self.is_lost = true;
+            }
+            ZenohState::Connected if self.is_lost => {
+                cx.clear_fault(FaultKind::Unavailable);
+                self.is_lost = false;
+            }
+            _ => {}
+        }
     }
 }
 
@@ -40,43 +61,12 @@ impl Component for ZenohConnection {
     }
 
     async fn on_startup(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        let cell = cx.cell.clone();
-        cx.spawn(follow(self.client.state(), cell, self.client.places()));
+        cx.every(LOOK_EVERY, Self::look);
         Ok(())
     }
 
     async fn on_finalize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
         self.opened = None;
         Ok(())
-    }
-}
-
-/// Reports each change.
-async fn follow(
-    mut state: watch::Receiver<ZenohState>,
-    cell: Arc<ComponentCell<ZenohConnection>>,
-    places: String,
-) {
-    let mut is_lost = false;
-    loop {
-        let now = state.borrow_and_update().clone();
-        match now {
-            ZenohState::Lost if !is_lost => {
-                let detail = format!(
-                    "Zenoh at {places}: the connection is lost: is the router running, and \
-                     reachable? It is connected again when it is"
-                );
-                cell.record.declare(FaultKind::Unavailable, detail);
-                is_lost = true;
-            }
-            ZenohState::Connected if is_lost => {
-                cell.record.clear(FaultKind::Unavailable);
-                is_lost = false;
-            }
-            _ => {}
-        }
-        if state.changed().await.is_err() {
-            return;
-        }
     }
 }

@@ -1,7 +1,7 @@
 //! Where a session of Zenoh connects and listens, and the thread that it runs on.
 
 use std::io;
-use std::path::Path;
+use std::path::PathBuf;
 use zenoh::Config;
 
 /// What a part of a key may be.
@@ -14,22 +14,34 @@ pub(crate) fn is_chunk(text: &str) -> bool {
 }
 
 /// The places of one session.
-#[derive(Clone, Copy)]
-pub(super) struct Ends<'a> {
-    pub(super) connect: &'a [String],
-    pub(super) listen: &'a [String],
-    pub(super) file: Option<&'a Path>,
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Ends {
+    /// The routers, or other sessions, as Zenoh writes them: `tcp/10.0.0.1:7447`. One that listens
+    /// nowhere uses the first that answers.
+    pub(crate) connect: Vec<String>,
+    /// Where it listens itself, for sessions without a router.
+    pub(crate) listen: Vec<String>,
+    /// A configuration of Zenoh in JSON5 or YAML, for all else.
+    pub(crate) file: Option<PathBuf>,
 }
 
-impl Ends<'_> {
-    /// Whether the session would meet no other.
-    pub(super) fn is_alone(self) -> bool {
-        self.connect.is_empty() && self.listen.is_empty() && self.file.is_none()
+impl Ends {
+    /// Why the session would meet no other, and what to write.
+    pub(crate) fn objection(&self) -> Option<String> {
+        let is_alone = self.connect.is_empty() && self.listen.is_empty() && self.file.is_none();
+        is_alone.then(|| "it connects to no router: add `.connect(\"tcp/ADDRESS:7447\")`".into())
+    }
+
+    /// All of them, for display.
+    pub(crate) fn places(&self) -> String {
+        let file = self.file.iter().map(|file| file.display().to_string());
+        let places: Vec<_> = self.connect.iter().chain(&self.listen).cloned().chain(file).collect();
+        places.join(", ")
     }
 
     /// The configuration of a session that meets only whom it is told of.
-    pub(super) fn to_zenoh(self) -> Result<Config, String> {
-        let mut config = match self.file {
+    pub(crate) fn to_zenoh(&self) -> Result<Config, String> {
+        let mut config = match &self.file {
             Some(file) => Config::from_file(file).map_err(|error| error.to_string())?,
             None => Config::default(),
         };
@@ -52,10 +64,10 @@ impl Ends<'_> {
             settings.push(("mode", mode.to_owned()));
         }
         if !self.connect.is_empty() {
-            settings.push(("connect/endpoints", list(self.connect)));
+            settings.push(("connect/endpoints", list(&self.connect)));
         }
         if !self.listen.is_empty() || self.file.is_none() {
-            settings.push(("listen/endpoints", list(self.listen)));
+            settings.push(("listen/endpoints", list(&self.listen)));
         }
         for (key, value) in settings {
             config.insert_json5(key, &value).map_err(|error| format!("{key}: {error}"))?;
@@ -65,7 +77,7 @@ impl Ends<'_> {
 }
 
 /// Runs what a session needs on a thread and a runtime of its own, until it is done.
-pub(super) fn on_own_thread<F: Future<Output = ()>>(
+pub(crate) fn on_own_thread<F: Future<Output = ()>>(
     run: impl FnOnce() -> F + Send + 'static,
     fail: impl FnOnce(String) + Send + 'static,
 ) -> io::Result<()> {
@@ -85,7 +97,7 @@ pub(super) fn on_own_thread<F: Future<Output = ()>>(
 
 /// Why a session could not be opened, and what to look at. Zenoh's errors end with the line of its
 /// source, which tells a user nothing.
-pub(super) fn unopened(error: &zenoh::Error) -> String {
+pub(crate) fn unopened(error: &zenoh::Error) -> String {
     format!("{}: is the router running, and reachable?", without_source(&error.to_string()))
 }
 

@@ -18,23 +18,12 @@
 //! Zenoh does not say who sends: a session of the same namespace can put frames in any name. What
 //! frames prove is the seal's business.
 
-mod client;
-mod ends;
-
-pub use client::{
-    PutError, ZenohClient, ZenohClientConfig, ZenohKey, ZenohKeyUse, ZenohOpened, ZenohReader,
-    ZenohState,
-};
-pub(crate) use ends::{CHUNK, is_chunk};
-
-use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, SendResult};
-use crate::reach::Reach;
-use blastema_contract::transport::MediumAddress;
-use bytes::Bytes;
-use ends::{Ends, on_own_thread, unopened};
+use crate::ends::{CHUNK, Ends, is_chunk, on_own_thread, unopened};
+use blastema::medium::{Bytes, FrameMedium, MediumAddress, MediumEvent, OpenedMedium, SendResult};
 use std::collections::VecDeque;
 use std::fmt;
 use std::io;
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
@@ -53,78 +42,72 @@ const INCOMING_BYTES_MAX: usize = 4 << 20;
 /// So long an end waits until its router knows it; after that it is open all the same.
 const SEEN_WITHIN: Duration = Duration::from_secs(1);
 
-/// A node's place in a Zenoh network, as in `zenoh://ranger/base?connect=tcp/10.0.0.1:7447`.
+/// The largest frame, in bytes. Zenoh cuts up what is larger than its batches of 64 KiB.
+const MTU: usize = 60_000;
+
+/// A node's place in a Zenoh network, as a medium. Links name the neighbours' places.
 ///
 /// ```
-/// use blastema_transports::ZenohConfig;
-/// let mut config = ZenohConfig::new("ranger", "base");
-/// config.connect.push("tcp/10.0.0.1:7447".to_owned());
-/// ```
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct ZenohConfig {
-    /// The robot: only ends of one namespace meet. Part of a key expression of Zenoh, such as
-    /// `ranger` or `fleet/ranger`.
-    pub namespace: String,
-    /// Our own name there; neighbours are given by theirs. No two nodes may have the same.
-    pub name: String,
-    /// The routers, or other ends, that it connects to, as Zenoh writes them: `tcp/10.0.0.1:7447`.
-    /// Of several, an end that listens nowhere uses the first that answers.
-    pub connect: Vec<String>,
-    /// Where it listens itself, for networks without a router.
-    pub listen: Vec<String>,
-    /// A configuration of Zenoh in JSON5 or YAML, for all else: certificates, users, timeouts.
-    pub file: Option<std::path::PathBuf>,
-    /// The largest frame, in bytes. What is larger than Zenoh's batches is cut up there.
-    pub mtu: usize,
-}
-
-impl ZenohConfig {
-    /// The end `name` of the robot `namespace`.
-    pub fn new(namespace: &str, name: &str) -> Self {
-        ZenohConfig {
-            namespace: namespace.to_owned(),
-            name: name.to_owned(),
-            connect: Vec::new(),
-            listen: Vec::new(),
-            file: None,
-            mtu: 60_000,
-        }
-    }
-
-    /// What is wrong with it, and what to write.
-    pub(crate) fn objection(&self) -> Option<String> {
-        if !self.namespace.split('/').all(is_chunk) || !is_chunk(&self.name) {
-            let ZenohConfig { namespace, name, .. } = self;
-            return Some(format!("{namespace}/{name} is no key of Zenoh: {CHUNK}"));
-        }
-        let is_alone = self.ends().is_alone();
-        is_alone
-            .then(|| "it connects to no router: add connect=tcp/ADDRESS:7447 of a router".into())
-    }
-
-    fn ends(&self) -> Ends<'_> {
-        Ends { connect: &self.connect, listen: &self.listen, file: self.file.as_deref() }
-    }
-}
-
-/// An end of a Zenoh network as a medium.
+/// use blastema::prelude::*;
+/// use blastema::Network;
+/// use blastema_zenoh::ZenohNetwork;
 ///
-/// ```no_run
-/// use blastema_transports::{FrameTransport, ZenohConfig, ZenohNetwork};
-/// let mut config = ZenohConfig::new("ranger", "base");
-/// config.connect.push("tcp/10.0.0.1:7447".to_owned());
-/// let transport = FrameTransport::new(ZenohNetwork::new(config));
+/// let zenoh = ZenohNetwork::new("ranger", "base").connect("tcp/10.0.0.1:7447");
+/// let builder = Node::builder("base")
+///     .keys("/etc/blastema/base.key")
+///     .network(Network::own("sites", zenoh).peer("arm", "arm"));
 /// ```
+#[must_use = "a medium does nothing until it is given to a network"]
 pub struct ZenohNetwork {
-    config: ZenohConfig,
+    place: Place,
+    ends: Ends,
     end: Option<Arc<End>>,
 }
 
+/// Which robot, and which of its nodes.
+#[derive(Clone, Debug)]
+struct Place {
+    namespace: String,
+    name: String,
+}
+
 impl ZenohNetwork {
-    /// A medium that connects when it is opened.
-    pub fn new(config: ZenohConfig) -> Self {
-        ZenohNetwork { config, end: None }
+    /// The place `name` of the robot `namespace`: only places of one namespace meet. They are parts
+    /// of keys of Zenoh, such as `base` of `ranger` or of `fleet/ranger`; no two nodes have the
+    /// same.
+    ///
+    /// What is wrong with them is *link down*, with what to write.
+    pub fn new(namespace: &str, name: &str) -> Self {
+        let place = Place { namespace: namespace.to_owned(), name: name.to_owned() };
+        ZenohNetwork { place, ends: Ends::default(), end: None }
+    }
+
+    /// Connects to a router, or another place, as Zenoh writes it: `tcp/10.0.0.1:7447`. Of several,
+    /// one that listens nowhere uses the first that answers.
+    pub fn connect(mut self, router: &str) -> Self {
+        self.ends.connect.push(router.to_owned());
+        self
+    }
+
+    /// Listens, for networks without a router: `tcp/0.0.0.0:7447`.
+    pub fn listen(mut self, at: &str) -> Self {
+        self.ends.listen.push(at.to_owned());
+        self
+    }
+
+    /// A configuration of Zenoh in JSON5 or YAML, for all else: certificates, users, timeouts.
+    pub fn file(mut self, path: impl Into<PathBuf>) -> Self {
+        self.ends.file = Some(path.into());
+        self
+    }
+
+    /// What is wrong with it, and what to write.
+    fn objection(&self) -> Option<String> {
+        let Place { namespace, name } = &self.place;
+        if !namespace.split('/').all(is_chunk) || !is_chunk(name) {
+            return Some(format!("{namespace}/{name} is no key of Zenoh: {CHUNK}"));
+        }
+        self.ends.objection()
     }
 
     fn end(&self) -> io::Result<&Arc<End>> {
@@ -162,24 +145,20 @@ impl fmt::Debug for ZenohNetwork {
 
 impl FrameMedium for ZenohNetwork {
     fn name(&self) -> String {
-        format!("zenoh {}/{}", self.config.namespace, self.config.name)
-    }
-
-    fn reach(&self) -> Reach {
-        Reach::Network
+        format!("zenoh {}/{}", self.place.namespace, self.place.name)
     }
 
     fn open(&mut self) -> io::Result<OpenedMedium> {
-        if let Some(why) = self.config.objection() {
+        if let Some(why) = self.objection() {
             return Err(io::Error::other(why));
         }
-        let config = self.config.ends().to_zenoh().map_err(io::Error::other)?;
-        let (end, own) = (Arc::new(End::default()), self.config.clone());
+        let config = self.ends.to_zenoh().map_err(io::Error::other)?;
+        let (end, own) = (Arc::new(End::default()), self.place.clone());
         let (ours, failed) = (end.clone(), end.clone());
         on_own_thread(move || run(config, own, ours), move |why| failed.fail(why))?;
         self.end = Some(end);
-        let local = MediumAddress::Own(self.config.name.as_str().into());
-        Ok(OpenedMedium { local, mtu: self.config.mtu })
+        let local = MediumAddress::Own(self.place.name.as_str().into());
+        Ok(OpenedMedium { local, mtu: MTU })
     }
 
     fn poll_ready(&mut self, task: &mut Context<'_>) -> Poll<io::Result<()>> {
@@ -304,9 +283,9 @@ impl End {
         self.tell(|shared| shared.failed = Some(why));
     }
 
-    fn receive(&self, sample: &Sample, mtu: usize) {
+    fn receive(&self, sample: &Sample) {
         let from = sample.key_expr().as_str().rsplit('/').next().filter(|from| is_chunk(from));
-        let from = from.filter(|_| sample.payload().len() <= mtu);
+        let from = from.filter(|_| sample.payload().len() <= MTU);
         let Some(from) = from else { return self.tell(|shared| shared.refused += 1) };
         let frame = Bytes::from(sample.payload().to_bytes().into_owned());
         self.tell(|shared| {
@@ -322,8 +301,7 @@ impl End {
 }
 
 /// What the thread of Zenoh does, until the end is closed.
-async fn run(config: Config, own: ZenohConfig, end: Arc<End>) {
-    let ZenohConfig { namespace, name, mtu, .. } = own;
+async fn run(config: Config, Place { namespace, name }: Place, end: Arc<End>) {
     let closed = async {
         while !end.lock().is_closed {
             end.closed.notified().await;
@@ -335,7 +313,7 @@ async fn run(config: Config, own: ZenohConfig, end: Arc<End>) {
         // It lasts as long as the session.
         session
             .declare_subscriber(format!("{namespace}/{name}/*"))
-            .callback(move |sample| receiver.receive(&sample, mtu))
+            .callback(move |sample| receiver.receive(&sample))
             .background()
             .await?;
         // No end answers; but that comes back when the router has seen what we subscribe to.
@@ -422,16 +400,17 @@ mod tests {
 
     #[test]
     fn names_are_parts_of_keys_and_an_end_connects_somewhere() {
-        let mut config = ZenohConfig::new("fleet/ranger", "base");
-        assert!(config.objection().is_some_and(|why| why.contains("add connect=")));
-        config.connect.push("tcp/127.0.0.1:7447".to_owned());
-        assert_eq!(config.objection(), None);
-        assert!(config.ends().to_zenoh().is_ok());
+        let network = |namespace: &str, name: &str| ZenohNetwork::new(namespace, name);
+        let alone = network("fleet/ranger", "base");
+        assert!(alone.objection().is_some_and(|why| why.contains("add `.connect(")));
+        let connected = alone.connect("tcp/127.0.0.1:7447");
+        assert_eq!(connected.objection(), None);
+        assert!(connected.ends.to_zenoh().is_ok());
         for (namespace, name) in
             [("", "base"), ("a//b", "base"), ("a", "b/c"), ("a", "*"), ("$", "b")]
         {
-            config = ZenohConfig { connect: config.connect, ..ZenohConfig::new(namespace, name) };
-            assert!(config.objection().is_some_and(|why| why.contains("letters")), "{config:?}");
+            let wrong = network(namespace, name).connect("tcp/127.0.0.1:7447");
+            assert!(wrong.objection().is_some_and(|why| why.contains("letters")), "{wrong:?}");
         }
     }
 }

@@ -2,8 +2,9 @@
 //! client that knows nothing of Blastema.
 
 use blastema::prelude::*;
-use blastema::{DeadReason, Injection, ObjectName, ZenohBridge};
-use blastema_tests::{Process, free_addresses, role, zenoh_router};
+use blastema::{DeadReason, Injection, ObjectName};
+use blastema_tests::{Process, free_addresses, role};
+use blastema_zenoh::ZenohBridge;
 use serde_json::{Value, json};
 use std::sync::mpsc::{Receiver, Sender as Channel, channel};
 use std::sync::{Arc, Mutex};
@@ -62,7 +63,7 @@ impl Handle<Ping> for Planner {
 #[test]
 fn a_process_plays_its_role() {
     if role().is_some() {
-        zenoh_router::run();
+        crate::router::run();
     }
 }
 
@@ -151,7 +152,8 @@ fn bridge(at: &str) -> ZenohBridge {
 
 async fn node(at: &str, planner: &Planner) -> Node {
     let planner = planner.clone();
-    let builder = Node::builder("base").work_threads(1).supervisor(bridge(at).into());
+    let builder =
+        Node::builder("base").work_threads(1).supervisor(bridge(at).try_into().expect("it can be"));
     let builder = builder.child(ChildSpec::new("planner", move || planner.clone()));
     builder.start().await.expect("it starts")
 }
@@ -405,12 +407,11 @@ fn a_flood_from_outside_is_bounded_and_other_components_are_served_meanwhile() {
 }
 
 #[test]
-fn a_bridge_that_cannot_be_is_refused_when_the_node_starts() {
+fn a_bridge_that_cannot_be_is_refused() {
     let _turn = blastema_doubles::turn();
     blastema::run(async {
         let refused = async |bridge: ZenohBridge, says: &str| {
-            let builder = Node::builder("base").supervisor(bridge.into());
-            let error = builder.start().await.map(drop).expect_err("it is refused");
+            let error = SupervisorSpec::try_from(bridge).expect_err("it is refused");
             assert!(error.to_string().contains(says), "{error}");
         };
         let alone = ZenohBridge::new("ranger").publish::<Pose>("pose", "pose");
@@ -419,6 +420,8 @@ fn a_bridge_that_cannot_be_is_refused_when_the_node_starts() {
         refused(bridge().publish::<Pose>("pose", "*"), "\"*\" is no key of Zenoh").await;
         let twice = bridge().publish::<Pose>("pose", "pose").subscribe::<Goal>("goal", "pose");
         refused(twice, "the key \"pose\" is used twice").await;
-        refused(bridge().publish::<Pose>("a pose", "pose"), "a pose").await;
+        let spaced = bridge().publish::<Pose>("a pose", "pose").try_into().expect("Zenoh has it");
+        let error = Node::builder("base").supervisor(spaced).start().await.map(drop);
+        assert!(error.expect_err("it is no name").to_string().contains("a pose"));
     });
 }

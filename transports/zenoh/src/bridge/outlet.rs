@@ -1,10 +1,7 @@
 //! What takes a topic out, to a key of Zenoh.
 
-use crate::component::context::Context;
-use crate::component::{Component, Handle};
-use blastema_core::delivery::dead_letters::DeadReason;
-use blastema_core::{DeliveryError, Event, FaultKind};
-use blastema_transports::{PutError, ZenohClient};
+use crate::client::{PutError, ZenohClient};
+use blastema::prelude::*;
 use std::marker::PhantomData;
 use std::sync::Arc;
 
@@ -28,7 +25,6 @@ impl<E: Event> Component for ZenohOutlet<E> {}
 
 impl<E: Event> Handle<E> for ZenohOutlet<E> {
     async fn handle(&mut self, event: E, cx: &mut Context<Self>) {
-        let record = &cx.cell.record;
         let text = match serde_json::to_vec(&event) {
             Ok(text) => text,
             Err(error) => {
@@ -36,22 +32,18 @@ impl<E: Event> Handle<E> for ZenohOutlet<E> {
                 if !std::mem::replace(&mut self.complained, true) {
                     cx.declare_fault(FaultKind::CheckFailed, format!("{}: {reason}", E::NAME));
                 }
-                return record.record_dead_letter(E::NAME, &DeliveryError::Undecodable { reason });
+                let why = DeliveryError::Undecodable { reason };
+                return cx.count_undelivered::<E>(&why, 1);
             }
         };
         match self.client.put(self.key, text.into()) {
             Ok(0) => {}
-            Ok(lost) => record.environment.dead_letters.take_many(
-                None,
-                &record.name,
-                E::NAME,
-                (DeadReason::from(&DeliveryError::Full), lost),
-            ),
+            Ok(lost) => cx.count_undelivered::<E>(&DeliveryError::Full, lost),
             // The client puts it when it is connected.
             Err(PutError::NotConnected) if E::LATCHED => {}
             Err(PutError::NotConnected) => {
                 let why = DeliveryError::Unreachable { node: "zenoh".into() };
-                record.record_dead_letter(E::NAME, &why);
+                cx.count_undelivered::<E>(&why, 1);
             }
         }
     }

@@ -13,12 +13,11 @@
 //! * While no router is there, nothing is kept for later but the last value of a latched key, which
 //!   is put again when the connection is back.
 
-use super::ends::{CHUNK, Ends, is_chunk, on_own_thread, unopened};
+use crate::ends::{CHUNK, Ends, is_chunk, on_own_thread, unopened};
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::fmt;
 use std::io;
-use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::{Notify, watch};
@@ -36,65 +35,46 @@ const LOOK_EVERY: Duration = Duration::from_millis(250);
 /// The last part of the key at which a schema is asked for.
 const SCHEMA: &str = "@schema";
 
-/// Where a client of Zenoh connects.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct ZenohClientConfig {
-    /// What all keys begin with, such as `ranger` or `fleet/ranger`.
-    pub namespace: String,
-    /// The routers, as Zenoh writes them: `tcp/10.0.0.1:7447`. The first that answers is used.
-    pub connect: Vec<String>,
-    /// Where it listens itself, for clients without a router.
-    pub listen: Vec<String>,
-    /// A configuration of Zenoh in JSON5 or YAML, for all else: certificates, users, timeouts.
-    pub file: Option<PathBuf>,
-}
-
-impl ZenohClientConfig {
-    fn ends(&self) -> Ends<'_> {
-        Ends { connect: &self.connect, listen: &self.listen, file: self.file.as_deref() }
+/// Refuses a namespace and keys that are none of Zenoh's, and a session that would be alone.
+pub(crate) fn objection<'a>(
+    namespace: &str,
+    ends: &Ends,
+    keys: impl IntoIterator<Item = &'a str>,
+) -> Option<String> {
+    let wrong = |key: &str| {
+        let is_key = key.split('/').all(is_chunk);
+        (!is_key).then(|| format!("{key:?} is no key of Zenoh: {CHUNK}, in parts between `/`"))
+    };
+    if let Some(why) = wrong(namespace) {
+        return Some(why);
     }
-
-    /// What is wrong with it and these keys, and what to write.
-    pub fn objection<'a>(&self, keys: impl IntoIterator<Item = &'a str>) -> Option<String> {
-        let wrong = |key: &str| {
-            let is_key = key.split('/').all(is_chunk);
-            (!is_key).then(|| format!("{key:?} is no key of Zenoh: {CHUNK}, in parts between `/`"))
-        };
-        if let Some(why) = wrong(&self.namespace) {
+    let mut known = Vec::new();
+    for key in keys {
+        if let Some(why) = wrong(key) {
             return Some(why);
         }
-        let mut known = Vec::new();
-        for key in keys {
-            if let Some(why) = wrong(key) {
-                return Some(why);
-            }
-            if known.contains(&key) {
-                return Some(format!(
-                    "the key {key:?} is used twice: give each topic one of its own"
-                ));
-            }
-            known.push(key);
+        if known.contains(&key) {
+            return Some(format!("the key {key:?} is used twice: give each topic one of its own"));
         }
-        let is_alone = self.ends().is_alone();
-        is_alone.then(|| "it connects to no router: add `.connect(\"tcp/ADDRESS:7447\")`".into())
+        known.push(key);
     }
+    ends.objection()
 }
 
 /// One key, and what it is for.
-pub struct ZenohKey {
+pub(crate) struct ZenohKey {
     /// The key, below the namespace.
-    pub key: String,
+    pub(crate) key: String,
     /// The encoding that samples carry, as in `application/json;demo/pose@1`.
-    pub encoding: String,
+    pub(crate) encoding: String,
     /// What is answered to those who ask for the schema: JSON.
-    pub schema: Bytes,
+    pub(crate) schema: Bytes,
     /// Whether it is written or read.
-    pub used: ZenohKeyUse,
+    pub(crate) used: ZenohKeyUse,
 }
 
 /// What a key is for.
-pub enum ZenohKeyUse {
+pub(crate) enum ZenohKeyUse {
     /// This client writes it.
     Written {
         /// The last value is kept, and answered to those who ask for the key.
@@ -107,7 +87,7 @@ pub enum ZenohKeyUse {
 }
 
 /// Takes what others write to a key. It is called on a thread of Zenoh's.
-pub trait ZenohReader: Send + Sync {
+pub(crate) trait ZenohReader: Send + Sync {
     /// The most bytes that are taken.
     fn limit(&self) -> usize;
     /// Takes one value. `schema` is what its encoding says after a `;`, if anything.
@@ -118,8 +98,7 @@ pub trait ZenohReader: Send + Sync {
 
 /// How the client is connected.
 #[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum ZenohState {
+pub(crate) enum ZenohState {
     /// It is not open.
     Closed,
     /// It opens.
@@ -134,14 +113,15 @@ pub enum ZenohState {
 
 /// Why a value was not put.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PutError {
+pub(crate) enum PutError {
     /// There is no connection now.
     NotConnected,
 }
 
 /// A client of Zenoh with a fixed set of plain keys.
-pub struct ZenohClient {
-    config: ZenohClientConfig,
+pub(crate) struct ZenohClient {
+    namespace: String,
+    ends: Ends,
     keys: Vec<ZenohKey>,
     waiting: Vec<Mutex<Waiting>>,
     more: Notify,
@@ -152,7 +132,7 @@ pub struct ZenohClient {
 /// Keeps a session open until it is dropped.
 #[must_use = "the session is closed when this is dropped"]
 #[derive(Debug)]
-pub struct ZenohOpened {
+pub(crate) struct ZenohOpened {
     client: Arc<ZenohClient>,
     closed: Arc<Notify>,
 }
@@ -197,37 +177,40 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl fmt::Debug for ZenohClient {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "zenoh {} with {} keys", self.config.namespace, self.keys.len())
+        write!(f, "zenoh {} with {} keys", self.namespace, self.keys.len())
     }
 }
 
 impl ZenohClient {
     /// A client that is not open yet.
-    pub fn new(config: ZenohClientConfig, keys: Vec<ZenohKey>) -> Arc<Self> {
+    pub(crate) fn new(namespace: String, ends: Ends, keys: Vec<ZenohKey>) -> Arc<Self> {
         let waiting = keys.iter().map(|_| Mutex::default()).collect();
         let (more, state) = (Notify::new(), watch::channel(ZenohState::Closed).0);
-        Arc::new(ZenohClient { config, keys, waiting, more, state, session: Mutex::default() })
+        let session = Mutex::default();
+        Arc::new(ZenohClient { namespace, ends, keys, waiting, more, state, session })
     }
 
     /// Follows how it is connected.
-    pub fn state(&self) -> watch::Receiver<ZenohState> {
+    pub(crate) fn state(&self) -> watch::Receiver<ZenohState> {
         self.state.subscribe()
     }
 
-    /// The routers that it is to connect to, and where it listens, for display.
-    pub fn places(&self) -> String {
-        let ZenohClientConfig { connect, listen, file, .. } = &self.config;
-        let file = file.iter().map(|file| file.display().to_string());
-        let places: Vec<_> = connect.iter().chain(listen).cloned().chain(file).collect();
-        places.join(", ")
+    /// How it is connected now.
+    pub(crate) fn present_state(&self) -> ZenohState {
+        self.state.borrow().clone()
+    }
+
+    /// Where it connects and listens, for display.
+    pub(crate) fn places(&self) -> String {
+        self.ends.places()
     }
 
     /// Opens the session, and closes the one before. What comes of it, the state tells.
     ///
     /// # Errors
     /// The configuration is refused, or there is no thread to be had.
-    pub fn open(self: &Arc<Self>) -> io::Result<ZenohOpened> {
-        let config = self.config.ends().to_zenoh().map_err(io::Error::other)?;
+    pub(crate) fn open(self: &Arc<Self>) -> io::Result<ZenohOpened> {
+        let config = self.ends.to_zenoh().map_err(io::Error::other)?;
         let closed = Arc::new(Notify::new());
         let mut session = lock(&self.session);
         if let Some(before) = session.replace(closed.clone()) {
@@ -263,7 +246,7 @@ impl ZenohClient {
     ///
     /// # Errors
     /// [`PutError`]; a latched key keeps the value nevertheless.
-    pub fn put(&self, key: usize, value: Bytes) -> Result<u64, PutError> {
+    pub(crate) fn put(&self, key: usize, value: Bytes) -> Result<u64, PutError> {
         let mut waiting = lock(&self.waiting[key]);
         if self.is_latched(key) {
             waiting.last = Some(value.clone());
@@ -283,7 +266,7 @@ impl ZenohClient {
     }
 
     fn whole(&self, key: usize) -> String {
-        format!("{}/{}", self.config.namespace, self.keys[key].key)
+        format!("{}/{}", self.namespace, self.keys[key].key)
     }
 
     /// Changes the state, unless another session has taken the place of this one.
@@ -355,7 +338,7 @@ impl ZenohClient {
         loop {
             let info = session.info();
             // Who only listens waits for others; who reads a file may do either.
-            let is_connected = self.config.connect.is_empty()
+            let is_connected = self.ends.connect.is_empty()
                 || info.routers_zid().await.next().is_some()
                 || info.peers_zid().await.next().is_some();
             let state = if is_connected { ZenohState::Connected } else { ZenohState::Lost };
@@ -429,23 +412,20 @@ mod tests {
 
     #[test]
     fn keys_are_parts_without_wildcards_each_used_once() {
-        let mut config =
-            ZenohClientConfig { namespace: "fleet/ranger".into(), ..Default::default() };
-        let objects = |config: &ZenohClientConfig, keys: &[&str], what: &str| {
-            let why = config.objection(keys.iter().copied()).unwrap_or_default();
+        let objects = |(namespace, ends): (&str, &Ends), keys: &[&str], what: &str| {
+            let why = objection(namespace, ends, keys.iter().copied()).unwrap_or_default();
             assert!(why.contains(what) && why.is_empty() == what.is_empty(), "{why}");
         };
-        objects(&config, &["pose"], "add `.connect(");
-        config.connect.push("tcp/127.0.0.1:7447".into());
-        objects(&config, &["pose", "arm/left/pose"], "");
-        objects(&config, &["arm/*"], "letters");
-        objects(&config, &["@schema"], "letters");
-        objects(&config, &["arm//pose"], "letters");
-        objects(&config, &["pose", "goal", "pose"], "used twice");
-        config.namespace = "pose".into();
-        objects(&config, &["pose"], "");
-        config.namespace = String::new();
-        objects(&config, &["pose"], "letters");
+        objects(("fleet/ranger", &Ends::default()), &["pose"], "add `.connect(");
+        let ends = Ends { connect: vec!["tcp/127.0.0.1:7447".into()], ..Ends::default() };
+        let config = ("fleet/ranger", &ends);
+        objects(config, &["pose", "arm/left/pose"], "");
+        objects(config, &["arm/*"], "letters");
+        objects(config, &["@schema"], "letters");
+        objects(config, &["arm//pose"], "letters");
+        objects(config, &["pose", "goal", "pose"], "used twice");
+        objects(("pose", &ends), &["pose"], "");
+        objects(("", &ends), &["pose"], "letters");
     }
 
     #[test]
@@ -465,14 +445,14 @@ mod tests {
 
     #[test]
     fn nothing_is_put_without_a_connection_and_a_latched_value_is_kept() {
-        let config = ZenohClientConfig { namespace: "ranger".into(), ..Default::default() };
         let key = |latched| ZenohKey {
             key: "pose".into(),
             encoding: "application/json".into(),
             schema: Bytes::new(),
             used: ZenohKeyUse::Written { latched, waits: true },
         };
-        let client = ZenohClient::new(config, vec![key(true), key(false)]);
+        let client =
+            ZenohClient::new("ranger".into(), Ends::default(), vec![key(true), key(false)]);
         for number in [0, 1] {
             assert_eq!(client.put(number, vec![1].into()), Err(PutError::NotConnected));
         }

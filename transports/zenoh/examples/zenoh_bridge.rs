@@ -5,8 +5,8 @@
 //! zenoh_bridge tcp/127.0.0.1:7447
 //! ```
 
-use blastema::ZenohBridge;
 use blastema::prelude::*;
+use blastema_zenoh::ZenohBridge;
 use std::io::Read;
 
 /// Where the robot is.
@@ -46,14 +46,14 @@ impl Handle<Goal> for Drive {
 }
 
 #[blastema::main]
-async fn main() -> Result<(), StartError> {
+async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let at = std::env::args().nth(1).unwrap_or_else(|| "tcp/127.0.0.1:7447".to_owned());
     let bridge = ZenohBridge::new("ranger")
         .listen(&at)
         .publish::<Pose>("pose", "pose")
         .subscribe::<Goal>("goal", "goal");
     let node = Node::builder("base")
-        .supervisor(bridge.into())
+        .supervisor(bridge.try_into()?)
         .child(ChildSpec::new("drive", || Drive(0.0)).rate_hz(20.0))
         .start()
         .await?;

@@ -4,8 +4,8 @@
 //! `x-contract` has what nodes compare when they bind.
 
 use super::json::bounds;
-use blastema_core::contract::layout::{Fields, Primitive, Shape, Variant};
-use blastema_core::{ContractIdentity, LayoutDescription};
+use blastema::core::contract::layout::{Fields, Primitive, Shape, Variant};
+use blastema::core::{ContractIdentity, LayoutDescription};
 use serde_json::{Map, Value, json};
 
 /// The schema of an event.

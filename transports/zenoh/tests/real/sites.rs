@@ -2,7 +2,8 @@
 
 use blastema::prelude::*;
 use blastema::{Link, LinkState, Network};
-use blastema_tests::{Process, RobotKeys, free_addresses, role, zenoh_router};
+use blastema_tests::{Process, RobotKeys, free_addresses, role};
+use blastema_zenoh::ZenohNetwork;
 use std::time::Duration;
 
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -30,17 +31,17 @@ impl Handle<Count> for Counter {
 #[test]
 fn a_process_plays_its_role() {
     if role().is_some() {
-        zenoh_router::run();
+        crate::router::run();
     }
 }
 
 /// A node of a robot with the seed `robot`, at the router of its site.
 async fn node(keys: &RobotKeys, robot: &str, own: &str, other: &str, router: &str) -> Node {
-    let endpoint = format!("zenoh://fleet/{robot}/{own}?connect=tcp/{router}");
+    let zenoh = ZenohNetwork::new(&format!("fleet/{robot}"), own).connect(&format!("tcp/{router}"));
     let link = Link::to(other, other).hello_every(Duration::from_millis(50));
     let counter = ChildSpec::new("counter", || Counter(0));
     let builder = Node::builder(own).keys(keys.of(own)).child(counter);
-    let builder = builder.network(Network::new("sites", &endpoint).link(link));
+    let builder = builder.network(Network::own("sites", zenoh).link(link));
     builder.start().await.expect("it starts")
 }
 

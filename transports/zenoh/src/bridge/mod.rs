@@ -11,32 +11,31 @@
 //! contract, and bounded, on a thread of Zenoh's; only events get to an arbiter.
 
 mod connection;
+mod description;
 mod inlet;
 mod json;
 mod outlet;
 mod schema;
 
-pub(crate) use connection::ZenohConnection;
-pub(crate) use inlet::{InletQueue, ZenohInlet};
-pub(crate) use outlet::ZenohOutlet;
+pub use description::{BridgeError, ZenohBridge};
 
-use blastema_core::{ContractIdentity, Event, LayoutDescription};
+use blastema::core::{ContractIdentity, Event, LayoutDescription};
 
 /// An event's contract, as the other side of a bridge sees it.
 #[derive(Clone, Debug)]
-pub(crate) struct BridgedContract {
+struct BridgedContract {
     /// Its structure, with the message's own name left out.
     layout: LayoutDescription,
     /// What stands behind `application/json;` in the encoding: `demo/pose@1`.
     tag: String,
     /// Its JSON Schema.
-    pub(crate) schema: Vec<u8>,
+    schema: Vec<u8>,
 }
 
 impl BridgedContract {
     /// # Errors
     /// JSON cannot hold such events.
-    pub(crate) fn of<E: Event>() -> Result<Self, String> {
+    fn of<E: Event>() -> Result<Self, String> {
         let identity = ContractIdentity::of::<E>();
         let layout = LayoutDescription::of_message((identity.message)());
         json::check_layout(&layout).map_err(|why| format!("{} as JSON: {why}", E::NAME))?;
@@ -46,7 +45,7 @@ impl BridgedContract {
     }
 
     /// The encoding that its samples carry.
-    pub(crate) fn encoding(&self) -> String {
+    fn encoding(&self) -> String {
         format!("application/json;{}", self.tag)
     }
 }

@@ -1,9 +1,9 @@
 //! A router of Zenoh, as a process of its own.
 
-use crate::addresses;
+use blastema_tests::addresses;
 
 /// Plays a router at the first address, which keeps a connection with the others, for ever.
-pub fn run() {
+pub(crate) fn run() {
     blastema::platform::end_with_parent(std::os::unix::process::parent_id())
         .expect("the parent runs");
     let runtime = tokio::runtime::Runtime::new().expect("there are threads");
