@@ -219,6 +219,7 @@ impl Handle<Drive> for Motors {
     async fn handle(&mut self, drive: Drive, _: &mut Context<Self>) {
         if self.speed == 0.0 && drive.speed > 0.0 {
             DRIVES.send_modify(|times| *times += 1);
+            eprintln!("the motors drive");
         }
         self.speed = drive.speed;
     }

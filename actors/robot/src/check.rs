@@ -158,6 +158,17 @@ impl<'a> RobotChecker<'a> {
         node.root.visit(&mut |child| objects.push(child.identity()));
         self.names("object", &format!("node {}", node.name), objects.iter().copied());
         self.answers(&node.plan);
+        let parent = node.process_of.as_deref().and_then(|of| self.robot.node(of));
+        if let (Some(of_parent), Some(key)) =
+            (parent.and_then(|parent| self.robot.keys_of(parent)), &node.keys)
+            && of_parent.exists()
+            && !key.exists()
+        {
+            let name = &node.name;
+            let sentence = format!("there is no {name}.key beside the key of its node");
+            let help = format!("make it by `blastema keys add {name}`, and copy it there");
+            self.find("robot::keys", sentence, (node.origin, "name"), help, "without a key");
+        }
         if let Some(name) = node.safe_outputs.as_deref().filter(|name| !safe_outputs.contains(name))
         {
             let sentence = format!("no safe outputs `{name}` are registered");

@@ -120,6 +120,8 @@ pub struct NodeDescription {
     pub endpoints: Vec<EndpointDescription>,
     /// What it does when it loses a commander.
     pub lost_communication: Vec<LostCommunicationDescription>,
+    /// The node that starts it as a child of the same name, where one does.
+    pub process_of: Option<String>,
     #[doc(hidden)]
     #[serde(skip)]
     pub origin: ElementOrigin,
@@ -208,6 +210,10 @@ pub struct ComponentDescription {
     pub device: Option<DeviceSettings>,
     /// The program that the component stands for.
     pub process: Option<ProcessSpec>,
+    /// The node that this program is, until it stands among the others.
+    #[doc(hidden)]
+    #[serde(skip)]
+    pub node: Option<Box<NodeDescription>>,
     #[doc(hidden)]
     #[serde(skip)]
     pub origin: ElementOrigin,
@@ -350,6 +356,36 @@ impl RobotDescription {
     /// The node of this name.
     pub fn node(&self, name: &str) -> Option<&NodeDescription> {
         self.nodes.iter().find(|node| node.name == name)
+    }
+
+    /// The node of which this one is a process, if it is one.
+    pub(crate) fn whole_of<'a>(&'a self, node: &'a str) -> &'a str {
+        let above = self.node(node).and_then(|node| node.process_of.as_deref());
+        above.map_or(node, |above| self.whole_of(above))
+    }
+
+    /// Parameters whose values are addresses of components: the component, the parameter, the value.
+    pub(crate) fn addresses_in_parameters(&self) -> Vec<(String, &str, &str)> {
+        let is_address = |value: &str| {
+            let (node, object) = value.split_once(':').unwrap_or_default();
+            let object = object.split_once('#').map_or(object, |(object, _)| object);
+            let node = self.node(node);
+            node.is_some_and(|node| node.components().iter().any(|known| known.name == object))
+        };
+        let of_component =
+            |node: &str, component: &ComponentDescription| format!("{node}:{}", component.name);
+        let mut found = Vec::new();
+        for node in &self.nodes {
+            for component in node.components() {
+                let parameters = component.parameters.iter();
+                found.extend(
+                    parameters.filter(|(_, value)| is_address(value)).map(|(name, value)| {
+                        (of_component(&node.name, component), &**name, &**value)
+                    }),
+                );
+            }
+        }
+        found
     }
 
     /// The file of a node's key.

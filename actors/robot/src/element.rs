@@ -14,7 +14,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Elements and attributes that have their place in the format and no meaning yet.
-const NOT_YET: [&str; 21] = [
+const NOT_YET: [&str; 20] = [
     "composite",
     "export",
     "fault-kind",
@@ -25,7 +25,6 @@ const NOT_YET: [&str; 21] = [
     "service",
     "variant",
     "automatic-shutdown",
-    "arguments",
     "commanders",
     "executable",
     "max-recovery",

@@ -23,12 +23,15 @@ pub(crate) enum GraphFormat {
 
 /// Writes the nodes with their trees, and the connections.
 pub(crate) fn graph(robot: &RobotDescription, format: GraphFormat) -> String {
-    let (mut graph, name) = (GraphText { text: String::new(), format, depth: 0 }, &robot.name);
+    let (mut graph, name) =
+        (GraphText { robot, text: String::new(), format, depth: 0 }, &robot.name);
     let dot = format!("digraph \"{name}\" {{\n  node [shape=box]; rankdir=LR;");
     graph.line([format!("robot {name}"), dot, "flowchart LR".to_owned()]);
     graph.depth += 1;
     for node in &robot.nodes {
-        let label = format!("node {} ({})", node.name, word(node.root.strategy));
+        let of = node.process_of.iter().map(|of| format!(", process of {of}"));
+        let of = of.collect::<String>();
+        let label = format!("node {} ({}{of})", node.name, word(node.root.strategy));
         graph.group(&node.name, &label, &node.root);
         for policy in &node.lost_communication {
             let (id, policy) = (format!("{}/{}", node.name, policy.name), ladder(policy));
@@ -61,7 +64,8 @@ fn ladder(policy: &LostCommunicationDescription) -> String {
     format!("{} lost: {}", policy.name, rungs.collect::<Vec<_>>().join(", "))
 }
 
-struct GraphText {
+struct GraphText<'a> {
+    robot: &'a RobotDescription,
     text: String,
     format: GraphFormat,
     depth: usize,
@@ -71,7 +75,7 @@ fn word(strategy: Strategy) -> &'static str {
     word_of(&STRATEGIES, strategy)
 }
 
-impl GraphText {
+impl GraphText<'_> {
     /// Adds a line, which is written once for each format. An empty one is left out.
     fn line(&mut self, forms: [String; 3]) {
         let line = &forms[self.format as usize];
@@ -95,7 +99,12 @@ impl GraphText {
                     let ComponentDescription { name, type_name, tree, rate_hz, device, .. } =
                         &**component;
                     let process = component.process.as_ref().map(ProcessSpec::program);
-                    let process = process.map(|program| format!("process {}", program.display()));
+                    let own = self.robot.node(name).and_then(|own| own.process_of.as_deref());
+                    let is_node = own == Some(node);
+                    let process = process.map(|program| match is_node {
+                        true => format!("process, node {name}"),
+                        false => format!("process {}", program.display()),
+                    });
                     let rate = rate_hz.map(|rate| format!(", {rate} Hz")).unwrap_or_default();
                     let tree = tree.as_ref().and_then(|file| file.file_name());
                     let tree = tree.map(|file| format!("tree {}", file.display()));

@@ -23,6 +23,7 @@ mod element;
 mod finding;
 mod graph;
 mod launch;
+mod own_process;
 mod program;
 mod reader;
 #[cfg(test)]

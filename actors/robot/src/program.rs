@@ -7,6 +7,7 @@ use crate::graph::{GraphFormat, graph};
 use crate::launch::{FAILED, Launch, LaunchFailure, NOT_UP};
 use crate::reader::{self, RobotReading, UnreadableFile};
 use crate::types::Types;
+use blastema::NodeState;
 use clap::{Parser, Subcommand};
 use serde_json::json;
 use std::ffi::OsString;
@@ -184,6 +185,12 @@ impl Types {
                 self.run(&file, node.as_deref(), until_stdin_ends)
             }
             RobotCommand::Check { file } => self.with_robot(&file, |robot| {
+                for (component, parameter, value) in robot.addresses_in_parameters() {
+                    complain(&format!(
+                        "warning: the parameter `{parameter}` of {component} is the address `{value}`, \
+                         which does not follow the component to another node: use a port and `connect`"
+                    ));
+                }
                 let components: usize =
                     robot.nodes.iter().map(|node| node.components().len()).sum();
                 let (name, nodes) = (&robot.name, robot.nodes.len());
@@ -212,7 +219,8 @@ impl Types {
 
     fn run(&self, file: &FileArguments, node: Option<&str>, until_stdin_ends: bool) -> ExitCode {
         self.with_robot(file, |robot| {
-            let names: Vec<&str> = robot.nodes.iter().map(|node| node.name.as_str()).collect();
+            let nodes = robot.nodes.iter().filter(|node| node.process_of.is_none());
+            let names: Vec<&str> = nodes.map(|node| node.name.as_str()).collect();
             let node = node.or(match names[..] {
                 [only] => Some(only),
                 _ => None,
@@ -260,6 +268,14 @@ impl Types {
                     std::future::pending().await
                 }
             };
+            let is_process = robot.node(name).is_some_and(|node| node.process_of.is_some());
+            if is_process {
+                let ended = builder.notify_systemd().run_to_safe_state(end).await;
+                return match ended.map_err(|error| (NOT_UP, error.to_string()))? {
+                    NodeState::InSafeState { reason } => Err((FAILED, reason)),
+                    _ => Ok(()),
+                };
+            }
             builder.run_until(end).await.map_err(|error| (NOT_UP, error.to_string()))
         });
         match ran {

@@ -8,6 +8,7 @@ use crate::description::{
 };
 use crate::element::{ArgumentValues, FileReading, RobotElement};
 use crate::finding::{FilePlace, RobotFinding, RobotSources};
+use crate::own_process::make_nodes;
 use crate::value::{self, ParsedValue, hint};
 use blastema::core::port::{ConnectError, PortAddress, PortConnection};
 use blastema::detection::{Liveness, Pull, Push};
@@ -72,11 +73,12 @@ pub(crate) fn read(path: &Path, set: &[(String, String)]) -> Result<RobotReading
     };
     reader.read_file(
         path.display().to_string(),
-        absolute,
+        absolute.clone(),
         text.into(),
         &ArgumentSource::Outer(set),
     );
-    let RobotReader { robot, sources, .. } = reader;
+    let RobotReader { mut robot, sources, .. } = reader;
+    make_nodes(&mut robot, &absolute, set);
     let (findings, asked) = (findings.into_inner(), asked.into_inner());
     Ok(RobotReading { robot, sources, findings, asked })
 }
@@ -475,6 +477,9 @@ fn rules(element: &RobotElement<'_>) -> SupervisorDescription {
     }
 }
 
+/// What supervisors and processes hold.
+const CHILDREN: [&str; 4] = ["component", "device", "process", "supervisor"];
+
 /// A component, device or process, once for each copy, or a supervisor with what is below it.
 fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
     if element.name() != "supervisor" {
@@ -508,7 +513,7 @@ fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
         origin: element.origin(),
         ..rules(element)
     };
-    for element in element.children(&["component", "device", "process", "supervisor"]) {
+    for element in element.children(&CHILDREN) {
         child(&element, &mut supervisor.children);
     }
     children.push(ChildDescription::Supervisor(supervisor));
@@ -565,6 +570,7 @@ fn component(element: &RobotElement<'_>) -> ChildDescription {
         plan: answers(element),
         device: is_device.then(|| device(element)),
         process: None,
+        node: None,
         origin: element.origin(),
     }))
 }
@@ -572,16 +578,34 @@ fn component(element: &RobotElement<'_>) -> ChildDescription {
 /// When a process is at work.
 const READINESS: [(&str, bool); 2] = [("notify", false), ("started", true)];
 
-/// A program, which has few of the settings of a component.
+/// A program, which has few of the settings of a component; or the robot's own program, with
+/// components of its own.
 fn process(element: &RobotElement<'_>) -> ChildDescription {
     let restart = element.take("restart", |text| value::word("a restart type", &RESTARTS, text));
-    let ready = element.take("ready", |text| value::word("a time to be ready", &READINESS, text));
-    let mut arguments = element.take("arguments", value::words).unwrap_or_default();
-    let more = element.children(&["arg"]);
-    arguments.extend(more.iter().filter_map(|argument| argument.need("value", value::text)));
-    let name = element.need("name", value::object_name).unwrap_or_default();
-    let program = element.need("program", value::text).unwrap_or_default();
-    let mut spec = ProcessSpec::new(&name, program).arguments(arguments).folder(element.folder());
+    let has_children =
+        element.node.children().any(|child| CHILDREN.contains(&child.tag_name().name()));
+    let is_own = has_children && !element.node.has_attribute("program");
+    let (mut ready, mut node) = (None, None);
+    let (name, mut spec);
+    if is_own {
+        name = element.need("name", value::node_name).unwrap_or_default();
+        let program = env::current_exe().unwrap_or_default();
+        spec = ProcessSpec::new(&name, program).folder(element.folder());
+        let mut root = SupervisorDescription { origin: element.origin(), ..rules(element) };
+        for element in element.children(&CHILDREN) {
+            child(&element, &mut root.children);
+        }
+        let (name, origin) = (name.clone(), element.origin());
+        node = Some(Box::new(NodeDescription { name, root, origin, ..NodeDescription::default() }));
+    } else {
+        ready = element.take("ready", |text| value::word("a time to be ready", &READINESS, text));
+        let mut arguments = element.take("arguments", value::words).unwrap_or_default();
+        let more = element.children(&["arg"]);
+        arguments.extend(more.iter().filter_map(|argument| argument.need("value", value::text)));
+        name = element.need("name", value::object_name).unwrap_or_default();
+        let program = element.need("program", value::text).unwrap_or_default();
+        spec = ProcessSpec::new(&name, program).arguments(arguments).folder(element.folder());
+    }
     for (name, value) in texts(element.distinct("env", "name"), ["name", "value"]) {
         spec = spec.variable(&name, value);
     }
@@ -598,6 +622,7 @@ fn process(element: &RobotElement<'_>) -> ChildDescription {
         shutdown_within: element.take("shutdown-within", value::duration),
         plan: answers(element),
         process: Some(if ready == Some(true) { spec.ready_at_start() } else { spec }),
+        node,
         origin: element.origin(),
         ..ComponentDescription::default()
     }))

@@ -5,6 +5,7 @@ use crate::description::{
     LostCommunicationDescription, NeedChannel, NeedDescription, NodeDescription, RobotDescription,
     RobotNetwork, SupervisorDescription,
 };
+use crate::own_process::candidates;
 use crate::reader::RUNGS;
 use crate::value::{hint, word_of};
 use blastema::core::port::{
@@ -440,7 +441,15 @@ impl Types {
         let (components, object) = (node.components(), address.object.as_str());
         let component = components.iter().find(|known| known.name == object).ok_or_else(|| {
             let known = components.iter().map(|known| known.name.as_str());
-            UnknownPort::new(format!("node {name} has no component `{object}`"), object, known)
+            let sentence = format!("node {name} has no component `{object}`");
+            match &candidates(robot, name, object)[..] {
+                [] => UnknownPort::new(sentence, object, known),
+                several => {
+                    let places = several.iter().map(|node| format!("`{node}:{object}`"));
+                    let help = format!("write {}", places.collect::<Vec<_>>().join(" or "));
+                    UnknownPort { sentence, help, label: "in several processes" }
+                }
+            }
         })?;
         for (is_it, label, help) in [
             (component.tree.is_some(), "a tree", "let its leaves name what they use"),

@@ -13,7 +13,7 @@ pub(super) use self::networks::Networks;
 use self::chain::{FaultChainParts, callbacks_of, make_chain, reports};
 use super::builder::{ActorPlacement, Configuration, NodeBuilder};
 use super::checks::{check_names, check_settings, dependencies};
-use super::controller::{NodeController, StartRoot};
+use super::controller::{NodeController, NodeState, StartRoot};
 use super::error::{PolicyPart, StartError};
 #[cfg(feature = "unix")]
 use super::inspection::InspectionActor;
@@ -116,6 +116,27 @@ impl NodeBuilder {
         let node = start(self, cause.as_mut()).await?;
         node.run_to(cause).await;
         Ok(())
+    }
+
+    /// The same, but the node ends as well when it has entered the safe state, as a process does
+    /// that a supervisor starts again. Returns the state in which it ended.
+    ///
+    /// # Errors
+    /// As [`run_until`](NodeBuilder::run_until).
+    pub async fn run_to_safe_state(
+        self,
+        end: impl Future<Output = ()>,
+    ) -> Result<NodeState, StartError> {
+        let mut wait = SignalWait::begin()?;
+        let mut cause = pin!(wait.cause(end));
+        let node = start(self, cause.as_mut()).await?;
+        tokio::select! {
+            () = node.run_to(cause) => Ok(node.state()),
+            state = node.ended() => {
+                node.shutdown().await;
+                Ok(state)
+            }
+        }
     }
 
     /// Returns what [`start`](Self::start) would refuse in the description: everything that is wrong

@@ -15,7 +15,7 @@ const PATIENCE: Duration = Duration::from_secs(180);
 const DROPS_A_NODE: [&str; 1] = ["names"];
 
 /// Where Cargo puts the example, beside the folder of this test.
-fn program(name: &str) -> PathBuf {
+pub(crate) fn program(name: &str) -> PathBuf {
     let test = std::env::current_exe().expect("a running program has a path");
     let profile = test.ancestors().nth(2).expect("a test lies in a folder of its profile");
     let program = profile.join("examples").join(format!("{name}{}", std::env::consts::EXE_SUFFIX));

@@ -2,3 +2,4 @@
 //! wait for events with a generous bound, and judge counts and order, never a duration.
 
 mod examples;
+mod paper_process;

@@ -38,6 +38,8 @@ impl RunningRobot {
     fn start(file: &Path, arguments: &[&str]) -> Self {
         let mut command = Command::new(program());
         command.arg("run").arg(file).args(arguments);
+        // The sockets of its processes, where no other robot has any.
+        command.env("XDG_RUNTIME_DIR", file.parent().expect("a folder"));
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut process = command.spawn().expect("it starts");
         let (printed, lines) = sync_channel(LINES);
@@ -457,6 +459,33 @@ fn a_sealed_robot_of_two_nodes_runs_from_a_file() {
     robot.interrupt();
 
     assert_eq!(robot.status(), 0, "{:#?}", robot.seen);
+}
+
+#[test]
+fn what_moves_into_a_process_is_reached_by_its_name_over_its_node_also_sealed() {
+    let _turn = blastema_doubles::turn();
+    for is_sealed in [false, true] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let keys = RobotKeys::new(folder.path(), &["left", "right", "eye"], 1);
+        let key = |node| match is_sealed {
+            true => format!("keys=\"{}\"", keys.of(node).display()),
+            false => String::new(),
+        };
+        let file = two_nodes(folder.path(), "", [&key("left"), &key("right")], "0");
+        with_endpoints(&file, unix_ends(folder.path()));
+        let text = fs::read_to_string(&file).expect("it was written");
+        let counter = r#"<component name="counter" type="Counter" rate="${rate}"/>"#;
+        let process = format!("<process name=\"eye\">{counter}</process>");
+        fs::write(&file, text.replace(counter, &process)).expect("it can be written");
+
+        let mut robot = RunningRobot::start(&file, &["--set", "rate=50Hz"]);
+        robot.until("[right] heard 3");
+        robot.interrupt();
+
+        assert_eq!(robot.status(), 0, "{:#?}", robot.seen);
+        let ends = ["[right] display ends", "[left] [eye] counter ends"];
+        assert_eq!(robot.lines_with(" ends"), ends);
+    }
 }
 
 fn run(arguments: &[&str]) -> Output {

@@ -113,7 +113,8 @@ impl<'a> RobotChecker<'a> {
         let mut commands = policies
             .filter(|policy| policy.commander.as_ref().is_none_or(|node| node == from))
             .flat_map(|policy| policy.rungs.iter().flat_map(|rung| &rung.commands));
-        if from != to
+        // A process ends with its node, and its leases end with their commanders.
+        if self.robot.whole_of(from) != self.robot.whole_of(to)
             && port.is_some_and(|port| port.role == ConnectionRole::Commanded)
             && !commands.any(|command| command.actuator == ports.to)
         {

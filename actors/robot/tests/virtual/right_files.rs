@@ -306,11 +306,28 @@ fn whole() -> RobotDescription {
 
 #[test]
 fn a_robot_from_a_file_and_the_same_from_code_have_equal_descriptions() {
-    let robot = load("tests/right/whole.robot.xml", &[]);
-
-    assert_eq!(robot, whole());
+    let mut robot = load("tests/right/whole.robot.xml", &[]);
     let json = serde_json::to_string(&robot).expect("a description can be written");
     assert_eq!(serde_json::from_str::<RobotDescription>(&json).expect("and read"), robot);
+
+    // A process of the robot's own is a node of its own, and a child of its node.
+    let fingers = robot.nodes.pop().expect("it is the last");
+    assert_eq!((&*fingers.name, fingers.process_of.as_deref()), ("fingers", Some("arm")));
+    let [end] = &fingers.endpoints[..] else { panic!("{:?}", fingers.endpoints) };
+    assert!(end.at.starts_with("unix://") && end.at.ends_with("-whole-fingers.sock"), "{}", end.at);
+    let [thumb] = &fingers.components()[..] else { panic!("{fingers:?}") };
+    assert_eq!((&*thumb.name, &thumb.depends_on[..]), ("thumb", &["arm:gripper".to_owned()][..]));
+    assert_eq!(fingers.root.strategy, Strategy::OneForAll);
+    let arm = robot.nodes.last_mut().expect("it is its node");
+    assert_eq!(arm.endpoints.pop().expect("to its process").network, end.network);
+    assert_eq!(robot.networks.pop().expect("of both").name, end.network);
+    let is_process = |child: &ChildDescription| match child {
+        ChildDescription::Component(component) => component.name == "fingers",
+        ChildDescription::Supervisor(_) => false,
+    };
+    let at = arm.root.children.iter().position(is_process).expect("it is a child");
+    arm.root.children.remove(at);
+    assert_eq!(robot, whole());
 }
 
 #[test]

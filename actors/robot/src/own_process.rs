@@ -1,0 +1,175 @@
+//! Processes that run the robot's own program: each is a node of its own, joined to the node whose
+//! child it is by Unix sockets, and its components are found by their names alone.
+//!
+//! ```text
+//! <node name="base">                       node base ── component motors, the process
+//!   <process name="motors">                    ║ unix sockets
+//!     <component name="wheels"/>     ─►    node motors ── component wheels
+//!   </process>
+//! </node>
+//! ```
+
+use crate::description::{
+    ChildDescription, ComponentDescription, EndpointDescription, NodeDescription, RobotDescription,
+    RobotNetwork, SupervisorDescription,
+};
+use blastema::NodeName;
+use blastema::core::port::PortAddress;
+use std::env;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+/// Makes a node of each process that holds components, and has addresses follow these.
+///
+/// The processes run this program again with this file and these values of its arguments.
+pub(crate) fn make_nodes(robot: &mut RobotDescription, file: &Path, set: &[(String, String)]) {
+    let mut run = vec![OsString::from("run"), file.into()];
+    for (name, value) in set {
+        run.extend(["--set".into(), OsString::from(format!("{name}={value}"))]);
+    }
+    // Those of a process are behind it, and are found in their turn.
+    let mut at = 0;
+    while at < robot.nodes.len() {
+        let (mut held, parent) = (Vec::new(), &mut robot.nodes[at]);
+        take_nodes(&mut parent.root, &mut held);
+        at += 1;
+        if held.is_empty() {
+            continue;
+        }
+        let network = format!("{}-processes", parent.name);
+        let socket = |node: &str| socket_of(&robot.name, node);
+        let endpoint = |node: &str, origin| EndpointDescription {
+            network: network.clone(),
+            at: format!("unix://{}", socket(node).display()),
+            origin,
+            ..EndpointDescription::default()
+        };
+        parent.endpoints.push(endpoint(&parent.name, parent.origin));
+        let origin = parent.origin;
+        let mut made = Vec::new();
+        for (component, mut node) in held {
+            let arguments = run.iter().cloned().chain(["--node".into(), node.name.clone().into()]);
+            component.process =
+                component.process.take().map(|process| process.arguments(arguments));
+            node.process_of = Some(parent.name.clone());
+            node.endpoints = vec![endpoint(&node.name, node.origin)];
+            node.safe_outputs.clone_from(&parent.safe_outputs);
+            node.plan.clone_from(&parent.plan);
+            node.keys = node_key(parent.keys.as_ref().or(robot.keys.as_ref()), &node.name);
+            made.push(node);
+        }
+        robot.nodes.extend(made);
+        robot.networks.push(RobotNetwork { name: network, origin, ..RobotNetwork::default() });
+    }
+    follow(robot);
+}
+
+/// Takes the nodes of processes out of a tree, each with the component that stands for it.
+fn take_nodes<'a>(
+    supervisor: &'a mut SupervisorDescription,
+    held: &mut Vec<(&'a mut ComponentDescription, NodeDescription)>,
+) {
+    for child in &mut supervisor.children {
+        match child {
+            ChildDescription::Component(component) => {
+                if let Some(node) = component.node.take() {
+                    held.push((component, *node));
+                }
+            }
+            ChildDescription::Supervisor(below) => take_nodes(below, held),
+        }
+    }
+}
+
+/// The key of a process lies beside that of its node.
+fn node_key(of_parent: Option<&PathBuf>, name: &str) -> Option<PathBuf> {
+    of_parent.map(|key| key.with_file_name(format!("{name}.key")))
+}
+
+/// In the runtime directory of the user. Only processes of this user are heard there.
+fn socket_of(robot: &str, node: &str) -> PathBuf {
+    let runtime = env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
+    let runtime = runtime.filter(|path| path.is_dir()).unwrap_or_else(env::temp_dir);
+    let user = rustix::process::geteuid().as_raw();
+    runtime.join(format!("blastema-{user}-{robot}-{node}.sock"))
+}
+
+/// Has addresses name the node, or the process of it, in which their component stands.
+fn follow(robot: &mut RobotDescription) {
+    let places = Places::of(robot);
+    let node_of = |node: &str, object: &str| match &places.candidates(node, object)[..] {
+        [only] if *only != node => Some((*only).to_owned()),
+        _ => None,
+    };
+    let port = |address: &mut PortAddress| {
+        let Some(node) = &address.node else { return };
+        let other = node_of(node.as_str(), address.object.as_str());
+        address.node = other.and_then(|other| NodeName::new(&other).ok()).or(address.node.take());
+    };
+    for connection in &mut robot.connections {
+        port(&mut connection.ports.from);
+        port(&mut connection.ports.to);
+    }
+    for node in &mut robot.nodes {
+        let rungs = node.lost_communication.iter_mut().flat_map(|policy| &mut policy.rungs);
+        rungs.flat_map(|rung| &mut rung.commands).for_each(|command| port(&mut command.actuator));
+        let own = node.name.clone();
+        node.root.retain(&mut |child| {
+            let ChildDescription::Component(component) = child else { return true };
+            for needed in &mut component.depends_on {
+                let (node, object) = needed.split_once(':').unwrap_or((&own, needed));
+                if places.holds_any(node, object) {
+                    continue;
+                }
+                if let Some(other) = node_of(node, object) {
+                    *needed = format!("{other}:{object}");
+                }
+            }
+            true
+        });
+    }
+}
+
+/// Where objects stand: each node with the one whose processes are one family with it, the names
+/// of its components with ports, and those of all its objects.
+struct Places(Vec<(String, String, Vec<String>, Vec<String>)>);
+
+impl Places {
+    fn of(robot: &RobotDescription) -> Self {
+        let of_node = |node: &NodeDescription| {
+            let whole = robot.whole_of(&node.name).to_owned();
+            let components = node.components().into_iter();
+            let with_ports = components.filter(|component| component.process.is_none());
+            let mut objects = Vec::new();
+            node.root.visit(&mut |child| objects.push(child.identity().0.to_owned()));
+            let with_ports = with_ports.map(|component| component.name.clone()).collect();
+            (node.name.clone(), whole, with_ports, objects)
+        };
+        Places(robot.nodes.iter().map(of_node).collect())
+    }
+
+    /// Whether the node has any object of this name.
+    fn holds_any(&self, node: &str, object: &str) -> bool {
+        let has = |objects: &[String]| objects.iter().any(|known| known == object);
+        self.0.iter().any(|(known, _, _, objects)| known == node && has(objects))
+    }
+
+    /// The node, if it has a component of this name, or else those of its family that have one.
+    fn candidates(&self, node: &str, object: &str) -> Vec<&str> {
+        let has = |(_, _, components, _): &&(String, String, Vec<String>, Vec<String>)| {
+            components.iter().any(|known| known == object)
+        };
+        let own = self.0.iter().find(|(known, ..)| known == node);
+        if own.as_ref().is_some_and(has) {
+            return self.0.iter().filter(|(known, ..)| known == node).map(|of| &*of.0).collect();
+        }
+        let Some((_, whole, ..)) = own else { return Vec::new() };
+        self.0.iter().filter(|of| of.1 == *whole).filter(has).map(|of| &*of.0).collect()
+    }
+}
+
+/// The nodes of the family of this node that have a component of this name.
+pub(crate) fn candidates(robot: &RobotDescription, node: &str, object: &str) -> Vec<String> {
+    let places = Places::of(robot);
+    places.candidates(node, object).into_iter().map(str::to_owned).collect()
+}
