@@ -256,7 +256,7 @@ pub use node::{
 };
 pub use node::{
     ComponentOrder, FaultEvents, Node, NodeBuilder, NodeSnapshot, NodeState, OrderReply, OrderRow,
-    OrderVerb, RestartError, RestartedChild, StartError, SupervisorSpec,
+    OrderVerb, RemoveError, RestartError, RestartedChild, StartError, Subtree, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.

@@ -290,6 +290,20 @@ impl Registry {
         self.lock().reserved.extend(names);
     }
 
+    /// Keeps a name for a supervisor, until what is returned is dropped.
+    pub(crate) fn reserve_for_supervisor(
+        &self,
+        name: &ObjectName,
+    ) -> Result<ReservedName, NameTaken> {
+        let mut inner = self.lock();
+        let known = inner.objects.get(name).map(Entry::kind);
+        if let Some(by) = known.or_else(|| inner.reserved.get(name).copied()) {
+            return Err(NameTaken { name: name.clone(), by });
+        }
+        inner.reserved.insert(name.clone(), "a supervisor");
+        Ok(ReservedName { registry: self.downgrade(), name: name.clone() })
+    }
+
     /// Accepts a contract from other nodes under a name that no object has and no list shows.
     pub(crate) fn register_hidden(&self, name: ObjectName, port: ContractPort) {
         self.lock().hidden.insert(name, port);
@@ -434,6 +448,20 @@ impl Registry {
     /// The same names, for what they own themselves.
     pub(crate) fn downgrade(&self) -> WeakRegistry {
         WeakRegistry(Arc::downgrade(&self.0))
+    }
+}
+
+/// The name of a supervisor, for as long as that is there.
+pub(crate) struct ReservedName {
+    registry: WeakRegistry,
+    name: ObjectName,
+}
+
+impl Drop for ReservedName {
+    fn drop(&mut self) {
+        if let Some(registry) = self.registry.upgrade() {
+            registry.lock().reserved.remove(&self.name);
+        }
     }
 }
 

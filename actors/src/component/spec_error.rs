@@ -78,11 +78,27 @@ pub enum SpecError {
     /// there, or, directly or through others, on itself.
     #[error(transparent)]
     Dependency(#[from] DependencyError),
-    /// The root supervisor did not take it: it is ending, or has ended.
-    #[error("the root supervisor does not take {name} now: it is ending, or has ended")]
+    /// Its supervisor did not take it: it is ending, or has ended.
+    #[error("the supervisor of {name} does not take it now: it is ending, or has ended")]
     Refused {
-        /// The component.
+        /// The component or supervisor.
         name: ObjectName,
+    },
+    /// It was to be added to a supervisor that this node does not have.
+    #[error("this node has no supervisor {name}{}", did_you_mean(nearest.as_ref()))]
+    NoSupervisor {
+        /// The name.
+        name: String,
+        /// The supervisor whose name is spelt most like it.
+        nearest: Option<ObjectName>,
+    },
+    /// It was added to a running node, and could not be started: the addition is undone.
+    #[error("{name} could not be started, and is not added: {reason}")]
+    NotStarted {
+        /// The component or supervisor.
+        name: ObjectName,
+        /// Which component, and what it said.
+        reason: String,
     },
     /// Its [`Component::ports`](crate::Component::ports), or what that calls, panicked.
     #[error("{name} cannot say what its ports are: {panicked}")]
@@ -163,6 +179,11 @@ impl From<SpecError> for Vec<SpecError> {
     fn from(error: SpecError) -> Self {
         vec![error]
     }
+}
+
+/// A hint at the name that may have been meant.
+pub(crate) fn did_you_mean(nearest: Option<&ObjectName>) -> String {
+    nearest.map_or_else(String::new, |name| format!(": did you mean `{name}`?"))
 }
 
 /// What the names of the middleware's own objects begin with, wherever more of them may come.

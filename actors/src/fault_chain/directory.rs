@@ -1,14 +1,15 @@
 //! Which supervisor keeps which object.
 
 use actix::prelude::*;
+use blastema_contract::reports::AreYouAlive;
 use blastema_contract::supervisor::{
-    IsolateChild, MoveChild, ReadTree, ResetChild, RestartChild, SafeStop,
+    AddChild, IsolateChild, MoveChild, ReadTree, RemoveChild, ResetChild, RestartChild, SafeStop,
 };
 use blastema_core::sorted::SortedMap;
 use blastema_core::{ObjectName, suggestion};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// What a strategy may ask of a supervisor.
+/// What a strategy, or the node, may ask of a supervisor.
 #[derive(Clone)]
 pub(crate) struct SupervisorRecipients {
     pub(crate) restart: Recipient<RestartChild>,
@@ -16,6 +17,9 @@ pub(crate) struct SupervisorRecipients {
     pub(crate) reset: Recipient<ResetChild>,
     pub(crate) isolate: Recipient<IsolateChild>,
     pub(crate) safe_stop: Recipient<SafeStop>,
+    pub(crate) add: Recipient<AddChild>,
+    pub(crate) remove: Recipient<RemoveChild>,
+    pub(crate) pings: Recipient<AreYouAlive>,
     pub(crate) read: Recipient<ReadTree>,
 }
 
@@ -57,6 +61,30 @@ impl SupervisorDirectory {
         self.entries().supervisor_of.remove(child);
     }
 
+    /// The supervisor `name` ends, and none of its children has a supervisor any more.
+    pub(crate) fn forget(&self, name: &ObjectName) {
+        let mut entries = self.entries();
+        if let Some(ports) = entries.supervisors.remove(name) {
+            let all = std::mem::take(&mut entries.supervisor_of).into_iter();
+            entries.supervisor_of = all.filter(|(_, of)| !Arc::ptr_eq(of, &ports)).collect();
+        }
+    }
+
+    /// An object and all below it: each supervisor before its children.
+    pub(crate) fn subtree(&self, top: &ObjectName) -> Vec<ObjectName> {
+        let entries = self.entries();
+        let mut found = vec![top.clone()];
+        let mut next = 0;
+        while let Some(name) = found.get(next) {
+            if let Some(ports) = entries.supervisors.get(name) {
+                let below = entries.supervisor_of.iter().filter(|(_, of)| Arc::ptr_eq(of, ports));
+                found.extend(below.map(|(child, _)| child.clone()));
+            }
+            next += 1;
+        }
+        found
+    }
+
     /// The supervisor of this object.
     pub(crate) fn supervisor_of(&self, object: &ObjectName) -> Option<Arc<SupervisorRecipients>> {
         self.entries().supervisor_of.get(object).cloned()
@@ -68,6 +96,14 @@ impl SupervisorDirectory {
         let nearest =
             suggestion::nearest(name, entries.supervisor_of.keys().map(ObjectName::as_str))?;
         entries.supervisor_of.get_key_value(nearest).map(|(name, _)| name.clone())
+    }
+
+    /// The supervisor whose name is spelt most like this one.
+    pub(crate) fn nearest_supervisor(&self, name: &str) -> Option<ObjectName> {
+        let entries = self.entries();
+        let names = entries.supervisors.keys().map(ObjectName::as_str);
+        let nearest = suggestion::nearest(name, names)?;
+        entries.supervisors.get_key_value(nearest).map(|(name, _)| name.clone())
     }
 
     /// The supervisor of this name.

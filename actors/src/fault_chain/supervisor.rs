@@ -7,6 +7,7 @@ mod tree;
 use super::directory::{SupervisorDirectory, SupervisorRecipients};
 use crate::messaging::death_watch::{Deaths, DownReason};
 use crate::platform;
+use crate::registry::ReservedName;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian;
 use crate::runtime::guardian::Guardian;
@@ -18,8 +19,8 @@ use blastema_contract::reports::{
     Alive, AreYouAlive, ExitReason, Exited, FaultDeclared, StateReported,
 };
 use blastema_contract::supervisor::{
-    AbandonChildren, AddChild, ExpectEnd, GaveUp, IsolateAll, IsolateChild, ReadTree, Recovered,
-    RemoveChild, ResetChild, RestartChild, StartSupervisor, StopSupervisor,
+    AbandonChildren, AddChild, ExpectEnd, ForgetSupervisor, GaveUp, IsolateAll, IsolateChild,
+    ReadTree, Recovered, RemoveChild, ResetChild, RestartChild, StartSupervisor, StopSupervisor,
 };
 use blastema_core::recovery::{
     CallId, ChildRules, GiveUpReason, ReplacementCause, Supervisor, SupervisorOutput,
@@ -49,6 +50,8 @@ pub(crate) struct SupervisorSetup {
     pub(crate) isolation: Recipient<IsolationReported>,
     /// Where strategies find the supervisor of an object.
     pub(crate) directory: SupervisorDirectory,
+    /// Its name, which no other object has while it is there.
+    pub(crate) reserved: Option<ReservedName>,
 }
 
 /// One node of the supervision tree.
@@ -71,6 +74,8 @@ pub(crate) struct SupervisorActor {
     watched: Deaths,
     /// It was ordered to end in order to be restarted.
     again: bool,
+    /// Given back when the children are gone.
+    _reserved: Option<ReservedName>,
 }
 
 impl SupervisorActor {
@@ -84,8 +89,7 @@ impl SupervisorActor {
         let name = setup.name.clone();
         // The guardian counts the incarnations of this actor, the parent those of the supervisor
         // that it plays: they must not be taken for each other.
-        let body = ObjectName::new(&format!("chain/supervisor/{name}"));
-        let body = body.unwrap_or_else(|_| name.clone());
+        let body = body_of(&name);
         let watched = guardian.watched();
         let make = move |_: &mut Context<Self>| Self::new(setup, watched);
         let address = guardian.start(body, arbiter, make);
@@ -94,7 +98,7 @@ impl SupervisorActor {
 
     fn new(setup: SupervisorSetup, watched: Deaths) -> Self {
         let SupervisorSetup { name, rules, children: given, .. } = setup;
-        let SupervisorSetup { monitor, states, isolation, directory, .. } = setup;
+        let SupervisorSetup { monitor, states, isolation, directory, reserved, .. } = setup;
         let mut machine = Supervisor::new(rules);
         let is_taken_in = |(child, rules): &(Box<dyn Child>, ChildRules)| {
             let taken = machine.add_child(child.name().clone(), *rules, platform::now());
@@ -120,14 +124,8 @@ impl SupervisorActor {
             directory,
             watched,
             again: false,
+            _reserved: reserved,
         }
-    }
-
-    fn take_in(&mut self, child: Box<dyn Child>, rules: ChildRules) -> Result<(), GiveUpReason> {
-        let name = child.name().clone();
-        self.machine.add_child(name.clone(), rules, platform::now())?;
-        self.children.insert(name, child);
-        Ok(())
     }
 
     /// Hands a request to the machine, and resolves when the machine has answered it.
@@ -190,6 +188,18 @@ impl SupervisorActor {
     /// left that could have been stopped.
     fn retire_all(&mut self) {
         self.children.values_mut().for_each(|child| child.retire());
+    }
+
+    fn drop_child(&mut self, name: &ObjectName) {
+        self.children.remove(name);
+        self.directory.remove(name);
+    }
+
+    /// Drops a child that the machine did not take.
+    fn drop_unknown(&mut self, name: &ObjectName) {
+        if self.machine.incarnation_of(name).is_none() {
+            self.drop_child(name);
+        }
     }
 
     fn child(&mut self, name: &ObjectName) -> Option<&mut Box<dyn Child>> {
@@ -271,10 +281,7 @@ impl MachineActor for SupervisorActor {
                 }
             }
             SupervisorOutput::Retire { child } => self.with(&child, |child| child.retire()),
-            SupervisorOutput::Left { child } => {
-                self.children.remove(&child);
-                self.directory.remove(&child);
-            }
+            SupervisorOutput::Left { child } => self.drop_child(&child),
             SupervisorOutput::GiveUp { reason } => {
                 self.declare_storm(&reason);
                 self.tell_parent(ChildEvent::GivesUp { reason });
@@ -327,6 +334,9 @@ impl Actor for SupervisorActor {
             reset: address.clone().recipient(),
             isolate: address.clone().recipient(),
             safe_stop: address.clone().recipient(),
+            add: address.clone().recipient(),
+            remove: address.clone().recipient(),
+            pings: address.clone().recipient(),
             read: address.recipient(),
         };
         self.directory.enter(&self.name, ports, self.children.keys());
@@ -370,7 +380,7 @@ impl Handler<ExpectEnd> for SupervisorActor {
     type Result = ();
 
     fn handle(&mut self, _: ExpectEnd, context: &mut Context<Self>) {
-        self.machine.handle_end_expected();
+        self.machine.handle_end_expected(platform::now());
         self.drive(context);
     }
 }
@@ -444,6 +454,12 @@ impl Handler<Exited> for SupervisorActor {
     }
 }
 
+/// Under which name the guardian counts the incarnations of a supervisor's actor.
+fn body_of(supervisor: &ObjectName) -> ObjectName {
+    let body = ObjectName::new(&format!("chain/supervisor/{supervisor}"));
+    body.unwrap_or_else(|_| supervisor.clone())
+}
+
 fn in_order(exit: &ExitReason) -> bool {
     matches!(exit, ExitReason::Returned | ExitReason::Stopped)
 }
@@ -491,17 +507,44 @@ impl Handler<RemoveChild> for SupervisorActor {
 }
 
 impl Handler<AddChild> for SupervisorActor {
-    type Result = Result<(), GaveUp>;
+    type Result = PendingAnswer<RecoveryResult>;
 
     fn handle(&mut self, message: AddChild, context: &mut Context<Self>) -> Self::Result {
-        let AddChild { child, rules } = message;
+        let AddChild { child, rules, whole } = message;
         let object = child.name().clone();
-        let taken = self.take_in(child, rules);
-        if taken.is_ok() {
-            self.directory.add(&self.name, object.clone());
+        if self.children.contains_key(&object) {
+            let why = GiveUpReason::NameTaken;
+            return PendingAnswer::new(std::future::ready(Err(GaveUp { object, why })));
         }
+        // The machine starts it at once, or says that it has left.
+        self.children.insert(object.clone(), child);
+        self.directory.add(&self.name, object.clone());
+        if whole {
+            let answer = self.ask(context, object.clone(), |machine, object, call, now| {
+                machine.handle_add(object, rules, call, now);
+            });
+            self.drop_unknown(&object);
+            return answer;
+        }
+        let taken = self.machine.add_child(object.clone(), rules, platform::now());
+        self.drop_unknown(&object);
         self.drive(context);
-        taken.map_err(|why| GaveUp { object, why })
+        let taken = match taken {
+            Ok(()) => Ok(Recovered { object, incarnation: None, waits: false }),
+            Err(why) => Err(GaveUp { object, why }),
+        };
+        PendingAnswer::new(std::future::ready(taken))
+    }
+}
+
+impl Handler<ForgetSupervisor> for SupervisorActor {
+    type Result = ();
+
+    fn handle(&mut self, _: ForgetSupervisor, context: &mut Context<Self>) {
+        self.directory.forget(&self.name);
+        self.watched.forget(&self.name);
+        self.watched.forget(&body_of(&self.name));
+        context.stop();
     }
 }
 
@@ -522,15 +565,11 @@ impl SupervisorChild {
     pub(crate) fn pings(&self) -> Recipient<AreYouAlive> {
         self.address.clone().recipient()
     }
+}
 
-    /// Where children can be added while it is at work.
-    pub(crate) fn additions(&self) -> Recipient<AddChild> {
-        self.address.clone().recipient()
-    }
-
-    /// Where children can be removed while it is at work.
-    pub(crate) fn removals(&self) -> Recipient<RemoveChild> {
-        self.address.clone().recipient()
+impl Drop for SupervisorChild {
+    fn drop(&mut self) {
+        self.address.do_send(ForgetSupervisor);
     }
 }
 

@@ -166,6 +166,12 @@ impl Deaths {
         watchers.tell(|| Down { object: object.clone(), node: None, incarnation, ending });
     }
 
+    /// The object is no more: its name is that of none.
+    pub(crate) fn forget(&self, object: &ObjectName) {
+        self.end(object, DownReason::Stopped);
+        self.lock().remove(object);
+    }
+
     /// As [`Watchable::watch`]. A name that never was an object's gives the watcher back.
     pub(crate) fn watch(&self, object: &ObjectName, watcher: Watcher) -> Option<Watcher> {
         let objects = self.lock();

@@ -23,9 +23,9 @@ use super::lost_communication::{KeptPolicy, LostCommunicationPolicy};
 #[cfg(feature = "network")]
 use super::network::hosts::Hosts;
 use super::safety::{EndCause, SignalWait};
-use super::tree::{PreparedTree, SupervisorSpec, TreeEnvironment};
+use super::tree::{ComponentFacts, PreparedTree, SupervisorSpec, TreeEnvironment};
 use super::watchdogs::ProcessWatchdogs;
-use super::{Node, Root, Shared};
+use super::{Node, Shared};
 use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::{ArbiterPool, CULPRITS_LIMIT};
 use crate::component::environment::ComponentEnvironment;
@@ -55,6 +55,7 @@ use actix::prelude::*;
 use blastema_contract::monitor::Register;
 use blastema_contract::reports::AreYouAlive;
 use blastema_contract::strategy::EnterSafeState;
+use blastema_contract::supervisor::ReadTree;
 #[cfg(feature = "network")]
 use blastema_contract::transport::Close;
 use blastema_core::detection::dependencies::Dependencies;
@@ -232,7 +233,7 @@ async fn start(
     assembly.declare_insecure_networks();
     assembly.start_sampler(builder.grace)?;
     let manager = assembly.watch_chain(builder.process_watchdogs)?;
-    let node = assembly.into_node(Root::of(&preparation.root), preparation.dependencies, manager);
+    let node = assembly.into_node(preparation.root.tree(), preparation.dependencies, manager);
     #[cfg(feature = "unix")]
     node.open(inspection).await?;
     if builder.handles_signals {
@@ -373,6 +374,7 @@ impl NodeAssembly {
             monitor: self.parts.monitor.clone(),
             directory: self.parts.directory.clone(),
             plan: &self.plan,
+            whole_start: false,
         };
         let mut tree = PreparedTree::default();
         let root = root.prepare(&tree_environment, &mut tree);
@@ -486,7 +488,7 @@ impl NodeAssembly {
         let kind = |name| service(name).unwrap_or("an object of the middleware");
         let names = enrolments.iter().map(|enrol| &enrol.enrolment.object);
         let mut others: Vec<_> = names.map(|name| (name.clone(), kind(name))).collect();
-        for (name, pings) in tree.supervisors {
+        for (name, pings) in tree.supervisors.iter().cloned() {
             others.push((name.clone(), "a supervisor"));
             enrolments.push(middleware(name, Some(pings)));
         }
@@ -495,13 +497,9 @@ impl NodeAssembly {
         check_names(known.chain(components)).map_err(SpecError::from)?;
         // Nor will those be called so that are added later.
         self.environment.registry.reserve(others);
-        for facts in tree.components {
-            let name = &facts.name;
-            let enrolled = enrolment(&self.node, name, &facts.depends_on);
-            let of = || format!("what {name} depends on");
-            let mut enrol = enrolled.map_err(|error| StartError::name_of(of())(error))?;
-            enrol.enrolment.may_end = facts.restart != Restart::Permanent;
-            enrolments.push(enrol);
+        for facts in &tree.components {
+            let of = format!("what {} depends on", facts.name);
+            enrolments.push(enrolment(&self.node, facts).map_err(StartError::name_of(of))?);
         }
         self.parts.chain.enrol_all(enrolments).await
     }
@@ -535,12 +533,13 @@ impl NodeAssembly {
     /// The node, which ends its threads itself from here on.
     fn into_node(
         mut self,
-        root: Root,
+        root: Recipient<ReadTree>,
         dependencies: Dependencies,
         systemd: Option<Systemd>,
     ) -> StartingNode {
         self.undone.kept = true;
-        let FaultChainParts { chain, controller, state, directory, .. } = self.parts;
+        let FaultChainParts { guardian, chain, monitor, controller, state, directory, .. } =
+            self.parts;
         self.environment.declare_complaints();
         let shared = Shared {
             name: self.node,
@@ -550,6 +549,8 @@ impl NodeAssembly {
             #[cfg(feature = "network")]
             networks: self.networks,
             root,
+            guardian,
+            monitor,
             shutdown: controller.clone().recipient(),
             restart: controller.clone().recipient(),
             directory,
@@ -652,11 +653,8 @@ fn environment(
     ComponentEnvironment { registry, fault_codes, callbacks, ..general }
 }
 
-fn enrolment(
-    node: &NodeName,
-    name: &ObjectName,
-    depends_on: &[String],
-) -> Result<Register, NameError> {
+fn enrolment(node: &NodeName, facts: &ComponentFacts) -> Result<Register, NameError> {
+    let ComponentFacts { name, depends_on, restart } = facts;
     let address = |text: &String| match text.contains(':') {
         true => text.parse(),
         false => Ok(ObjectAddress::new(node.clone(), ObjectName::new(text)?)),
@@ -666,7 +664,8 @@ fn enrolment(
     // A component's signs of life are activity records, which the sampler reads: no message is sent
     // for them.
     let unborn = Incarnation::default();
-    let enrolment = Registration::new(name.clone()).incarnation(unborn).depends_on(depends_on);
+    let mut enrolment = Registration::new(name.clone()).incarnation(unborn).depends_on(depends_on);
+    enrolment.may_end = *restart != Restart::Permanent;
     Ok(Register { enrolment, pings: None })
 }
 

@@ -14,6 +14,7 @@
 
 pub(crate) mod assembly;
 mod builder;
+mod changes;
 mod checks;
 mod conditions;
 pub(crate) mod controller;
@@ -40,6 +41,7 @@ mod tree;
 mod watchdogs;
 
 pub use builder::NodeBuilder;
+pub use changes::RemoveError;
 pub use conditions::Heartbeats;
 pub use controller::NodeState;
 pub use error::{PolicyPart, StartError};
@@ -62,17 +64,15 @@ pub use route_row::{LinkName, RouteRow};
 #[cfg(feature = "network")]
 pub use snapshot::NetworkSnapshot;
 pub use snapshot::NodeSnapshot;
-pub use tree::SupervisorSpec;
+pub use tree::{Subtree, SupervisorSpec};
 
 use crate::actuator;
 use crate::actuator::{ActuatorRow, Commander};
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
-use crate::component::spec_error::SpecError;
 use crate::fault_chain::directory::SupervisorDirectory;
-use crate::fault_chain::supervisor::SupervisorChild;
+use crate::fault_chain::monitor::MonitorActor;
 use crate::host::reference::ActorRef;
-use crate::host::spec::ChildSpec;
 use crate::liveness::sampler::Running;
 use crate::liveness::threads;
 use crate::liveness::threads::ThreadRow;
@@ -81,15 +81,16 @@ use crate::messaging::injection::Injection;
 use crate::messaging::sender::Sender;
 use crate::platform::file_lock::released_here;
 use crate::platform::systemd::Systemd;
+use crate::runtime::guardian::Guardian;
 use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
-use actix::Recipient;
+use actix::{Addr, Recipient};
 use assembly::FaultChain;
 #[cfg(feature = "network")]
 use assembly::Networks;
 use blastema_contract::detector::{ReadRecord, Subscribe};
 use blastema_contract::monitor::ReadTable;
-use blastema_contract::supervisor::{AddChild, ReadTree, RemoveChild, SupervisionTree};
+use blastema_contract::supervisor::{ReadTree, SupervisionTree};
 use blastema_core::detection::dependencies::Dependencies;
 use blastema_core::detection::{FaultRecord, MonitorRow};
 use blastema_core::{Contract, DeliveryError, Event, Incarnation, NodeName, ObjectName, Variable};
@@ -142,7 +143,11 @@ struct Shared {
     chain: FaultChain,
     #[cfg(feature = "network")]
     networks: Option<Networks>,
-    root: Root,
+    /// Where the tree is read.
+    root: Recipient<ReadTree>,
+    /// With the monitor, what supervisors need that are added while the node runs.
+    guardian: Guardian,
+    monitor: Addr<MonitorActor>,
     shutdown: Recipient<Shutdown>,
     restart: Recipient<RestartRoot>,
     directory: SupervisorDirectory,
@@ -160,23 +165,6 @@ struct Shared {
     last_record: OnceLock<FaultRecord>,
     /// Files and sockets that no other node has while this one lives.
     held: Vec<PathBuf>,
-}
-
-/// What the node asks of its root supervisor.
-struct Root {
-    tree: Recipient<ReadTree>,
-    additions: Recipient<AddChild>,
-    removals: Recipient<RemoveChild>,
-}
-
-impl Root {
-    fn of(supervisor: &SupervisorChild) -> Self {
-        Root {
-            tree: supervisor.tree(),
-            additions: supervisor.additions(),
-            removals: supervisor.removals(),
-        }
-    }
 }
 
 impl fmt::Debug for Node {
@@ -335,7 +323,7 @@ impl Node {
 
     /// The supervision tree as it stands now; `None` once the node has ended.
     pub async fn tree(&self) -> Option<SupervisionTree> {
-        self.0.chain.answer(self.0.root.tree.send(ReadTree)).await
+        self.0.chain.answer(self.0.root.send(ReadTree)).await
     }
 
     /// Puts a fault into the component of this name, which need not know of it: for demonstrations
@@ -385,53 +373,6 @@ impl Node {
     /// queued messages. Works at any time, also while components hang.
     pub fn threads(&self) -> Vec<ThreadRow> {
         threads::rows(&self.0.environment.arbiters, &self.0.environment.watch_list)
-    }
-
-    /// Adds a component under the root supervisor while the node runs, and starts it. It is
-    /// permanent: every end is followed by a restart. Supervisors, and children that are not
-    /// permanent, are described before the start.
-    ///
-    /// # Errors
-    /// Its name is taken or does not parse, a setting makes no sense, what it depends on is not
-    /// there or depends on it, or the root refuses it.
-    pub async fn add_child<C: Component>(
-        &self,
-        spec: ChildSpec<C>,
-    ) -> Result<ActorRef<C>, SpecError> {
-        let prepared = tree::erase(spec).prepare(&self.0.environment);
-        let prepared = prepared.map_err(|mut refused| refused.swap_remove(0))?;
-        let name = prepared.child.name().clone();
-        self.0.dependencies().add(name.clone(), &prepared.depends_on)?;
-        self.0.chain.enrol(&self.0.name, &prepared).await;
-        let rules = prepared.rules(&self.0.plan);
-        let cell = self.0.environment.registry.cell(&name).and_then(|cell| cell.downcast().ok());
-        let actor = ActorRef(cell.expect("a spec of C registers a component of C"));
-        let added = self.0.root.additions.send(AddChild { child: prepared.child, rules }).await;
-        if !matches!(added, Ok(Ok(()))) {
-            self.0.dependencies().remove(&name);
-            self.0.chain.dismiss(name.clone());
-            return Err(SpecError::Refused { name });
-        }
-        Ok(actor)
-    }
-
-    /// Stops a component that stands directly under the root supervisor, and forgets it. A handler
-    /// of that component must not await this, as it would be waited for itself: it counts as
-    /// hanging after [`max_wait`](ChildSpec::max_wait). Spawn it with `actix_rt::spawn`.
-    ///
-    /// # Errors
-    /// [`DeliveryError::Unknown`] or [`DeliveryError::Misspelt`] where the root keeps no such
-    /// component.
-    pub async fn remove_child(&self, name: &str) -> Result<(), DeliveryError> {
-        let unknown = || self.0.environment.registry.misspelt(name);
-        let object = ObjectName::new(name).map_err(|_| unknown())?;
-        let removed = self.0.root.removals.send(RemoveChild { object: object.clone() }).await;
-        if !matches!(removed, Ok(Ok(_))) {
-            return Err(unknown());
-        }
-        self.0.chain.dismiss(object.clone());
-        self.0.dependencies().remove(&object);
-        Ok(())
     }
 
     /// Stops all components in the reverse of their start order, and then the rest of the node.

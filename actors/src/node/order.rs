@@ -39,7 +39,7 @@ pub enum OrderVerb {
     Activate,
     /// An active component is to leave work in order.
     Deactivate,
-    /// A component in error is to recover by itself.
+    /// A component in error, or each that is below a supervisor, is to recover by itself.
     Reset,
     /// A component, or a supervisor with all below it, is to start its next incarnation.
     Restart,
@@ -202,6 +202,27 @@ impl Node {
     }
 
     async fn reset_by_order(&self, name: &str) -> Result<(), String> {
+        let object = ObjectName::new(name).map_err(|error| error.to_string())?;
+        if self.0.directory.supervisor(&object).is_none() {
+            return self.reset_component(name).await;
+        }
+        let is_in_error = |name: &str| self.state_of(name) == Ok(Lifecycle::Error);
+        let mut below = self.0.directory.subtree(&object);
+        below.retain(|name| is_in_error(name.as_str()));
+        if below.is_empty() {
+            return Err("no component below it is in error: only such ones can be reset".to_owned());
+        }
+        for name in below {
+            // The reset of one before may have restarted it with its group.
+            if is_in_error(name.as_str()) {
+                let reset = self.reset_component(name.as_str()).await;
+                reset.map_err(|why| format!("{name}: {why}"))?;
+            }
+        }
+        Ok(())
+    }
+
+    async fn reset_component(&self, name: &str) -> Result<(), String> {
         let state = self.state_of(name)?;
         if state != Lifecycle::Error {
             return Err(format!("it is {state}: only a component in error can be reset"));

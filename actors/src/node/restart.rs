@@ -3,6 +3,7 @@
 use super::Node;
 use super::controller::{NodeState, RestartRefused, RestartRoot};
 use crate::arbiter::pool::CULPRITS_LIMIT;
+use crate::component::spec_error::did_you_mean;
 use blastema_contract::supervisor::{GaveUp, Recovered, RestartChild};
 use blastema_core::recovery::GiveUpReason;
 use blastema_core::{Incarnation, ObjectName};
@@ -36,7 +37,7 @@ pub enum RestartError {
         reason: String,
     },
     /// No supervisor of this node keeps an object of this name.
-    #[error("no supervisor of this node keeps {name}{}", did_you_mean(.nearest))]
+    #[error("no supervisor of this node keeps {name}{}", did_you_mean(nearest.as_ref()))]
     Unknown {
         /// The name.
         name: String,
@@ -84,10 +85,6 @@ impl RestartedChild {
             RestartedChild::Finished => None,
         }
     }
-}
-
-fn did_you_mean(nearest: &Option<ObjectName>) -> String {
-    nearest.as_ref().map_or_else(String::new, |name| format!(": did you mean `{name}`?"))
 }
 
 impl Node {

@@ -37,12 +37,91 @@ pub struct SupervisorSpec {
     rules: SupervisorRules,
     /// How its own supervisor keeps it.
     kept: ChildRules,
-    children: Vec<Entry>,
+    children: Vec<Subtree>,
 }
+
+/// A child of a supervisor as it is described: a component, or a supervisor and all below it. A
+/// component is permanent unless its restart type is given with it.
+///
+/// ```
+/// use blastema::prelude::*;
+/// use blastema::Subtree;
+/// # struct Lamp; impl Component for Lamp {}
+///
+/// let lamp = Subtree::from(ChildSpec::new("lamp", || Lamp));
+/// let spare = Subtree::from((ChildSpec::new("spare", || Lamp), Restart::Temporary));
+/// let lamps = Subtree::from(SupervisorSpec::new("lamps", Strategy::OneForOne));
+/// ```
+#[must_use = "a subtree does nothing until it is added to a node"]
+pub struct Subtree(Entry);
 
 enum Entry {
     Component(Box<dyn ErasedChildSpec>, Restart),
     Supervisor(SupervisorSpec),
+}
+
+impl fmt::Debug for Subtree {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.0 {
+            Entry::Component(_, restart) => write!(f, "a component ({restart:?})"),
+            Entry::Supervisor(spec) => write!(f, "{spec:?}"),
+        }
+    }
+}
+
+impl<C: Component> From<(ChildSpec<C>, Restart)> for Subtree {
+    fn from((spec, restart): (ChildSpec<C>, Restart)) -> Self {
+        Subtree(Entry::Component(Box::new(spec), restart))
+    }
+}
+
+impl<C: Component> From<ChildSpec<C>> for Subtree {
+    fn from(spec: ChildSpec<C>) -> Self {
+        Subtree::from((spec, Restart::Permanent))
+    }
+}
+
+impl From<SupervisorSpec> for Subtree {
+    fn from(spec: SupervisorSpec) -> Self {
+        Subtree(Entry::Supervisor(spec))
+    }
+}
+
+impl Subtree {
+    /// Gives everything its name and ports. What is wrong is found in the tree then, and there may
+    /// be no child.
+    pub(super) fn prepare(
+        self,
+        tree_environment: &TreeEnvironment<'_>,
+        tree: &mut PreparedTree,
+    ) -> Option<(Box<dyn Child>, ChildRules)> {
+        match self.0 {
+            Entry::Component(spec, restart) => {
+                let prepared = match spec.prepare(tree_environment.environment) {
+                    Ok(prepared) => PreparedComponent { restart, ..prepared },
+                    Err(refused) => {
+                        tree.refused.extend(refused);
+                        return None;
+                    }
+                };
+                let rules = prepared.rules(tree_environment.plan);
+                let PreparedComponent { child, depends_on, .. } = prepared;
+                let name = child.name().clone();
+                tree.components.push(ComponentFacts { name, depends_on, restart });
+                Some((child, rules))
+            }
+            Entry::Supervisor(spec) => {
+                let kept = spec.kept;
+                match spec.prepare(tree_environment, tree) {
+                    Ok(child) => Some((Box::new(child), kept)),
+                    Err(error) => {
+                        tree.refused.push(error);
+                        None
+                    }
+                }
+            }
+        }
+    }
 }
 
 impl fmt::Debug for SupervisorSpec {
@@ -116,13 +195,13 @@ impl SupervisorSpec {
 
     /// Adds a child with this restart type.
     pub fn child_with<C: Component>(mut self, spec: ChildSpec<C>, restart: Restart) -> Self {
-        self.children.push(Entry::Component(erase(spec), restart));
+        self.children.push(Subtree::from((spec, restart)));
         self
     }
 
     /// Adds a supervisor as a child.
     pub fn supervisor(mut self, spec: SupervisorSpec) -> Self {
-        self.children.push(Entry::Supervisor(spec));
+        self.children.push(Subtree::from(spec));
         self
     }
 
@@ -141,7 +220,7 @@ impl SupervisorSpec {
 }
 
 /// The spec of a component of whatever type.
-pub(super) trait ErasedChildSpec: Send {
+trait ErasedChildSpec: Send {
     /// Gives the component its name and ports.
     fn prepare(
         self: Box<Self>,
@@ -150,9 +229,9 @@ pub(super) trait ErasedChildSpec: Send {
 }
 
 /// A component that waits to be started.
-pub(super) struct PreparedComponent {
-    pub(super) child: Box<dyn Child>,
-    pub(super) depends_on: Vec<String>,
+struct PreparedComponent {
+    child: Box<dyn Child>,
+    depends_on: Vec<String>,
     restart: Restart,
     essential: bool,
     ready_within: Duration,
@@ -160,7 +239,7 @@ pub(super) struct PreparedComponent {
 }
 
 impl PreparedComponent {
-    pub(super) fn rules(&self, plan: &Plan) -> ChildRules {
+    fn rules(&self, plan: &Plan) -> ChildRules {
         ChildRules {
             restart: self.restart,
             on_the_spot: plan.restarts_on_the_spot(self.child.name()),
@@ -168,10 +247,6 @@ impl PreparedComponent {
             ..ChildRules::guarded(self.ready_within, self.shutdown_within)
         }
     }
-}
-
-pub(super) fn erase<C: Component>(spec: ChildSpec<C>) -> Box<dyn ErasedChildSpec> {
-    Box::new(spec)
 }
 
 impl<C: Component> ErasedChildSpec for ChildSpec<C> {
@@ -202,6 +277,8 @@ pub(super) struct TreeEnvironment<'a> {
     pub(super) monitor: Addr<MonitorActor>,
     pub(super) directory: SupervisorDirectory,
     pub(super) plan: &'a Plan,
+    /// The first start of each supervisor is whole, whatever its spec says.
+    pub(super) whole_start: bool,
 }
 
 /// What was prepared: every component, and every supervisor's name.
@@ -211,6 +288,14 @@ pub(super) struct PreparedTree {
     pub(super) supervisors: Vec<(ObjectName, Recipient<AreYouAlive>)>,
     /// The specs that are wrong, in the order of the description.
     pub(super) refused: Vec<SpecError>,
+}
+
+impl PreparedTree {
+    /// The names of all that was prepared.
+    pub(super) fn names(&self) -> impl Iterator<Item = &ObjectName> {
+        let components = self.components.iter().map(|facts| &facts.name);
+        self.supervisors.iter().map(|(name, _)| name).chain(components)
+    }
 }
 
 /// What the node must know of a component after its supervisor has it.
@@ -236,43 +321,24 @@ impl SupervisorSpec {
     ) -> Result<SupervisorChild, SpecError> {
         let name = ObjectName::new(&self.name).map_err(SpecError::Supervisor)?;
         let name = SpecError::check_name(name)?;
+        let registry = &tree_environment.environment.registry;
+        let reserved = registry.reserve_for_supervisor(&name)?;
         let refused = self.check_intensity().err();
         tree.refused.extend(refused.map(|error| SpecError::setting(&self.name, error)));
-        let mut children: Vec<(Box<dyn Child>, ChildRules)> = Vec::new();
-        for entry in self.children {
-            match entry {
-                Entry::Component(spec, restart) => {
-                    let prepared = match spec.prepare(tree_environment.environment) {
-                        Ok(prepared) => PreparedComponent { restart, ..prepared },
-                        Err(refused) => {
-                            tree.refused.extend(refused);
-                            continue;
-                        }
-                    };
-                    let rules = prepared.rules(tree_environment.plan);
-                    let PreparedComponent { child, depends_on, .. } = prepared;
-                    let name = child.name().clone();
-                    let facts = ComponentFacts { name, depends_on, restart };
-                    tree.components.push(facts);
-                    children.push((child, rules));
-                }
-                Entry::Supervisor(spec) => {
-                    let kept = spec.kept;
-                    match spec.prepare(tree_environment, tree) {
-                        Ok(child) => children.push((Box::new(child), kept)),
-                        Err(error) => tree.refused.push(error),
-                    }
-                }
-            }
-        }
+        let children = self.children.into_iter();
+        let children = children.filter_map(|child| child.prepare(tree_environment, tree)).collect();
         let setup = SupervisorSetup {
             name,
-            rules: self.rules,
+            rules: SupervisorRules {
+                whole_start: self.rules.whole_start || tree_environment.whole_start,
+                ..self.rules
+            },
             children,
             monitor: tree_environment.monitor.clone().recipient(),
             states: tree_environment.monitor.clone().recipient(),
             isolation: tree_environment.monitor.clone().recipient(),
             directory: tree_environment.directory.clone(),
+            reserved: Some(reserved),
         };
         let supervisor =
             SupervisorActor::start(tree_environment.guardian, tree_environment.arbiter, setup);

@@ -92,13 +92,17 @@ pub struct SafeStop {
 }
 
 /// Take in one more child, behind all the others, and start it if the supervisor is at work.
+/// Answered at once, or, if it is to be whole, when the child is at work or is forgotten because it
+/// could not be started.
 #[derive(Message)]
-#[rtype(result = "Result<(), GaveUp>")]
+#[rtype(result = "Result<Recovered, GaveUp>")]
 pub struct AddChild {
     /// The child.
     pub child: Box<dyn Child>,
     /// How it is kept.
     pub rules: ChildRules,
+    /// Completes or is undone.
+    pub whole: bool,
 }
 
 /// Stop a child and forget it. Answered when it has ended.
@@ -131,6 +135,11 @@ pub struct StopSupervisor {
     /// The supervisor is to restart, so that what waits for its children goes on waiting.
     pub again: bool,
 }
+
+/// From the parent, which has forgotten it: forget all children, and end the supervisor's actor.
+#[derive(Clone, Copy, Debug, Message)]
+#[rtype(result = "()")]
+pub struct ForgetSupervisor;
 
 /// From the parent: you are about to be told to stop, so begin nothing any more. Nothing is
 /// reported.

@@ -4,7 +4,7 @@
 //! objects that need each other each would be the symptom of the other, and neither the root: such
 //! a circle is refused before anything starts.
 
-use crate::sorted::SortedMap;
+use crate::sorted::{SortedMap, SortedSet};
 use crate::suggestion::nearest;
 use crate::{NameError, NodeName, ObjectName};
 
@@ -35,6 +35,14 @@ pub enum DependencyError {
         name: ObjectName,
         /// What is wrong with the name.
         error: NameError,
+    },
+    /// An object that is to be removed is needed by one that stays.
+    #[error("{by} depends on {name}: remove {by} first")]
+    Needed {
+        /// The object that is needed.
+        name: ObjectName,
+        /// The object that depends on it.
+        by: ObjectName,
     },
     /// Objects depend on each other, or one on itself.
     #[error("{}: each waits for the next, so leave out one of these dependencies", shown(way))]
@@ -101,22 +109,52 @@ impl Dependencies {
         self.needs.insert(object, needs);
     }
 
-    /// Enters an object while the node runs, unless its dependencies cannot be.
+    /// Enters objects while the node runs, unless their dependencies cannot be.
     ///
     /// # Errors
-    /// What is wrong; the object is not entered then.
-    pub fn add(&mut self, object: ObjectName, needs: &[String]) -> Result<(), DependencyError> {
+    /// What is wrong; none of the objects is entered then.
+    pub fn add<'a>(
+        &mut self,
+        objects: impl IntoIterator<Item = (&'a ObjectName, &'a [String])>,
+    ) -> Result<(), DependencyError> {
         let mut with = self.clone();
-        with.enter(object.clone(), needs);
-        with.check_known(&object)?;
+        let enter = |(object, needs): (&'a ObjectName, &[String])| {
+            with.enter(object.clone(), needs);
+            object
+        };
+        let entered: Vec<&ObjectName> = objects.into_iter().map(enter).collect();
+        entered.into_iter().try_for_each(|object| with.check_known(object))?;
         with.check_circles()?;
         *self = with;
         Ok(())
     }
 
-    /// The node has the object no more. Others may still need it.
-    pub fn remove(&mut self, object: &ObjectName) {
-        self.needs.remove(object);
+    /// Whether the node has the object.
+    pub fn has(&self, object: &ObjectName) -> bool {
+        self.needs.contains_key(object)
+    }
+
+    /// The node has these objects no more.
+    ///
+    /// # Errors
+    /// Another object of the node needs one of them; all stay then.
+    pub fn remove(&mut self, objects: &[ObjectName]) -> Result<(), DependencyError> {
+        let removed: SortedSet<&str> = objects.iter().map(ObjectName::as_str).collect();
+        let others = self.needs.iter().filter(|(by, _)| !removed.contains(by.as_str()));
+        let needed = others.flat_map(|(by, needs)| needs.iter().map(move |needed| (by, needed)));
+        let gone = |(_, needed): &(_, &String)| removed.contains(needed.as_str());
+        if let Some((by, needed)) = { needed }.find(gone) {
+            let name = objects.iter().find(|name| name.as_str() == needed);
+            let name = name.expect("it is one of them").clone();
+            return Err(DependencyError::Needed { name, by: by.clone() });
+        }
+        self.forget(objects);
+        Ok(())
+    }
+
+    /// These objects did not come to be.
+    pub fn forget(&mut self, objects: &[ObjectName]) {
+        objects.iter().for_each(|object| drop(self.needs.remove(object)));
     }
 
     /// Everything that is needed is there, and nothing needs itself.
@@ -268,12 +306,19 @@ mod tests {
     #[test]
     fn what_is_added_later_closes_no_circle_and_leaves_no_trace_where_it_would() {
         let mut running = objects(&[("a", &["b"]), ("b", &[])]);
-        running.remove(&name("b"));
+        let names = ["a", "b", "c", "d"].map(name);
+        let [a, b, c, d] = &names;
+        let on = |needed: &str| vec![needed.to_owned()];
 
-        let refused = running.add(name("b"), &["a".into()]).expect_err("each needs the other");
+        let circle = [(c, &*on("d")), (d, &*on("c"))];
+        let refused = running.add(circle).expect_err("each needs the other");
         assert!(matches!(refused, DependencyError::Circle { .. }), "{refused}");
-        assert!(running.add(name("c"), &["b".into()]).is_err(), "b was not entered");
-        assert_eq!(running.add(name("b"), &[]), Ok(()));
-        assert_eq!(running.add(name("c"), &["b".into()]), Ok(()));
+        assert!(running.add([(d, &*on("c"))]).is_err(), "c was not entered");
+        assert_eq!(running.add([(c, &*on("d")), (d, &*on("b"))]), Ok(()));
+        let needed = running.remove(&[b.clone(), c.clone()]).expect_err("a and d stay");
+        assert_eq!(needed.to_string(), "a depends on b: remove a first");
+        assert!(running.has(c), "all stay");
+        assert_eq!(running.remove(&[a.clone(), b.clone(), d.clone(), c.clone()]), Ok(()));
+        assert!(!names.iter().any(|name| running.has(name)));
     }
 }

@@ -5,6 +5,7 @@ mod actix_facts;
 mod busy;
 mod busy_computer;
 mod chain_outside;
+mod changes;
 mod conditions;
 mod devices;
 mod discovery;

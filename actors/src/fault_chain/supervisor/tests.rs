@@ -188,18 +188,25 @@ fn children_come_and_go_and_are_found_by_name() {
         let bench = Bench::new();
         let root = bench.serving(rules(Strategy::OneForOne), &["a"]).await;
 
-        let added = AddChild { child: bench.script.child("b"), rules: ChildRules::default() };
-        assert_eq!(root.additions().send(added).await.expect("it lives"), Ok(()));
-        let twice = AddChild { child: bench.script.child("b"), rules: ChildRules::default() };
-        let refused = root.additions().send(twice).await.expect("it lives");
+        let added = |whole| {
+            let (child, rules) = (bench.script.child("b"), ChildRules::default());
+            root.address.send(AddChild { child, rules, whole })
+        };
+        let gone = || Recovered { object: object("b"), incarnation: None, waits: false };
+        bench.script.answer("start b", &[ScriptedReply::Fails]);
+        let undone = added(true).await.expect("it lives").expect_err("it does not start");
+        assert!(matches!(undone.why, GiveUpReason::StartFailed { .. }), "{undone:?}");
+        assert!(bench.directory.supervisor_of(&object("b")).is_none());
+        assert_eq!(added(true).await.expect("it lives"), recovered("b", 1));
+        let refused = added(false).await.expect("it lives");
         assert_eq!(refused.expect_err("the name is taken").why, GiveUpReason::NameTaken);
         assert!(bench.directory.supervisor_of(&object("b")).is_some());
 
-        let removed = root.removals().send(RemoveChild { object: object("b") }).await;
-        let gone = Recovered { object: object("b"), incarnation: None, waits: false };
-        assert_eq!(removed.expect("it lives"), Ok(gone));
+        let removed = root.address.send(RemoveChild { object: object("b") }).await;
+        assert_eq!(removed.expect("it lives"), Ok(gone()));
         assert!(bench.directory.supervisor_of(&object("b")).is_none());
-        assert_eq!(bench.script.done(), ["start b", "stop b"]);
+        assert_eq!(added(false).await.expect("it lives"), Ok(gone()));
+        assert_eq!(bench.script.done(), ["start b", "start b", "stop b", "start b"]);
     });
 }
 

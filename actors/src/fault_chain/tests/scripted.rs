@@ -184,6 +184,7 @@ impl Bench {
             states: self.states.recipient(),
             isolation: self.isolation.recipient(),
             directory: self.directory.clone(),
+            reserved: None,
         };
         SupervisorActor::start(&self.guardian, None, setup)
     }

@@ -17,7 +17,7 @@ use crate::liveness::sampler::SamplerGuard;
 use crate::node::builder::{ActorPlacement, NodeBuilder};
 use crate::node::controller::{NodeController, NodeControllerSetup, NodeState, SubscribeSafeState};
 use crate::node::error::StartError;
-use crate::node::tree::PreparedComponent;
+use crate::node::tree::PreparedTree;
 use crate::platform::own_arbiter;
 use crate::platform::{self, ProcessWatchdog};
 use crate::registry::Registry;
@@ -80,12 +80,14 @@ impl FaultChain {
         Ok(())
     }
 
-    /// Watches a component that was prepared after the start.
-    pub(in crate::node) async fn enrol(&self, node: &NodeName, prepared: &PreparedComponent) {
-        let name = prepared.child.name();
-        if let Ok(enrolment) = enrolment(node, name, &prepared.depends_on) {
-            // A component that cannot be watched as it wishes still has its guard.
-            let _: Result<Result<_, RegistrationError>, _> = self.enrol.send(enrolment).await;
+    /// Watches what was prepared after the start.
+    pub(in crate::node) async fn enrol(&self, node: &NodeName, tree: &PreparedTree) {
+        let supervisors = tree.supervisors.iter().cloned();
+        let supervisors = supervisors.map(|(name, pings)| middleware(name, Some(pings)));
+        let components = tree.components.iter().filter_map(|facts| enrolment(node, facts).ok());
+        for registration in supervisors.chain(components) {
+            // An object that cannot be watched as it wishes still has its guard.
+            let _: Result<Result<_, RegistrationError>, _> = self.enrol.send(registration).await;
         }
     }
 

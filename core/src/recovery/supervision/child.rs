@@ -133,6 +133,9 @@ pub(super) struct SupervisedChild {
     /// Its incarnation ended, or could not be reset while its group waits, for this reason, and the
     /// recoverer has not decided yet.
     pub(super) failed: Option<String>,
+    /// It was added while the supervisor is at work, and has not come to work yet: a start that fails
+    /// undoes that.
+    pub(super) joins: bool,
     /// Its present or last incarnation has come to work, or waits for what is not there yet.
     pub(super) worked: bool,
     pub(super) restarts: u64,
@@ -153,6 +156,7 @@ impl SupervisedChild {
             state: ChildPhase::Down,
             goal: ChildTarget::Run,
             failed: None,
+            joins: false,
             worked: false,
             restarts: 0,
             isolated: false,

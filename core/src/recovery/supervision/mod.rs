@@ -172,6 +172,20 @@ impl Supervisor {
         Ok(())
     }
 
+    /// Takes in one more child as [`add_child`](Self::add_child) does. The request is fulfilled when
+    /// the child is at work; one whose first start fails is forgotten, which is no restart.
+    pub fn handle_add(&mut self, name: &ObjectName, rules: ChildRules, call: CallId, now: Instant) {
+        if !self.at_work() {
+            return self.answer_gave_up(call, name.clone(), GiveUpReason::NotAtWork);
+        }
+        if let Err(why) = self.add_child(name.clone(), rules, now) {
+            return self.answer_gave_up(call, name.clone(), why);
+        }
+        if let Some(key) = self.admit(name, call, Wish::Work) {
+            self.kept(key).joins = true;
+        }
+    }
+
     /// Stops a child and forgets it.
     pub fn handle_remove(&mut self, name: &ObjectName, call: CallId, now: Instant) {
         let Some(key) = self.admit(name, call, Wish::Leave) else { return };
@@ -201,18 +215,20 @@ impl Supervisor {
 
     /// The incarnation is about to end, with others that are stopped before it: nothing is started
     /// any more.
-    pub fn handle_end_expected(&mut self) {
+    pub fn handle_end_expected(&mut self, now: Instant) {
         if self.at_work() {
             self.phase = Phase::Leaving;
             self.withdraw_all();
+            self.undo_additions(now);
             let living: Vec<ChildKey> = self.living().collect();
             self.announce_stops(living);
+            self.settle();
         }
     }
 
     /// Ends the incarnation: every child is stopped in reverse order.
     pub fn handle_end(&mut self, now: Instant) {
-        self.end(None);
+        self.end(None, now);
         self.advance(now);
     }
 
@@ -233,6 +249,7 @@ impl Supervisor {
         self.phase = Phase::Idle;
         self.going.clear();
         self.coming.clear();
+        self.undo_additions(now);
         let living: Vec<ChildKey> = self.living().collect();
         for key in living.into_iter().rev() {
             self.abandon(key);
@@ -374,17 +391,20 @@ impl Supervisor {
         let Some(key) = self.admit(name, call, Wish::Rest) else { return };
         self.set_isolated(key, true);
         let child = self.kept(key);
-        let (essential, worked) = (child.rules.essential, child.worked);
+        let (essential, worked, joins) = (child.rules.essential, child.worked, child.joins);
         let why = child.failed.take().map(|why| format!(": {why}")).unwrap_or_default();
         let undone = self.start_needs(key);
         self.dismiss(key, ChildTarget::Rest, cause, now);
-        if self.at_work() && cause != ReplacementCause::Asked {
+        if self.at_work() && cause != ReplacementCause::Asked && !joins {
             // As many restarts as the plan allows, and one too many, are the same end.
             let starts = self.phase == Phase::Starting || !worked;
             if essential {
-                self.end(Some(format!("{name} is essential, and was put into the safe state")));
+                self.end(
+                    Some(format!("{name} is essential, and was put into the safe state")),
+                    now,
+                );
             } else if undone || (self.rules.counts_together() && starts) {
-                self.end(Some(format!("{name} could not be started{why}")));
+                self.end(Some(format!("{name} could not be started{why}")), now);
             }
         }
         self.advance(now);
@@ -541,7 +561,7 @@ impl Supervisor {
         let failed = self.children.get(&key).is_some_and(|child| child.failed.is_some());
         if failed && undone {
             // Its children were tried as often as its rules allow.
-            self.end(Some(format!("{name} could not be started: {reason}")));
+            self.end(Some(format!("{name} could not be started: {reason}")), now);
         } else if failed
             && self.at_work()
             && let Err(why) = self.replace(key, ReplacementCause::Died, now)
@@ -560,6 +580,8 @@ impl Supervisor {
         self.pending.clear();
         let going = std::mem::take(&mut self.going);
         let living: Vec<ChildKey> = self.living().collect();
+        // Who has added them is not told, and removes them.
+        self.children.values_mut().for_each(|child| child.joins = false);
         for key in living {
             let foretold = going.contains(&key) && self.kept(key).rules.supervises;
             let (state, in_group) = (self.kept(key).state, self.coming.contains(&key));

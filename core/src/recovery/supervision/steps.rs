@@ -103,6 +103,8 @@ impl Supervisor {
             Wish::Rest if child.goal == ChildTarget::Leave => None,
             Wish::Rest if child.goal != ChildTarget::Rest => Some(Err(GiveUpReason::StartedAgain)),
             Wish::Rest => (!child.is_alive()).then_some(Ok(None)),
+            // It is answered when it is forgotten.
+            Wish::Work if child.joins && child.goal == ChildTarget::Leave => None,
             Wish::Work => {
                 if let (Phase::Escalated { reason }, true) = (&self.phase, self.rules.root) {
                     return Some(Err(GiveUpReason::Escalated { reason: reason.clone() }));
@@ -157,6 +159,10 @@ impl Supervisor {
         cause: ReplacementCause,
         now: Instant,
     ) -> Result<(), GiveUpReason> {
+        if self.kept(key).joins && cause != ReplacementCause::Asked {
+            self.dismiss(key, ChildTarget::Leave, cause, now);
+            return Ok(());
+        }
         if self.kept(key).rules.restart == Restart::Temporary {
             self.dismiss(key, ChildTarget::Finished, cause, now);
             return Ok(());
@@ -263,7 +269,7 @@ impl Supervisor {
     ) {
         let child = self.kept(key);
         if child.goal != ChildTarget::Leave {
-            child.goal = goal;
+            child.goal = if child.joins { ChildTarget::Leave } else { goal };
         }
         child.failed = None;
         self.coming.remove(&key);
@@ -314,7 +320,9 @@ impl Supervisor {
         self.set_state(key, ChildPhase::Down);
         let child = self.kept(key);
         if !expected && child.goal == ChildTarget::Run {
-            if may_end {
+            if child.joins {
+                (child.goal, child.failed) = (ChildTarget::Leave, Some(reason));
+            } else if may_end {
                 child.goal = ChildTarget::Finished;
                 self.coming.remove(&key);
             } else if child.isolated && !child.worked {
@@ -340,6 +348,9 @@ impl Supervisor {
                 self.coming.remove(&key);
                 self.budget.forget(key);
                 self.outputs.push_back(SupervisorOutput::Left { child: child.name });
+                if child.joins {
+                    self.answer_undone(key, child.failed);
+                }
             }
             ChildTarget::Run if alone && child.failed.is_none() => match self.rules.strategy {
                 Strategy::OneForOne => self.start(key, now),
@@ -353,6 +364,27 @@ impl Supervisor {
                 let child = child.name.clone();
                 self.outputs.push_back(SupervisorOutput::Retire { child });
             }
+        }
+    }
+
+    /// The supervisor ends: what has been added and has not come to work is no part of it.
+    pub(super) fn undo_additions(&mut self, now: Instant) {
+        let joins = self.children.iter().filter(|(_, child)| child.joins);
+        for key in joins.map(|(&key, _)| key).collect::<Vec<_>>() {
+            let child = self.kept(key);
+            child.goal = ChildTarget::Leave;
+            if !child.is_alive() {
+                self.after_end(key, now);
+            }
+        }
+    }
+
+    fn answer_undone(&mut self, undone: ChildKey, failed: Option<String>) {
+        let reason = failed.unwrap_or_else(|| "it was stopped before it was at work".to_owned());
+        let waits = |pending: &mut Pending| pending.key == undone && pending.wish == Wish::Work;
+        for Pending { call, child, .. } in self.pending.extract_if(.., waits).collect::<Vec<_>>() {
+            let reason = reason.clone();
+            self.answer_gave_up(call, child, GiveUpReason::StartFailed { reason });
         }
     }
 
@@ -454,7 +486,9 @@ impl Supervisor {
     pub(super) fn set_state(&mut self, key: ChildKey, state: ChildPhase) {
         let child = self.kept(key);
         let before = std::mem::replace(&mut child.state, state);
-        child.worked |= matches!(state, ChildPhase::Running | ChildPhase::Unavailable);
+        let works = matches!(state, ChildPhase::Running | ChildPhase::Unavailable);
+        child.worked |= works;
+        child.joins &= !works;
         let (timed, name) = (child.due().is_some(), child.name.clone());
         match (before, state) {
             (ChildPhase::Resetting { .. }, ChildPhase::Running)
@@ -482,7 +516,7 @@ impl Supervisor {
         let within = self.budget.add(key, now);
         if !within && (self.budget.is_shared() || self.kept(key).rules.essential) {
             let reason = self.excess_of(key, cause);
-            self.end(Some(reason));
+            self.end(Some(reason), now);
         } else if self.budget.left(key, now) == 0 {
             if self.budget.is_shared() {
                 self.withdraw_all();
@@ -513,8 +547,9 @@ impl Supervisor {
     }
 
     /// All children are to end, in reverse order.
-    pub(super) fn end(&mut self, escalation: Option<String>) {
+    pub(super) fn end(&mut self, escalation: Option<String>, now: Instant) {
         self.coming.clear();
+        self.undo_additions(now);
         self.withdraw_all();
         self.budget.settle();
         self.going = self.living().collect();

@@ -1,5 +1,6 @@
 //! Every state with every input, in words: outputs are compared as lines such as `start laser #2`.
 
+mod additions;
 mod budget;
 mod exceeded;
 mod incarnations;
@@ -188,6 +189,12 @@ impl Rig {
     fn isolate_struck(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         let (call, faulty) = (self.call(), Some(Incarnation(incarnation)));
         self.machine.handle_isolate(&name(child), faulty, true, call, self.now);
+        self.outputs()
+    }
+
+    fn add(&mut self, child: &str, rules: ChildRules) -> Vec<String> {
+        let call = self.call();
+        self.machine.handle_add(&name(child), rules, call, self.now);
         self.outputs()
     }
 

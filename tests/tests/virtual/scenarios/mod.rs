@@ -4,6 +4,7 @@
 //! done to the robot, and what its record of faults, its table and its tree show afterwards.
 
 mod chain;
+mod changes;
 mod chaos;
 mod command_timeouts;
 mod commanders;

@@ -258,7 +258,7 @@ fn a_supervisor_of_a_group_is_told_beforehand_that_the_group_restarts() {
 #[test]
 fn an_ending_supervisor_starts_nothing_and_answers_after_its_restart() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.machine.handle_end_expected();
+    rig.machine.handle_end_expected(rig.now);
 
     assert_eq!(rig.restart("a", ReplacementCause::Behind, 1), ["abandon a"]);
     assert_eq!(rig.died("b", 1), [""; 0]);

@@ -1,0 +1,287 @@
+//! Changes of the supervision tree while the node runs.
+//!
+//! ```text
+//!  add ──► prepare ──► dependencies, monitor ──► AddChild ──► at work
+//!             │ wrong          │ wrong              │ not started
+//!             └────────────────┴────────────────────┴──────► undone in reverse
+//!  remove ──► dependencies ──► RemoveChild (stops in reverse) ──► forgotten
+//! ```
+//!
+//! An object is entered in the dependencies before its supervisor has it, and is taken out before
+//! that stops it: so nothing begins to depend on what is about to end.
+
+use super::Node;
+use super::to_the_end::ToTheEnd;
+use super::tree::{PreparedTree, Subtree, TreeEnvironment};
+use crate::component::Component;
+use crate::component::spec_error::{SpecError, did_you_mean};
+use crate::fault_chain::directory::SupervisorRecipients;
+use crate::host::reference::ActorRef;
+use crate::host::spec::ChildSpec;
+use crate::platform;
+use actix::Recipient;
+use blastema_contract::reports::AreYouAlive;
+use blastema_contract::supervisor::{AddChild, GaveUp, RemoveChild};
+use blastema_core::ObjectName;
+use blastema_core::detection::dependencies::DependencyError;
+use blastema_core::recovery::GiveUpReason;
+use std::future::Future;
+use std::time::Duration;
+use tokio::sync::oneshot;
+
+/// Between two attempts at a supervisor that was restarted, or is full of requests.
+const RETRY_INTERVAL: Duration = Duration::from_millis(10);
+
+/// Why a component or supervisor is not removed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RemoveError {
+    /// No supervisor of this node keeps an object of this name.
+    #[error("no supervisor of this node keeps {name}{}", did_you_mean(nearest.as_ref()))]
+    Unknown {
+        /// The name.
+        name: String,
+        /// The child whose name is spelt most like it.
+        nearest: Option<ObjectName>,
+    },
+    /// Another object of the node depends on it. Remove that first, or both by their supervisor.
+    #[error(transparent)]
+    Needed(#[from] DependencyError),
+    /// The node was shut down, and has ended.
+    #[error("the node was shut down")]
+    ShutDown,
+}
+
+impl Node {
+    /// Adds a component, or a supervisor and all below it, while the node runs: as the last child of
+    /// the supervisor `parent`, or of the root. Resolves when all of it is at work, or waits for
+    /// what is not there yet. From then on it is a child like any other: recovery, order and
+    /// shutdown include it, and no budget of restarts has counted its start.
+    ///
+    /// The addition completes or is undone. A component has one attempt; components below a
+    /// supervisor that is added are restarted as its rules say. Where one cannot be started, all
+    /// that has started ends in reverse order, and all names are free again. While the supervisor
+    /// recovers others, the start waits for its turn. The order is carried out also if the future is
+    /// dropped.
+    ///
+    /// ```
+    /// use blastema::prelude::*;
+    ///
+    /// struct Lamp;
+    /// impl Component for Lamp {}
+    ///
+    /// blastema::run(async {
+    ///     let node = Node::builder("module1").child(ChildSpec::new("lamp", || Lamp)).start().await?;
+    ///     let lamp = |name| ChildSpec::new(name, || Lamp);
+    ///     let porch = SupervisorSpec::new("porch", Strategy::OneForAll).child(lamp("porch/left"));
+    ///
+    ///     node.add(None, porch).await?;
+    ///     node.add(Some("porch"), lamp("porch/right").depends_on(["porch/left"])).await?;
+    ///     let refused = node.remove_child("porch/left").await.unwrap_err();
+    ///     assert!(refused.to_string().starts_with("porch/right depends on porch/left"));
+    ///     node.remove_child("porch").await?;
+    ///     node.shutdown().await;
+    ///     Ok::<(), Box<dyn std::error::Error>>(())
+    /// })?;
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// What [`NodeBuilder::start`](crate::NodeBuilder::start) refuses in a component or supervisor;
+    /// [`SpecError::NoSupervisor`], [`SpecError::NotStarted`], and [`SpecError::Refused`] where the
+    /// parent is not at work.
+    pub async fn add(
+        &self,
+        parent: Option<&str>,
+        subtree: impl Into<Subtree>,
+    ) -> Result<(), SpecError> {
+        self.take_in(parent, subtree.into(), true).await.map(drop)
+    }
+
+    /// Adds a component under the root supervisor while the node runs, and does not wait until it is
+    /// at work, as [`add`](Self::add) does: where it cannot be started, the plan decides. It is
+    /// permanent: every end is followed by a restart.
+    ///
+    /// # Errors
+    /// Its name is taken or does not parse, a setting makes no sense, what it depends on is not
+    /// there or depends on it, or the root refuses it.
+    pub async fn add_child<C: Component>(
+        &self,
+        spec: ChildSpec<C>,
+    ) -> Result<ActorRef<C>, SpecError> {
+        let name = self.take_in(None, spec.into(), false).await?;
+        let cell = self.0.environment.registry.cell(&name).and_then(|cell| cell.downcast().ok());
+        // It may have been removed in between.
+        cell.map(ActorRef).ok_or(SpecError::Refused { name })
+    }
+
+    /// Removes a component, or a supervisor and all below it, while the node runs: it stops in the
+    /// reverse of its start order, its faults are closed, and its names are free. Its siblings go
+    /// on, and no budget of restarts counts it. Messages to it fail from then on as those to
+    /// any object that is gone.
+    ///
+    /// A handler of a component that is removed must not await this, as it would be waited for
+    /// itself: it counts as hanging after [`max_wait`](ChildSpec::max_wait). Spawn it with
+    /// `actix_rt::spawn`. The order is carried out also if the future is dropped.
+    ///
+    /// # Errors
+    /// [`RemoveError::Unknown`] where no supervisor keeps it, as the root itself;
+    /// [`RemoveError::Needed`] where another object [depends](ChildSpec::depends_on) on any of it.
+    pub async fn remove_child(&self, name: &str) -> Result<(), RemoveError> {
+        let nearest = || self.0.directory.nearest(name);
+        let unknown = || RemoveError::Unknown { name: name.to_owned(), nearest: nearest() };
+        let object = ObjectName::new(name).map_err(|_| unknown())?;
+        let supervisor = self.0.directory.supervisor_of(&object).ok_or_else(unknown)?;
+        let names = {
+            let mut dependencies = self.0.dependencies();
+            // Else another call removes it already.
+            dependencies.has(&object).then_some(()).ok_or_else(unknown)?;
+            let names = self.0.directory.subtree(&object);
+            dependencies.remove(&names)?;
+            names
+        };
+        let node = self.clone();
+        self.to_the_end(async move { node.carry_out_removal(object, &supervisor, names).await })
+            .await
+            .unwrap_or(Err(RemoveError::ShutDown))
+    }
+
+    async fn carry_out_removal(
+        &self,
+        object: ObjectName,
+        supervisor: &SupervisorRecipients,
+        names: Vec<ObjectName>,
+    ) -> Result<(), RemoveError> {
+        let below = names.iter().filter_map(|name| self.0.directory.supervisor(name));
+        let below: Vec<_> = below.map(|supervisor| supervisor.pings.clone()).collect();
+        loop {
+            match supervisor.remove.send(RemoveChild { object: object.clone() }).await {
+                Ok(Err(GaveUp { why: GiveUpReason::Forgotten, .. }))
+                | Ok(Err(GaveUp { why: GiveUpReason::Full { .. }, .. })) => {
+                    platform::sleep(RETRY_INTERVAL).await;
+                }
+                Ok(_) => break,
+                Err(_) => return Err(RemoveError::ShutDown),
+            }
+        }
+        await_ends(below).await;
+        names.into_iter().for_each(|name| self.0.chain.dismiss(name));
+        Ok(())
+    }
+
+    /// Prepares a subtree, and gives it to its supervisor.
+    async fn take_in(
+        &self,
+        parent: Option<&str>,
+        subtree: Subtree,
+        whole: bool,
+    ) -> Result<ObjectName, SpecError> {
+        let name = parent.unwrap_or("root");
+        let directory = &self.0.directory;
+        let no_supervisor = || {
+            let nearest = directory.nearest_supervisor(name);
+            SpecError::NoSupervisor { name: name.to_owned(), nearest }
+        };
+        let parent = ObjectName::new(name).map_err(|_| no_supervisor())?;
+        let supervisor = directory.supervisor(&parent).ok_or_else(no_supervisor)?;
+        let mut tree = PreparedTree::default();
+        let prepared = subtree.prepare(&self.tree_environment(), &mut tree);
+        let entered = match tree.refused.is_empty() {
+            true => self.enter(&parent, &tree).and_then(|is_there| match is_there {
+                true => Ok(()),
+                false => Err(no_supervisor()),
+            }),
+            false => Err(tree.refused.swap_remove(0)),
+        };
+        let (child, rules) = match (entered, prepared) {
+            (Ok(()), Some(prepared)) => prepared,
+            (entered, prepared) => {
+                drop(prepared);
+                await_ends(tree.supervisors.into_iter().rev().map(|(_, pings)| pings)).await;
+                return Err(entered.expect_err("what is not prepared is refused"));
+            }
+        };
+        let addition = AddChild { child, rules, whole };
+        let node = self.clone();
+        let added =
+            async move { node.carry_out_addition(parent, &supervisor, addition, tree).await };
+        self.to_the_end(added).await.expect("it ends with an answer")
+    }
+
+    async fn carry_out_addition(
+        &self,
+        parent: ObjectName,
+        supervisor: &SupervisorRecipients,
+        addition: AddChild,
+        tree: PreparedTree,
+    ) -> Result<ObjectName, SpecError> {
+        let name = addition.child.name().clone();
+        self.0.chain.enrol(&self.0.name, &tree).await;
+        let added = supervisor.add.send(addition).await;
+        // The parent may have been removed meanwhile, and this with it.
+        let stays = self.0.dependencies().has(&parent);
+        let why = match added {
+            Ok(Ok(_)) if stays => return Ok(name),
+            Ok(Ok(_)) | Err(_) => None,
+            Ok(Err(GaveUp { why, .. })) => Some(why),
+        };
+        if let Some(GiveUpReason::Forgotten | GiveUpReason::Full { .. }) = why {
+            // It may be there all the same.
+            let _ = supervisor.remove.send(RemoveChild { object: name.clone() }).await;
+        }
+        let names: Vec<_> = tree.names().cloned().collect();
+        // At once: what is gone has no fault that could be recovered.
+        names.iter().for_each(|name| self.0.chain.dismiss(name.clone()));
+        await_ends(tree.supervisors.into_iter().rev().map(|(_, pings)| pings)).await;
+        self.0.dependencies().forget(&names);
+        Err(match why {
+            Some(GiveUpReason::StartFailed { reason }) => SpecError::NotStarted { name, reason },
+            _ => SpecError::Refused { name },
+        })
+    }
+
+    fn tree_environment(&self) -> TreeEnvironment<'_> {
+        TreeEnvironment {
+            environment: &self.0.environment,
+            guardian: &self.0.guardian,
+            arbiter: self.0.chain.arbiter.as_ref(),
+            monitor: self.0.monitor.clone(),
+            directory: self.0.directory.clone(),
+            plan: &self.0.plan,
+            whole_start: true,
+        }
+    }
+
+    /// Enters the dependencies of what is to be added, if its parent is there.
+    fn enter(&self, parent: &ObjectName, tree: &PreparedTree) -> Result<bool, SpecError> {
+        let mut dependencies = self.0.dependencies();
+        if !dependencies.has(parent) {
+            return Ok(false);
+        }
+        let supervisors = tree.supervisors.iter().map(|(name, _)| (name, &[][..]));
+        let components = tree.components.iter().map(|facts| (&facts.name, &*facts.depends_on));
+        dependencies.add(supervisors.chain(components))?;
+        Ok(true)
+    }
+
+    /// Does the work, also if the returned future is dropped meanwhile; `None` where its place has
+    /// ended.
+    async fn to_the_end<T: Send + 'static>(
+        &self,
+        work: impl Future<Output = T> + Send + 'static,
+    ) -> Option<T> {
+        let (answer, outcome) = oneshot::channel();
+        let work = async move { drop(answer.send(work.await)) };
+        ToTheEnd::of(self.0.chain.arbiter.clone(), work).await;
+        outcome.await.ok()
+    }
+}
+
+/// Waits until supervisors that were told to end have dropped their children: each before those
+/// below it.
+async fn await_ends(supervisors: impl IntoIterator<Item = Recipient<AreYouAlive>>) {
+    for supervisor in supervisors {
+        // It answers no more when it has ended.
+        let _ = supervisor.send(AreYouAlive).await;
+    }
+}
