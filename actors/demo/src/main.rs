@@ -1,69 +1,56 @@
 //! The demonstration: a robot of three processes that is killed, hung and unplugged, and recovers.
 //!
 //! ```text
-//!   Scenario (next fault; promises kept?)    module::run, in three child processes
-//!     ▲ │                                          ▲
-//!     │ ▼                                          │
-//!   Director ── Launcher, Control ── JSON lines ───┘
-//!     │
-//!     └──► Display (a thread): live view or lines, at the end the tables
-//! ```
+//!   robot.xml      the robot: three nodes, four cables, a hundred and some components
+//!   faults.rs      the ten faults, and how each is judged
 //!
-//! The scenario is a pure state machine, which the director drives. For the modules the director is
-//! what the init system is on a robot's computers: it restarts a process that has ended.
+//!   director ──────── node `director`: three processes as its children ─────────┐
+//!     │ scenario, trial: what is next, and were the promises kept?              │
+//!     │                                                                         ▼
+//!     │   Strike, ReadModule         agent ── node of the robot      in each module's process
+//!     ├──────────────────────────►   `Node::inject`, `Node::faults`
+//!     │    Unix sockets, never cut
+//!     └──► a line for each step, at the end the tables
+//! ```
 
 mod args;
-mod chaos;
-mod control;
 mod director;
-mod display;
-#[cfg(test)]
-mod fake;
-mod flow_accounting;
-mod flow_receiver;
+mod faults;
+mod flow_account;
 #[cfg(test)]
 mod golden;
-mod injection;
-mod launcher;
-mod machine_instant;
+mod messages;
 mod module;
-mod protocol;
 mod report;
 mod robot;
 mod robot_state;
-mod run_keys;
+mod run_folder;
 mod scenario;
 mod table;
-mod timings;
-mod tone;
 mod trial;
-mod view;
-mod wiring;
 
-use args::{DemoArguments, DemoOptions, DemoPart};
+use args::{DemoArguments, DemoPart};
 use clap::Parser;
-use director::{DemoError, Director};
-use display::{Display, Mode};
-use scenario::ScenarioPlan;
+use std::error::Error;
 use std::io::{self, Write};
 use std::process::ExitCode;
-use std::time::Duration;
 
 /// The demonstration could not be run, or was not run to its end.
 const NOT_RUN: u8 = 2;
 /// A fault stayed unrecovered, or a promise was broken.
 const PROMISE_BROKEN: u8 = 1;
-
-/// The default duration of a run with random faults.
-const CHAOS: Duration = Duration::from_secs(60);
+/// The width of the tables where standard output is no terminal.
+const PAGE: u16 = 140;
 
 fn main() -> ExitCode {
+    // The modules are children of the director's node.
+    blastema::launch_processes();
+    // What the nodes find is shown by the demonstration; the log would say it again.
+    let _ = tracing::subscriber::set_global_default(tracing::subscriber::NoSubscriber::new());
     let arguments = DemoArguments::parse();
     let outcome = match arguments.part {
-        Some(DemoPart::Module(options)) => {
-            module::run(&options).map(|()| true).map_err(|error| error.to_string())
-        }
-        None => run(&arguments.demo).map_err(|error| error.to_string()),
+        Some(DemoPart::Module(options)) => module::run(&options).map(|()| true),
+        None => run(arguments.json),
     };
     match outcome {
         Ok(true) => ExitCode::SUCCESS,
@@ -80,25 +67,23 @@ fn main() -> ExitCode {
 ///
 /// # Errors
 /// The demonstration cannot be run to its end.
-fn run(options: &DemoOptions) -> Result<bool, DemoError> {
-    let system = |what| move |source: io::Error| DemoError::System { what, source };
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    let runtime = runtime.map_err(system("no runtime"))?;
-    let display = Display::start(Mode::choose(options.json)).map_err(system("no thread"))?;
-    let plan = ScenarioPlan {
-        chaos: options.chaos,
-        seed: options.seed,
-        length: options.length.or(options.chaos.then_some(CHAOS)),
-        ..ScenarioPlan::default()
+fn run(json: bool) -> Result<bool, Box<dyn Error>> {
+    let (report, outcome) = blastema::run(director::run(!json));
+    let end = match (&report, json) {
+        (None, _) => String::new(),
+        (Some(report), true) => {
+            serde_json::to_string_pretty(report).expect("a report is plain data") + "\n"
+        }
+        (Some(report), false) => table::draw(report, columns()),
     };
-    // The processes end with the thread that starts them, which is this one.
-    let (report, outcome) = runtime
-        .block_on(async { Ok::<_, DemoError>(Director::start(plan)?.run(&display).await) })?;
-    let end = if options.json {
-        serde_json::to_string_pretty(&report).expect("a report is plain data") + "\n"
-    } else {
-        table::draw(&report, display.columns())
-    };
-    display.end(end);
-    outcome.map(|()| report.promises_kept)
+    // With standard output closed, there is no place left for the tables.
+    let _ = io::stdout().write_all(end.as_bytes());
+    outcome?;
+    Ok(report.is_some_and(|report| report.promises_kept))
+}
+
+/// The width of the terminal, or of a page. Some terminals report a size of zero.
+fn columns() -> u16 {
+    let size = rustix::termios::tcgetwinsize(io::stdout()).ok();
+    size.map(|size| size.ws_col).filter(|columns| *columns > 0).unwrap_or(PAGE)
 }

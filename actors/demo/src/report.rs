@@ -1,11 +1,9 @@
 //! The report of a run.
 
-use super::flow_accounting::FlowLosses;
-use super::protocol::FaultNote;
-use super::robot::Module;
-use super::robot_state::Measured;
-use super::timings::Timings;
+use crate::flow_account::FlowLosses;
+use crate::messages::{FILTERED, FaultReport, UNFILTERED};
 use serde::{Serialize, Serializer};
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// The report of a run; `--json` prints it.
@@ -15,31 +13,21 @@ pub(crate) struct Report {
     pub(crate) promises_kept: bool,
     /// The run was not interrupted.
     pub(crate) finished: bool,
-    /// The seed of the run.
-    pub(crate) seed: u64,
-    /// Random faults instead of the scenario.
-    pub(crate) chaos: bool,
     /// From the first process's start to the last row.
     #[serde(rename = "took_ms", serialize_with = "as_millis")]
     pub(crate) took: Duration,
     /// One row for each fault.
     pub(crate) rows: Vec<FaultRow>,
-    /// Rows without a problem that a long run does not list.
-    pub(crate) rows_left_out: u64,
     /// Problems outside of the rows.
     pub(crate) problems: Vec<String>,
     /// Reliable messages over the whole run.
     pub(crate) messages: FlowLosses,
-    /// Messages that a row counts as lost and that arrived later.
-    pub(crate) late: u64,
-    /// How many of them the sinks' last processes received.
+    /// How many of them have arrived from and at the modules' last processes.
     pub(crate) received: u64,
     /// Overloads that were found where none was injected: the computer was too busy for the robot.
     pub(crate) overloads: u64,
-    /// ResponseTimes times between modules, ours and the paper's.
-    pub(crate) responses: Vec<ResponseTimes>,
-    /// DeliveryTimes of events within a module.
-    pub(crate) events: Vec<DeliveryTimes>,
+    /// Response times between modules, and delivery times of events within one.
+    pub(crate) latencies: Vec<LatencyRow>,
     /// How the figures were taken.
     pub(crate) notes: Vec<&'static str>,
 }
@@ -54,6 +42,12 @@ pub(crate) struct FaultRow {
     /// Where.
     #[serde(rename = "where")]
     pub(crate) location: String,
+    /// What is broken.
+    pub(crate) broken: &'static str,
+    /// What the robot does.
+    pub(crate) robot_does: &'static str,
+    /// What a user sees.
+    pub(crate) user_sees: &'static str,
     /// The fault as reported by the middleware.
     pub(crate) named: Option<ReportedFault>,
     /// From the fault to its detection.
@@ -68,14 +62,14 @@ pub(crate) struct FaultRow {
     pub(crate) lost: u64,
     /// Reliable messages doubled.
     pub(crate) doubled: u64,
-    /// Reliable messages that were lost with a killed process, at most.
+    /// Reliable messages that became dead letters because the receiving process was killed.
     pub(crate) perished: u64,
     /// Reliable messages that became dead letters because there was no path for too long.
     pub(crate) returned: u64,
     /// Further faults that the modules reported as its consequences.
     pub(crate) symptoms: u64,
-    /// The paper's figure in milliseconds, if it measured something like it.
-    pub(crate) paper: Option<&'static str>,
+    /// The mark of a note and the paper's mean in milliseconds, if it measured something like it.
+    pub(crate) paper: Option<(char, f64)>,
     /// The broken promises.
     pub(crate) problems: Vec<String>,
 }
@@ -94,123 +88,106 @@ pub(crate) struct ReportedFault {
     pub(crate) detail: String,
 }
 
-impl From<&FaultNote> for ReportedFault {
-    fn from(note: &FaultNote) -> Self {
+impl From<&FaultReport> for ReportedFault {
+    fn from(report: &FaultReport) -> Self {
         ReportedFault {
-            code: note.kind.code().to_owned(),
-            text: note.kind.text().to_owned(),
-            location: note.location.to_string(),
-            detail: note.detail.clone(),
+            code: report.kind.code().to_owned(),
+            text: report.kind.text().to_owned(),
+            location: report.location.to_string(),
+            detail: report.detail.clone(),
         }
     }
 }
 
-/// The time from a request to its reply between two modules.
+/// What was measured of one kind of message, in milliseconds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct ResponseTimes {
-    /// The two modules.
-    pub(crate) modules: [&'static str; 2],
-    /// The networks between them.
+pub(crate) struct LatencyRow {
+    /// A request and its reply between two modules, or an event to a listener in the same module.
+    pub(crate) what: &'static str,
+    /// The networks between the modules.
     pub(crate) over: &'static str,
-    /// Ours.
-    #[serde(flatten)]
-    pub(crate) figures: LatencySummary,
-    /// The mean in the paper's table 1, in milliseconds.
-    pub(crate) paper_mean_ms: f64,
-}
-
-/// The time from a publisher to a listener in the same module.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct DeliveryTimes {
-    /// Whether the listener gave a condition.
-    pub(crate) filtered: bool,
-    /// Ours.
-    #[serde(flatten)]
-    pub(crate) figures: LatencySummary,
-}
-
-/// Timings in figures.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub(crate) struct LatencySummary {
     /// How many.
-    pub(crate) count: u64,
-    /// The mean.
-    #[serde(rename = "mean_ms", serialize_with = "maybe_as_millis")]
-    pub(crate) mean: Option<Duration>,
-    /// Half were at most this.
-    #[serde(rename = "median_ms", serialize_with = "maybe_as_millis")]
-    pub(crate) median: Option<Duration>,
-    /// 99 of 100 were at most this.
-    #[serde(rename = "p99_ms", serialize_with = "maybe_as_millis")]
-    pub(crate) p99: Option<Duration>,
-    /// The shortest.
-    #[serde(rename = "least_ms", serialize_with = "maybe_as_millis")]
-    pub(crate) least: Option<Duration>,
-    /// The longest.
-    #[serde(rename = "worst_ms", serialize_with = "maybe_as_millis")]
-    pub(crate) worst: Option<Duration>,
+    pub(crate) count: usize,
+    /// The mean, the median, what 99 of 100 did not exceed, and the longest.
+    #[serde(rename = "mean_median_p99_worst_ms", serialize_with = "all_as_millis")]
+    pub(crate) figures: [Option<Duration>; 4],
+    /// The mean in the paper's table 1.
+    pub(crate) paper_mean_ms: Option<f64>,
 }
 
-impl From<&Timings> for LatencySummary {
-    fn from(timings: &Timings) -> Self {
-        LatencySummary {
-            count: timings.count(),
-            mean: timings.mean(),
-            median: timings.quantile(500),
-            p99: timings.quantile(990),
-            least: timings.least(),
-            worst: timings.worst(),
-        }
-    }
-}
-
-/// What the paper measured for a row of ours, if it did.
-pub(crate) fn paper_figure(fault: &str) -> Option<&'static str> {
-    match fault {
-        "panic" => Some("11.1 (at most 12)"),
-        "cable cut" => Some("12 (at most 13)"),
-        _ => None,
-    }
-}
-
-/// How the figures were taken: ours and the paper's.
-pub(crate) const NOTES: [&str; 5] = [
-    "All times in milliseconds. The clock of a row starts when the fault is present; it is recovered \
-     when the object answers again, or when messages sent after the fault arrive. A supervisor that \
-     restarts an object at once is faster than the report of the fault. A cut cable is silent: its \
-     medium reports nothing. Symptoms are faults that the modules reported as consequences.",
-    "r  from the return of the cables.  +p  at most so many messages were lost with the killed process. \
-     +d  so many became dead letters: there was no path for longer than a session waits, 2 s.",
-    "a  Baek and Park 2008, table 2, for a panic: 11.1 (at most 12) from the detection of a dead \
-     object among 100, with a sign of life every 100 ms, to its re-creation; mean of 1000.",
-    "b  Ibid., for a cut cable: 12 (at most 13) from its detection, with a sign of life every 3 s, to \
-     the first answer over the other network, without the 10 s of the detection; mean of 1000.",
-    "c  Ibid., table 1: event and answer between two PCs (Pentium IV, 3 GHz, Windows XP), mean of \
-     10,000 without the worst; worst 20 (Ethernet) and 110 (IEEE 1394). Here: a request and its reply \
-     between processes on one machine, all of them, during the faults.",
+/// What is measured: by which name in the modules, what it is, the networks, and the paper's mean.
+const MEASURED: [(&str, &str, &str, Option<f64>); 5] = [
+    ("ask/1-2", "request module1-module2", "ethernet", Some(0.345)),
+    ("ask/1-3", "request module1-module3", "ieee1394", Some(0.420)),
+    ("ask/2-3", "request module2-module3", "both", Some(0.759)),
+    (UNFILTERED, UNFILTERED, "", None),
+    (FILTERED, FILTERED, "", None),
 ];
 
-/// The paper's mean response time between two modules, its table 1, in milliseconds.
-const PAPER_RESPONSES: [([Module; 2], &str, f64); 3] = [
-    ([Module::Module1, Module::Module2], "ethernet", 0.345),
-    ([Module::Module1, Module::Module3], "ieee1394", 0.420),
-    ([Module::Module2, Module::Module3], "both", 0.759),
+/// Returns the figures of all that was measured, given in nanoseconds by its name.
+pub(crate) fn latencies(measured: &BTreeMap<String, Vec<u64>>) -> Vec<LatencyRow> {
+    let row = |(name, what, over, paper_mean_ms): (&str, _, _, _)| {
+        let mut nanos = measured.get(name).cloned().unwrap_or_default();
+        nanos.sort_unstable();
+        let count = nanos.len();
+        let mean = nanos.iter().sum::<u64>().checked_div(count as u64);
+        let quantile =
+            |percent: usize| nanos.get((count * percent).div_ceil(100).max(1) - 1).copied();
+        let figures = [mean, quantile(50), quantile(99), quantile(100)];
+        let figures = figures.map(|nanos| nanos.map(Duration::from_nanos));
+        LatencyRow { what, over, count, figures, paper_mean_ms }
+    };
+    MEASURED.into_iter().map(row).collect()
+}
+
+/// A text that begins with its mark, and whether a row of the report has that mark.
+type ReportNote = (&'static str, fn(&Report) -> bool);
+
+/// How the figures were taken, ours and the paper's, each with the rows that it belongs to.
+const NOTES: [ReportNote; 7] = [
+    (
+        "All times in milliseconds. The clock of a row starts when the fault is injected; it is recovered when the \
+         object answers again, or when messages sent after the fault arrive. A supervisor that restarts an object at \
+         once is faster than the report of the fault. A cut cable is silent: its medium reports nothing. Symptoms are \
+         faults that the modules reported as consequences.",
+        |_| true,
+    ),
+    ("r  from the return of the cables.", |report| report.rows.iter().any(|row| row.from_repair)),
+    ("+p  so many messages became dead letters with the killed process.", |report| {
+        report.rows.iter().any(|row| row.perished > 0)
+    }),
+    (
+        "+d  so many messages became dead letters: there was no path for longer than a session waits, 2 s.",
+        |report| report.rows.iter().any(|row| row.returned > 0),
+    ),
+    (
+        "a  Baek and Park 2008, table 2: from the detection of a dead object among 100, with a sign of life every 100 \
+         ms, to its re-creation; mean of 1000, at most 12.",
+        |report| report.has_paper('a'),
+    ),
+    (
+        "b  Baek and Park 2008, table 2: from the detection of a cut cable, with a sign of life every 3 s, to the first \
+         answer over the other network, without the 10 s of the detection; mean of 1000, at most 13.",
+        |report| report.has_paper('b'),
+    ),
+    (
+        "c  Baek and Park 2008, table 1: event and answer between two PCs (Pentium IV, 3 GHz, Windows XP), mean of \
+         10,000 without the worst; worst 20 (Ethernet) and 110 (IEEE 1394). Here: a request and its reply between \
+         processes on one machine, all of them, during the faults.",
+        |report| !report.latencies.is_empty(),
+    ),
 ];
 
 impl Report {
-    /// Fills in what was measured along the way.
-    pub(crate) fn take_measured(&mut self, measured: &Measured) {
-        self.responses = PAPER_RESPONSES
-            .map(|([one, other], over, paper_mean_ms)| {
-                let timings = measured.responses.get(&(one, other));
-                let figures = timings.map(LatencySummary::from).unwrap_or_default();
-                ResponseTimes { modules: [one.name(), other.name()], over, figures, paper_mean_ms }
-            })
-            .into();
-        self.events = vec![
-            DeliveryTimes { filtered: false, figures: LatencySummary::from(&measured.unfiltered) },
-            DeliveryTimes { filtered: true, figures: LatencySummary::from(&measured.filtered) },
-        ];
+    /// Adds the notes that belong to a row.
+    pub(crate) fn with_notes(mut self) -> Report {
+        let notes = NOTES.iter().filter(|(_, concerns)| concerns(&self));
+        self.notes = notes.map(|(text, _)| *text).collect();
+        self
+    }
+
+    fn has_paper(&self, mark: char) -> bool {
+        self.rows.iter().any(|row| row.paper.is_some_and(|(of, _)| of == mark))
     }
 }
 
@@ -233,8 +210,26 @@ fn maybe_as_millis<S: Serializer>(
     span: &Option<Duration>,
     serializer: S,
 ) -> Result<S::Ok, S::Error> {
-    match span {
-        Some(span) => as_millis(span, serializer),
-        None => serializer.serialize_none(),
+    span.map(millis).serialize(serializer)
+}
+
+fn all_as_millis<S: Serializer>(
+    spans: &[Option<Duration>; 4],
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    spans.map(|span| span.map(millis)).serialize(serializer)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_has_the_quantiles_of_all_that_was_measured() {
+        let rows = latencies(&[("ask/1-2".to_owned(), (1..=200).rev().collect())].into());
+        let figures = |row: &LatencyRow| row.figures.map(|span| span.map(|span| span.as_nanos()));
+
+        assert_eq!((rows[0].count, figures(&rows[0])), (200, [100, 100, 198, 200].map(Some)));
+        assert_eq!((rows[1].count, figures(&rows[1])), (0, [None; 4]));
     }
 }

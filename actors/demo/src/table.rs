@@ -1,8 +1,6 @@
 //! The tables at the end of a run, with the figures of the paper.
 
-use super::report::{
-    DeliveryTimes, FaultRow, LatencySummary, Report, ResponseTimes, counted, millis,
-};
+use crate::report::{FaultRow, Report, counted, millis};
 use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table, presets};
 use std::fmt::Write;
 use std::time::Duration;
@@ -17,10 +15,6 @@ pub(crate) fn draw(report: &Report, columns: u16) -> String {
     let mut text = String::from("\n");
     // Writing to a string cannot fail.
     let _ = writeln!(text, "{}", faults(report, columns).trim_fmt());
-    if report.rows_left_out > 0 {
-        let rows = counted(report.rows_left_out, "earlier row");
-        text += &wrapped(&format!("({rows} without a problem)"), columns);
-    }
     for problem in problems(report) {
         text += &wrapped(&format!("! {problem}"), columns);
     }
@@ -45,8 +39,9 @@ fn faults(report: &Report, columns: u16) -> Table {
         "lost",
         "doubled",
         "symptoms",
+        "paper",
     ]);
-    for column in [0, 4, 5, 6, 7, 8] {
+    for column in [0, 4, 5, 6, 7, 8, 9] {
         right_aligned(&mut table, column);
     }
     table.add_rows(report.rows.iter().map(|row| {
@@ -64,6 +59,7 @@ fn faults(report: &Report, columns: u16) -> Table {
             format!("{besides}{}", row.lost),
             row.doubled.to_string(),
             row.symptoms.to_string(),
+            row.paper.map(|(mark, figure)| format!("{figure} {mark}")).unwrap_or_default(),
         ]
     }));
     table
@@ -84,35 +80,22 @@ fn latencies(report: &Report, columns: u16) -> Table {
     for column in 2..8 {
         right_aligned(&mut table, column);
     }
-    let row = |what: String, over: &str, summary: &LatencySummary, paper: String| {
-        let LatencySummary { count, mean, median, p99, worst, .. } = *summary;
-        let figures = [mean, median, p99, worst].map(figure);
-        [what, over.to_owned(), count.to_string()].into_iter().chain(figures).chain([paper])
-    };
-    for ResponseTimes { modules: [one, other], over, figures, paper_mean_ms } in &report.responses {
-        let what = format!("request {one}-{other}");
-        table.add_row(row(what, over, figures, format!("{paper_mean_ms:.3}")));
-    }
-    for DeliveryTimes { filtered, figures } in &report.events {
-        let what = if *filtered { "event, filtered" } else { "event, unfiltered" };
-        table.add_row(row(what.to_owned(), "", figures, String::new()));
-    }
+    table.add_rows(report.latencies.iter().map(|row| {
+        let paper = row.paper_mean_ms.map(|mean| format!("{mean:.3}"));
+        let what = [row.what.to_owned(), row.over.to_owned(), row.count.to_string()];
+        what.into_iter().chain(row.figures.map(figure)).chain([paper.unwrap_or_default()])
+    }));
     table
 }
 
 fn verdict(report: &Report) -> String {
     let sum = &report.messages;
-    let rows = report.rows.len() as u64 + report.rows_left_out;
     let is_broken =
         !report.problems.is_empty() || report.rows.iter().any(|row| !row.problems.is_empty());
     let verdict = match (report.promises_kept, report.finished) {
         (true, _) => "Every promise was kept",
         (false, false) if !is_broken => "The run was ended early",
         (false, _) => "A promise was broken",
-    };
-    let late = match report.late {
-        0 => String::new(),
-        late => format!(" ({late} that a row counts as lost arrived late)"),
     };
     let returned = match sum.returned {
         0 => String::new(),
@@ -126,10 +109,9 @@ fn verdict(report: &Report) -> String {
         ),
     };
     format!(
-        "{verdict}: {} in {:.1} s, seed {}; reliable messages: {} lost{late}, {} doubled{returned}.{busy}",
-        counted(rows, "fault"),
+        "{verdict}: {} in {:.1} s; reliable messages: {} lost, {} doubled{returned}.{busy}",
+        counted(report.rows.len() as u64, "fault"),
         report.took.as_secs_f64(),
-        report.seed,
         sum.lost,
         sum.doubled
     )
@@ -174,81 +156,66 @@ fn figure(span: Option<Duration>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flow_accounting::FlowLosses;
+    use crate::faults::{Blow, FAULTS};
+    use crate::flow_account::FlowLosses;
     use crate::golden;
-    use crate::report::{NOTES, ReportedFault, paper_figure};
-    use crate::robot::Module;
-    use crate::robot_state::Measured;
-    use crate::timings::Timings;
+    use crate::messages::UNFILTERED;
+    use crate::report::{ReportedFault, latencies as figures};
 
-    fn row(number: u32, fault: &'static str, location: &str, named: (&str, &str)) -> FaultRow {
-        let (code, text) = named;
+    fn row(title: &str) -> FaultRow {
+        let found = FAULTS.iter().enumerate().find(|(_, fault)| fault.title == title);
+        let (at, fault) = found.expect("there is such a fault");
+        let [broken, robot_does, user_sees] = fault.story;
         FaultRow {
-            number,
-            fault,
-            location: location.into(),
+            number: at as u32 + 1,
+            fault: fault.title,
+            location: fault.place(),
+            broken,
+            robot_does,
+            user_sees,
             named: Some(ReportedFault {
-                code: code.into(),
-                text: text.into(),
-                location: location.into(),
+                code: fault.kind.code().into(),
+                text: fault.kind.text().into(),
+                location: fault.place(),
                 detail: String::new(),
             }),
             detected_after: Some(Duration::from_nanos(21_400)),
             recovered_after: Some(Duration::from_micros(65)),
-            from_repair: false,
+            from_repair: fault.blow == Blow::Blackout,
             lost: 0,
             doubled: 0,
             perished: 0,
             returned: 0,
             symptoms: 0,
-            paper: paper_figure(fault),
+            paper: fault.paper,
             problems: vec![],
         }
     }
 
-    pub(crate) fn report() -> Report {
-        let mut rows = vec![
-            row(1, "panic", "module1:skin/17", ("B01", "panic")),
-            row(2, "cable cut", "module1 -ethernet- module2", ("B11", "link down")),
-            row(3, "both cables cut, return", "module1 - module2", ("B13", "node lost")),
-            row(4, "kill -9, rejoin", "module3", ("B13", "node lost")),
-        ];
-        rows[2].from_repair = true;
+    fn report() -> Report {
+        let titles = ["panic", "cable cut", "both cables cut, return", "kill -9, rejoin"];
+        let mut rows: Vec<_> = titles.into_iter().map(row).collect();
         rows[2].returned = 240;
         rows[3].recovered_after = None;
         rows[3].lost = 2;
         rows[3].perished = 14;
         rows[3].symptoms = 15;
         rows[3].problems = vec!["service is not back".into(), "2 messages were lost".into()];
-        let mut timings = Timings::default();
-        for micros in [40, 55, 1_200] {
-            timings.record(Duration::from_micros(micros));
-        }
-        let pairs = [(Module::Module1, Module::Module2), (Module::Module2, Module::Module3)];
-        let measured = Measured {
-            responses: pairs.map(|pair| (pair, timings.clone())).into(),
-            unfiltered: timings,
-            ..Measured::default()
-        };
-        let mut report = Report {
+        let nanos = vec![40_000, 55_000, 1_200_000];
+        let names = ["ask/1-2", "ask/2-3", UNFILTERED];
+        Report {
             promises_kept: false,
             finished: true,
-            seed: 1,
-            chaos: false,
             took: Duration::from_millis(21_345),
             rows,
-            rows_left_out: 3,
             problems: vec!["module2 named hang in module2:laser, where nothing was done".into()],
             messages: FlowLosses { lost: 2, doubled: 0, perished: 14, returned: 240 },
-            late: 0,
             received: 9_000,
             overloads: 3,
-            responses: vec![],
-            events: vec![],
-            notes: NOTES.into(),
-        };
-        report.take_measured(&measured);
-        report
+            latencies: figures(&names.map(|name| (name.to_owned(), nanos.clone())).into()),
+            notes: vec![],
+        }
+        .with_notes()
     }
 
     #[test]
@@ -266,6 +233,16 @@ mod tests {
         let mut document = serde_json::to_string_pretty(&report()).expect("plain data");
         document.push('\n');
         golden::check("report.json", &document);
+    }
+
+    #[test]
+    fn every_note_belongs_to_a_row() {
+        let mut report = report();
+        let all = report.notes.len();
+        report.rows.truncate(1);
+
+        let marks: Vec<_> = report.with_notes().notes.iter().map(|note| &note[..1]).collect();
+        assert_eq!((all, marks), (7, vec!["A", "a", "c"]));
     }
 
     #[test]

@@ -1,91 +1,54 @@
 //! One fault, from its injection to the instant at which all is as before.
 //!
 //! ```text
-//! Striking ─► Watching ─────────────────► Settling ─► Tidying ─► Over
-//! the fault   found? repaired, if it      all that    what was
-//! is there    must be; service back?      was sent    cut is
-//!                                         has come    up again
+//! Watching ─────────────────► Settling ─► Tidying ─► Over
+//! found? repaired, if it      all that    all is up
+//! must be; service back?      was sent    that is
+//!                             has come    to be
 //! ```
 //!
 //! A phase that exceeds its deadline adds a problem to the row. The next phase begins nevertheless,
 //! so that one broken promise does not hide the next.
 
-use super::flow_accounting::FlowLosses;
-use super::injection::{FaultInjection, FaultMatch, ServiceRestored};
-use super::machine_instant::MachineInstant;
-use super::protocol::{DirectorCommand, FaultNote, ModuleEvent, OrderId};
-use super::report::{FaultRow, ReportedFault, counted, paper_figure};
-use super::robot::{DemoCable, Flow, Module};
-use super::robot_state::RobotState;
-use super::tone::LineTone;
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use crate::faults::{Blow, DemoFault, FAULTS, FaultMatch};
+use crate::flow_account::FlowLosses;
+use crate::report::{FaultRow, ReportedFault, counted};
+use crate::robot::{DemoCable, Module};
+use crate::robot_state::{FoundFault, FoundKey, RobotState};
+use blastema::Instant;
 use std::time::Duration;
 
+/// From the fault, or its repair, to the return of service; a process must be started within it.
+/// The limits are generous: they end a run in which something is missing, and say nothing of speed.
+const RECOVERY: Duration = Duration::from_secs(30);
+/// Until all sent messages have arrived, and until all is as before.
+const SETTLING: Duration = Duration::from_secs(30);
+/// The shortest time between a cut and its repair, which also waits for the detection.
+const BEFORE_REPAIR: Duration = Duration::from_millis(300);
+/// The shortest step, so that a person can follow it.
+const LEAST: Duration = Duration::from_millis(1_200);
 /// An interruption that no session may end in. A session waits for two seconds from the last sign
 /// of its peer, which on a busy machine comes before the cut by as much as a handler may keep its
 /// thread.
 const SESSIONS_LAST: Duration = Duration::from_millis(1_500);
 
-/// How long each phase may take before the promise counts as broken. The limits are generous: they
-/// end a run in which something is missing, and say nothing about speed.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct TrialTimeouts {
-    /// Until an injection is carried out.
-    pub(crate) strike: Duration,
-    /// From the fault to the return of service; a process must be started within it.
-    pub(crate) recovery: Duration,
-    /// Until all sent messages have arrived.
-    pub(crate) settling: Duration,
-    /// The shortest time between a cut and its repair, which also waits for the detection.
-    pub(crate) before_repair: Duration,
-    /// The shortest step, so that a person can follow it.
-    pub(crate) least: Duration,
-}
-
-impl Default for TrialTimeouts {
-    fn default() -> Self {
-        TrialTimeouts {
-            strike: Duration::from_secs(10),
-            recovery: Duration::from_secs(30),
-            settling: Duration::from_secs(30),
-            before_repair: Duration::from_millis(300),
-            least: Duration::from_millis(1_200),
-        }
-    }
-}
-
-/// An output of a trial.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum TrialOutput {
-    /// Send a command to a module.
-    Send(Module, DirectorCommand),
-    /// Kill a module's process with signal 9.
-    Kill(Module),
-}
-
 /// The trial of one fault.
 #[derive(Debug)]
 pub(crate) struct FaultTrial {
-    injection: FaultInjection,
+    /// The injected fault.
+    pub(crate) fault: &'static DemoFault,
     number: u32,
-    timeouts: TrialTimeouts,
     phase: Phase,
-    begun_at: MachineInstant,
-    due: Option<MachineInstant>,
-    outputs: VecDeque<TrialOutput>,
-    waiting: Vec<Module>,
-    struck: Option<Struck>,
-    repair: Repair,
-    named: BTreeMap<(Module, u64), FaultNote>,
-    /// Faults without a relation to the injection, unless they are reported as symptoms later.
-    foreign: BTreeMap<(Module, u64), FaultNote>,
-    /// Faults that were reported as consequences, in any module.
-    symptoms: BTreeSet<(Module, u64)>,
-    reported: bool,
-    served_at: Option<MachineInstant>,
-    passed: BTreeMap<&'static str, MachineInstant>,
+    begun_at: Instant,
+    due: Instant,
+    /// When the fault began: at the first end of a cable, and at the last.
+    struck: Option<[Instant; 2]>,
+    repair: CableRepair,
+    is_told: bool,
+    has_ended: bool,
     before: FlowLosses,
-    problems: Vec<String>,
+    /// The broken promises so far.
+    pub(crate) problems: Vec<String>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -97,231 +60,106 @@ enum Phase {
     Over,
 }
 
-/// When the fault began: at the first end of a cable, and at the last.
-#[derive(Clone, Copy, Debug)]
-struct Struck {
-    first: MachineInstant,
-    last: MachineInstant,
-}
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Repair {
+enum CableRepair {
     NotNeeded,
     Needed,
     Ordered,
-    Done { at: MachineInstant },
+    Done { at: Instant },
 }
 
 impl FaultTrial {
-    /// Starts with the injection.
-    pub(crate) fn new(
-        injection: FaultInjection,
-        number: u32,
-        timeouts: TrialTimeouts,
-        robot: &RobotState,
-        now: MachineInstant,
-    ) -> FaultTrial {
-        let repairs = injection.repair(OrderId(0)).is_empty();
-        let mut trial = FaultTrial {
+    /// The fault of this number, from 1, is being injected.
+    pub(crate) fn new(number: u32, robot: &RobotState, now: Instant) -> FaultTrial {
+        let fault = &FAULTS[number as usize - 1];
+        let needs_repair = fault.blow == Blow::Blackout;
+        FaultTrial {
+            fault,
             number,
-            timeouts,
             phase: Phase::Striking,
             begun_at: now,
-            due: Some(now + timeouts.strike),
-            outputs: VecDeque::new(),
-            waiting: Vec::new(),
+            due: now,
             struck: None,
-            repair: if repairs { Repair::NotNeeded } else { Repair::Needed },
-            named: BTreeMap::new(),
-            foreign: BTreeMap::new(),
-            symptoms: BTreeSet::new(),
-            reported: false,
-            served_at: None,
-            passed: BTreeMap::new(),
-            before: robot.accounting.losses(),
+            repair: if needs_repair { CableRepair::Needed } else { CableRepair::NotNeeded },
+            is_told: false,
+            has_ended: false,
+            before: robot.losses(),
             problems: Vec::new(),
-            injection,
-        };
-        if let FaultInjection::Kill { module } = trial.injection {
-            trial.outputs.push_back(TrialOutput::Kill(module));
         }
-        trial.order(trial.injection.strike(trial.strike_order()));
-        trial
     }
 
-    /// Returns the injected fault.
-    pub(crate) fn injection(&self) -> &FaultInjection {
-        &self.injection
-    }
-
-    /// Handles an event of a module, which `robot` has handled before. Returns the line that it
-    /// adds to the progress: the first report of the fault, a decision about it, or a failure.
-    pub(crate) fn handle_event(
+    /// The fault is present since these instants, or the cables are plugged in; or it could not be
+    /// done.
+    pub(crate) fn handle_struck(
         &mut self,
-        from: Module,
-        event: &ModuleEvent,
+        struck: Result<[Instant; 2], String>,
         robot: &mut RobotState,
-        now: MachineInstant,
-    ) -> Option<(LineTone, String)> {
-        let line = self.line(from, event);
-        match event {
-            ModuleEvent::CarriedOut { order, at } => {
-                self.handle_carried_out(from, *order, *at, now)
+        now: Instant,
+    ) {
+        match struck {
+            Ok([_, at]) if self.phase == Phase::Watching => {
+                self.repair = CableRepair::Done { at };
+                self.due = now + RECOVERY;
             }
-            ModuleEvent::Refused { order, reason } if self.is_mine(*order) => {
-                self.problems.push(format!("{from} refused: {reason}"));
-                self.waiting.retain(|module| *module != from);
+            Ok(struck) => {
+                self.struck = Some(struck);
+                self.enter(Phase::Watching, robot, now);
+            }
+            Err(reason) => {
+                self.problems.push(format!("an order was not carried out: {reason}"));
                 self.enter(Phase::Settling, robot, now);
             }
-            ModuleEvent::Found(note) => self.handle_found(from, note),
-            ModuleEvent::Explained { id, .. } if self.foreign.remove(&(from, *id)).is_some() => {
-                self.symptoms.insert((from, *id));
-            }
-            // An overload ends when the queue is empty again, without a recovery action.
-            ModuleEvent::Recovered { id, .. } | ModuleEvent::Cleared { id }
-                if self.named.contains_key(&(from, *id)) =>
-            {
-                self.reported = true;
-            }
-            ModuleEvent::GaveUp { id, reason } => {
-                self.problems.push(format!("{from} gave fault {id} up: {reason}"));
-            }
-            ModuleEvent::Served { order, at, .. } if *order == self.strike_order() => {
-                self.served_at.get_or_insert(*at);
-            }
-            ModuleEvent::Passed { flow, since, at } if Some(*since) == self.watched_since() => {
-                if let Some(flow) = Flow::from_name(flow) {
-                    self.passed.entry(flow.name).or_insert(*at);
-                }
-            }
-            // A new process has not received the requests that its predecessor received.
-            ModuleEvent::Ready => self.watch_in(&[from]),
-            _ => {}
-        }
-        self.advance(robot, now);
-        line
-    }
-
-    /// The line for a person. The symptoms are folded into the last line of the fault.
-    fn line(&self, from: Module, event: &ModuleEvent) -> Option<(LineTone, String)> {
-        match event {
-            ModuleEvent::Found(note)
-                if self.named.is_empty() && self.injection.judge(note) == FaultMatch::Named =>
-            {
-                let FaultNote { kind, location, .. } = note;
-                let text = format!("{from} found {} {kind} in {location}", kind.code());
-                Some((LineTone::Finding, text))
-            }
-            ModuleEvent::Decided { id, action } if self.root() == Some((from, *id)) => {
-                Some((LineTone::Remark, format!("{from} decided: {action}")))
-            }
-            ModuleEvent::GaveUp { reason, .. } => {
-                Some((LineTone::Alarm, format!("{from} gave up: {reason}")))
-            }
-            _ => None,
         }
     }
 
-    /// Returns whether the two ends were parted for so long that a session may have ended.
-    fn may_end_sessions(&self, robot: &RobotState) -> bool {
-        let parted = matches!(self.injection, FaultInjection::Blackout { .. });
-        let since = self.struck.map(|struck| struck.first);
-        let span = since.zip(self.back_at(robot)).map(|(since, back)| back - since);
-        parted && span.is_some_and(|span| span >= SESSIONS_LAST)
-    }
-
-    /// The first report of the fault.
-    fn root(&self) -> Option<(Module, u64)> {
-        let first = self.named.iter().min_by_key(|(_, note)| note.found_at);
-        first.map(|(key, _)| *key)
-    }
-
-    /// Counts the other reports of the fault and the reports of its consequences.
-    fn symptoms(&self) -> u64 {
-        (self.named.len().saturating_sub(1) + self.symptoms.len()) as u64
-    }
-
-    /// Handles the kill of a process by the scenario.
-    pub(crate) fn handle_killed(&mut self, at: MachineInstant, now: MachineInstant) {
-        if self.phase == Phase::Striking {
-            self.struck = Some(Struck { first: at, last: at });
-            self.phase = Phase::Watching;
-            self.due = Some(now + self.timeouts.recovery);
-            self.watch_in(&Module::ALL);
-        }
-    }
-
-    /// Handles the end of a process that was not ordered.
-    pub(crate) fn handle_exit(&mut self, module: Module, how: &str) {
-        self.problems.push(format!("{module} ended by itself: {how}"));
-    }
-
-    /// Returns the next output.
-    pub(crate) fn poll_output(&mut self) -> Option<TrialOutput> {
-        self.outputs.pop_front()
-    }
-
-    /// Returns when the timer expires.
-    pub(crate) fn poll_timeout(&self) -> Option<MachineInstant> {
-        let repair = match (self.phase, self.repair, self.struck) {
-            (Phase::Watching, Repair::Needed, Some(struck)) if !self.named.is_empty() => {
-                Some(struck.last + self.timeouts.before_repair)
-            }
-            _ => None,
-        };
-        self.due.into_iter().chain(repair).min()
-    }
-
-    /// Handles the expiry of the timer.
-    pub(crate) fn handle_timeout(&mut self, robot: &mut RobotState, now: MachineInstant) {
-        self.advance(robot, now);
-        if self.due.is_none_or(|due| due > now) {
-            return;
-        }
+    /// Goes on as far as possible. Returns whether the cables are to be plugged in now.
+    pub(crate) fn advance(&mut self, robot: &mut RobotState, now: Instant) -> bool {
+        let is_late = now >= self.due;
         match self.phase {
-            Phase::Striking => {
-                self.problems.push("the fault could not be injected in time".into());
-                self.enter(Phase::Settling, robot, now);
-            }
             Phase::Watching => {
-                self.problems.extend(self.what_is_missing(robot));
-                self.enter(Phase::Settling, robot, now);
+                // A cut that was repaired before its detection would never be found.
+                let is_found = self.named(robot).next().is_some();
+                let repair_due = self.struck.is_some_and(|[_, last]| now >= last + BEFORE_REPAIR);
+                if self.repair == CableRepair::Needed && is_found && repair_due {
+                    self.repair = CableRepair::Ordered;
+                    return true;
+                }
+                let missing = self.what_is_missing(robot);
+                if missing.is_empty() || is_late {
+                    self.problems.extend(missing);
+                    self.enter(Phase::Settling, robot, now);
+                }
             }
             Phase::Settling => {
-                let names: Vec<_> = robot.accounting.unsettled().map(|flow| flow.name).collect();
-                if !names.is_empty() {
-                    self.problems.push(format!("messages did not arrive on {}", names.join(", ")));
+                let unsettled = robot.unsettled();
+                if !unsettled.is_empty() && is_late {
+                    let flows = unsettled.join(", ");
+                    self.problems.push(format!("messages did not arrive on {flows}"));
                 }
-                self.enter(Phase::Tidying, robot, now);
+                if unsettled.is_empty() || is_late {
+                    self.enter(Phase::Tidying, robot, now);
+                }
             }
-            Phase::Tidying => {
-                if !self.is_tidy(robot) {
-                    let missing = robot.missing(|cable| self.expects(cable));
+            Phase::Tidying if now >= self.begun_at + LEAST => {
+                let missing = robot.missing(|cable| self.expects(cable));
+                if !missing.is_empty() && is_late {
                     self.problems.push(format!("not as before: {missing}"));
                 }
-                self.phase = Phase::Over;
-                self.due = None;
+                if missing.is_empty() || is_late {
+                    self.phase = Phase::Over;
+                }
             }
-            Phase::Over => {}
+            Phase::Striking | Phase::Tidying | Phase::Over => {}
         }
-        self.advance(robot, now);
+        false
     }
 
-    /// Returns whether a promise is broken.
-    pub(crate) fn is_broken(&self) -> bool {
-        !self.problems.is_empty()
-    }
-
-    /// Ends the trial in its present phase; what is missing is a problem.
-    pub(crate) fn cut_short(&mut self, robot: &RobotState) {
-        match self.phase {
-            Phase::Striking => self.problems.push("the fault was not injected".into()),
-            Phase::Watching => self.problems.extend(self.what_is_missing(robot)),
-            Phase::Settling | Phase::Tidying | Phase::Over => {}
-        }
-        self.problems.push("cut short: time is up".into());
-        self.phase = Phase::Over;
-        self.due = None;
+    /// Returns the first report of the fault, once.
+    pub(crate) fn news(&mut self, robot: &RobotState) -> Option<String> {
+        let (key, FoundFault { report, .. }) = self.root(robot).filter(|_| !self.is_told)?;
+        self.is_told = true;
+        let (module, kind, place) = (key.0, &report.kind, &report.location);
+        Some(format!("{module} found {} {kind} in {place}", kind.code()))
     }
 
     /// Returns whether the trial has ended; then [`row`](Self::row) is final.
@@ -329,196 +167,141 @@ impl FaultTrial {
         self.phase == Phase::Over
     }
 
+    /// Handles the end of a module's process. Returns whether it is the one that was killed.
+    pub(crate) fn handle_end(&mut self, module: Module) -> bool {
+        let is_killed = self.fault.blow == Blow::Kill && self.fault.module == module;
+        is_killed && !std::mem::replace(&mut self.has_ended, true)
+    }
+
+    /// Returns since when messages must have been sent to show that they pass again.
+    pub(crate) fn watched_since(&self) -> Option<Instant> {
+        match self.repair {
+            CableRepair::NotNeeded => self.struck.map(|[_, last]| last),
+            CableRepair::Done { at } => Some(at),
+            CableRepair::Needed | CableRepair::Ordered => None,
+        }
+    }
+
+    /// The first report of the fault.
+    fn root<'a>(&self, robot: &'a RobotState) -> Option<(&'a FoundKey, &'a FoundFault)> {
+        self.named(robot).min_by_key(|(_, found)| found.report.found_at)
+    }
+
     /// Returns the row up to now.
     pub(crate) fn row(&self, robot: &RobotState) -> FaultRow {
-        let losses = robot.accounting.losses() - self.before;
-        let FlowLosses { lost, doubled, perished, returned } = losses;
+        let FlowLosses { lost, doubled, perished, returned } = robot.losses() - self.before;
         let mut problems = self.problems.clone();
-        for ((finder, _), FaultNote { kind, location, detail, .. }) in &self.foreign {
-            problems.push(format!("{finder} named {kind} in {location}: {detail}"));
+        let previous = self.number.checked_sub(2).map(|before| &FAULTS[before as usize]);
+        let mut symptoms = self.named(robot).count().saturating_sub(1) as u64;
+        for (key, found) in self.found(robot) {
+            let report = &found.report;
+            problems.extend(found.given_up(key));
+            let belated = previous.map_or(FaultMatch::Foreign, |before| before.judge(report));
+            match (self.fault.judge(report), belated) {
+                (FaultMatch::Foreign, FaultMatch::Foreign) => {
+                    let (kind, place) = (&report.kind, &report.location);
+                    problems.push(format!("{} named {kind} in {place}: {}", key.0, report.detail));
+                }
+                (FaultMatch::Companion, _) if !report.is_warning() => symptoms += 1,
+                _ => {}
+            }
         }
-        if lost > 0 {
-            problems.push(format!("{} lost", counted(lost, "reliable message")));
-        }
-        if doubled > 0 {
-            problems.push(format!("{} doubled", counted(doubled, "reliable message")));
+        for (count, what) in [(lost, "lost"), (doubled, "doubled")] {
+            if count > 0 {
+                problems.push(format!("{} {what}", counted(count, "reliable message")));
+            }
         }
         if returned > 0 && !self.may_end_sessions(robot) {
             let returned = counted(returned, "reliable message");
             problems
                 .push(format!("{returned} became dead letters, though a path was there in time"));
         }
-        let first_named = self.named.values().min_by_key(|note| note.found_at);
-        let struck = self.struck.map(|struck| struck.first);
-        let since =
-            |start: Option<MachineInstant>, end: Option<MachineInstant>| Some(end? - start?);
+        let named = self.root(robot).map(|(_, found)| &found.report);
+        let found_at = named.map(|report| Instant::from_nanos(report.found_at));
+        let struck = self.struck.map(|[first, _]| first);
+        let since = |start: Option<Instant>, end: Option<Instant>| Some(end? - start?);
+        let DemoFault { title, story: [broken, robot_does, user_sees], paper, .. } = self.fault;
         FaultRow {
             number: self.number,
-            fault: self.injection.title(),
-            location: self.injection.location(),
-            named: first_named.map(ReportedFault::from),
-            detected_after: since(struck, first_named.map(|note| note.found_at)),
+            fault: title,
+            location: self.fault.place(),
+            broken,
+            robot_does,
+            user_sees,
+            named: named.map(ReportedFault::from),
+            detected_after: since(struck, found_at),
             recovered_after: since(self.recovery_starts(), self.back_at(robot)),
-            from_repair: self.repair != Repair::NotNeeded,
+            from_repair: self.repair != CableRepair::NotNeeded,
             lost,
             doubled,
             perished,
             returned,
-            symptoms: self.symptoms(),
-            paper: paper_figure(self.injection.title()),
+            symptoms,
+            paper: *paper,
             problems,
         }
     }
 
-    fn strike_order(&self) -> OrderId {
-        OrderId(u64::from(self.number) * 4)
+    /// All faults that were found while this one was tried.
+    fn found<'a>(
+        &self,
+        robot: &'a RobotState,
+    ) -> impl Iterator<Item = (&'a FoundKey, &'a FoundFault)> {
+        let during = (self.number, true);
+        robot.found.iter().filter(move |(_, found)| found.during == during)
     }
 
-    fn repair_order(&self) -> OrderId {
-        OrderId(u64::from(self.number) * 4 + 1)
+    /// All reports of the fault.
+    fn named<'a>(
+        &self,
+        robot: &'a RobotState,
+    ) -> impl Iterator<Item = (&'a FoundKey, &'a FoundFault)> {
+        let fault = self.fault;
+        self.found(robot).filter(move |(_, found)| fault.judge(&found.report) == FaultMatch::Named)
     }
 
-    fn tidy_order(&self) -> OrderId {
-        OrderId(u64::from(self.number) * 4 + 2)
+    /// Returns whether the two ends were parted for so long that a session may have ended.
+    fn may_end_sessions(&self, robot: &RobotState) -> bool {
+        let since = self.struck.map(|[first, _]| first);
+        let span = since.zip(self.back_at(robot)).map(|(since, back)| back - since);
+        self.fault.blow == Blow::Blackout && span.is_some_and(|span| span >= SESSIONS_LAST)
     }
 
-    fn is_mine(&self, order: OrderId) -> bool {
-        [self.strike_order(), self.repair_order(), self.tidy_order()].contains(&order)
-    }
-
-    fn order(&mut self, commands: Vec<(Module, DirectorCommand)>) {
-        self.waiting = commands.iter().map(|(module, _)| *module).collect();
-        self.outputs.extend(
-            commands.into_iter().map(|(module, command)| TrialOutput::Send(module, command)),
-        );
-    }
-
-    fn handle_carried_out(
-        &mut self,
-        from: Module,
-        order: OrderId,
-        at: MachineInstant,
-        now: MachineInstant,
-    ) {
-        if !self.is_mine(order) || !self.waiting.contains(&from) {
-            return;
-        }
-        self.waiting.retain(|module| *module != from);
-        if order == self.strike_order() {
-            let struck = self.struck.get_or_insert(Struck { first: at, last: at });
-            struck.first = struck.first.min(at);
-            struck.last = struck.last.max(at);
-            if self.waiting.is_empty() {
-                self.phase = Phase::Watching;
-                self.due = Some(now + self.timeouts.recovery);
-                self.watch_in(&Module::ALL);
-            }
-        } else if order == self.repair_order() && self.waiting.is_empty() {
-            self.repair = Repair::Done { at };
-            self.due = Some(now + self.timeouts.recovery);
-            self.watch_in(&Module::ALL);
-        }
-    }
-
-    fn handle_found(&mut self, from: Module, note: &FaultNote) {
-        match self.injection.judge(note) {
-            FaultMatch::Named => {
-                self.named.entry((from, note.id)).or_insert_with(|| note.clone());
-            }
-            FaultMatch::Companion if note.is_warning() => {}
-            FaultMatch::Companion => drop(self.symptoms.insert((from, note.id))),
-            FaultMatch::Foreign => {
-                self.foreign.entry((from, note.id)).or_insert_with(|| note.clone());
-            }
-        }
-    }
-
-    fn advance(&mut self, robot: &mut RobotState, now: MachineInstant) {
-        if self.phase == Phase::Watching {
-            self.repair_when_due(now);
-            if self.what_is_missing(robot).is_empty() {
-                self.enter(Phase::Settling, robot, now);
-            }
-        }
-        if self.phase == Phase::Settling && robot.accounting.is_settled() {
-            self.enter(Phase::Tidying, robot, now);
-        }
-        let seen = now - self.begun_at >= self.timeouts.least;
-        if self.phase == Phase::Tidying && seen && self.is_tidy(robot) {
-            self.phase = Phase::Over;
-            self.due = None;
-        }
-    }
-
-    fn repair_when_due(&mut self, now: MachineInstant) {
-        let Some(struck) = self.struck else { return };
-        // A cut that was repaired before its detection would never be found.
-        let is_found = !self.named.is_empty();
-        let is_due = now >= struck.last + self.timeouts.before_repair;
-        if self.repair == Repair::Needed && is_found && is_due {
-            self.repair = Repair::Ordered;
-            self.order(self.injection.repair(self.repair_order()));
-        }
-    }
-
-    fn enter(&mut self, phase: Phase, robot: &mut RobotState, now: MachineInstant) {
+    fn enter(&mut self, phase: Phase, robot: &mut RobotState, now: Instant) {
         self.phase = phase;
-        self.due = Some(now + self.timeouts.settling.max(self.timeouts.least));
-        match phase {
-            Phase::Settling => {
-                robot.accounting.settle(now);
-                let status =
-                    Module::ALL.map(|module| TrialOutput::Send(module, DirectorCommand::Status));
-                self.outputs.extend(status);
-            }
-            Phase::Tidying => self.order(self.injection.clean_up(self.tidy_order())),
-            Phase::Striking | Phase::Watching | Phase::Over => {}
+        self.due = now + if phase == Phase::Watching { RECOVERY } else { SETTLING };
+        if phase == Phase::Settling {
+            robot.settle(now);
         }
     }
 
-    /// Makes modules watch for the first message sent since the recovery could begin.
-    fn watch_in(&mut self, modules: &[Module]) {
-        if let Some(since) = self.watched_since() {
-            let watch =
-                |module: &Module| TrialOutput::Send(*module, DirectorCommand::Watch { since });
-            self.outputs.extend(modules.iter().map(watch));
-        }
-    }
-
-    fn watched_since(&self) -> Option<MachineInstant> {
-        match (self.phase, self.repair) {
-            (Phase::Watching, Repair::NotNeeded) => Some(self.struck?.last),
-            (Phase::Watching, Repair::Done { at }) => Some(at),
-            _ => None,
-        }
-    }
-
-    fn recovery_starts(&self) -> Option<MachineInstant> {
+    fn recovery_starts(&self) -> Option<Instant> {
         match self.repair {
-            Repair::NotNeeded => self.struck.map(|struck| struck.first),
-            Repair::Done { at } => Some(at),
-            Repair::Needed | Repair::Ordered => None,
+            CableRepair::NotNeeded => self.struck.map(|[first, _]| first),
+            _ => self.watched_since(),
         }
     }
 
-    fn back_at(&self, robot: &RobotState) -> Option<MachineInstant> {
-        let traffic = || {
-            let arrivals = self.injection.flows().into_iter();
-            let arrivals = arrivals.map(|flow| self.passed.get(flow.name).copied());
-            arrivals.collect::<Option<Vec<_>>>()?.into_iter().max()
-        };
-        match self.injection.comes_back_by() {
-            ServiceRestored::Service => self.served_at,
-            ServiceRestored::Traffic => traffic(),
-            ServiceRestored::Rejoining => traffic().filter(|_| robot.are_ready()),
+    /// Returns when service was back: the object answers, or messages pass that were sent later; of
+    /// a killed process, which runs again.
+    fn back_at(&self, robot: &RobotState) -> Option<Instant> {
+        if !self.fault.object.is_empty() {
+            return robot.served(self.fault.module, self.number - 1);
         }
+        let since = self.watched_since()?;
+        let arrivals = self.fault.flows().map(|flow| robot.passed(flow.name, since));
+        let last = arrivals.collect::<Option<Vec<_>>>()?.into_iter().max();
+        let is_killed = self.fault.blow == Blow::Kill;
+        last.filter(|_| !is_killed || robot.is_new(self.fault.module, since))
     }
 
     fn what_is_missing(&self, robot: &RobotState) -> Vec<String> {
         let mut missing = Vec::new();
-        if self.named.is_empty() {
+        if self.named(robot).next().is_none() {
             missing.push("the fault was not found".to_owned());
-        } else if self.injection.wants_report() && !self.reported {
+        } else if self.fault.wants_report()
+            && !self.named(robot).any(|(_, found)| found.report.recovered)
+        {
             missing.push("its recovery was not reported".to_owned());
         }
         if self.back_at(robot).is_none() {
@@ -529,13 +312,6 @@ impl FaultTrial {
 
     /// Returns whether a cable is to be up at the end of the step.
     fn expects(&self, cable: &DemoCable) -> bool {
-        match &self.injection {
-            FaultInjection::Cut { cable: cut, returns } => *returns || cut != cable,
-            _ => true,
-        }
-    }
-
-    fn is_tidy(&self, robot: &RobotState) -> bool {
-        self.waiting.is_empty() && robot.is_together(|cable| self.expects(cable))
+        self.fault.blow != Blow::Cut(cable.name)
     }
 }

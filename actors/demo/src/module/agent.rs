@@ -1,150 +1,187 @@
-//! Connects the director with the node of the module.
+//! Does in a module what the director asks for.
 
-use super::fault_target::FaultTarget;
-use super::measurements::Measurements;
-use super::module_node;
-use super::report::{event_of, links_of, objects_of, returned_of};
-use crate::machine_instant::MachineInstant;
-use crate::protocol::{DirectorCommand, ModuleEvent, OrderId, Snapshot};
-use crate::robot::Module;
-use crate::wiring::CableAddresses;
+use super::counters::Counters;
+use super::messages::{Break, Ping};
+use crate::faults::{Blow, DemoFault, FAULTS};
+use crate::messages::{FaultReport, ModuleReport, ReadModule, SourceReport, Strike};
+use crate::robot::FLOWS;
+use blastema::core::detection::{FaultEntry, MonitorRow, Opinion};
 use blastema::prelude::*;
-use blastema::{FaultEvent, FaultEvents};
-use std::path::PathBuf;
-use std::pin::pin;
+use blastema::{DeadReason, Direction, FaultLocation, Injection, platform};
+use rustix::process::{Signal, getpid, kill_process};
 use std::time::Duration;
-use tokio::sync::mpsc::{Receiver, Sender as Queue};
-use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
+use tokio::task::yield_now;
+use tokio::time::sleep;
 
-/// How often a snapshot is sent.
-const SNAPSHOT: Duration = Duration::from_millis(100);
-/// How long the node may take to stop in order. The director waits longer.
-const FAREWELL: Duration = Duration::from_secs(1);
-/// How long the last event may take to the director.
-const LAST_WORD: Duration = Duration::from_millis(50);
+/// How long an object may take to answer: about what a person would call at once.
+const ANSWER: Duration = Duration::from_millis(100);
+/// Pings without a pause, so that a return within microseconds is measured as such.
+const EAGER_PINGS: u32 = 100;
+/// The pause between two of the further pings.
+const BETWEEN_PINGS: Duration = Duration::from_millis(1);
+/// How long an object needs for one message of a flood, so that its queue fills.
+const FLOODED: Duration = Duration::from_millis(2);
+/// Messages in one burst of a flood: more than the object serves until the next burst.
+const BURST: u32 = 3;
 
-/// The agent of the director in a module.
+/// The director's agent. It is on a node of its own, whose network is never cut.
 #[derive(Debug)]
-pub(super) struct ModuleAgent {
-    module: Module,
-    keys: PathBuf,
-    measurements: Measurements,
+pub(super) struct Agent {
+    /// The module's node of the robot.
+    pub(super) robot: Node,
 }
 
-impl ModuleAgent {
-    /// The module's key is the file `keys`, and reports go to `events`.
-    pub(super) fn new(module: Module, keys: PathBuf, events: Queue<ModuleEvent>) -> ModuleAgent {
-        ModuleAgent { module, keys, measurements: Measurements::new(module, events) }
+impl Component for Agent {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Strike>().serve::<ReadModule>();
     }
+}
 
-    /// Runs the node and executes commands until `Shutdown` or the end of the channel.
-    pub(super) async fn hold(
-        self,
-        wiring: CableAddresses,
-        mut commands: Receiver<DirectorCommand>,
-    ) {
-        let (node, mut faults) = match self.start(&wiring).await {
-            Ok(started) => started,
-            Err(event) => {
-                self.measurements.tell(event);
-                sleep(LAST_WORD).await;
-                return;
-            }
-        };
-        self.measurements.tell(ModuleEvent::Ready);
-        let mut snapshots = interval(SNAPSHOT);
-        snapshots.set_missed_tick_behavior(MissedTickBehavior::Skip);
-        loop {
-            tokio::select! {
-                command = commands.recv() => match command {
-                    None | Some(DirectorCommand::Shutdown) => break,
-                    Some(command) => self.obey(&node, command).await,
-                },
-                Some(step) = faults.next() => self.pass_on(step),
-                _ = snapshots.tick() => self.report(&node).await,
-            }
-        }
-        // A node that does not shut down in time ends with its process.
-        let _ = timeout(FAREWELL, node.shutdown()).await;
-    }
-
-    /// Starts the node, or returns why it cannot be started.
-    async fn start(&self, wiring: &CableAddresses) -> Result<(Node, FaultEvents), ModuleEvent> {
-        module_node::check_addresses(self.module, wiring).map_err(|error| {
-            ModuleEvent::StartFailed { reason: error.to_string(), address_taken: true }
-        })?;
-        let builder = module_node::build(self.module, wiring, &self.measurements);
-        let mut builder = builder.keys(&self.keys);
-        let mut faults = builder.fault_events();
-        let mut starting = pin!(builder.start());
-        // Faults found during the start explain a failed start.
-        let node = loop {
-            tokio::select! {
-                node = &mut starting => break node,
-                Some(step) = faults.next() => self.pass_on(step),
-            }
-        };
-        let failed = |error: StartError| ModuleEvent::StartFailed {
-            reason: error.to_string(),
-            address_taken: false,
-        };
-        Ok((node.map_err(failed)?, faults))
-    }
-
-    fn pass_on(&self, step: FaultEvent) {
-        if let Some(event) = event_of(step) {
-            self.measurements.tell(event);
-        }
-    }
-
-    async fn obey(&self, node: &Node, command: DirectorCommand) {
-        match command {
-            DirectorCommand::Strike { order, object, fault } => {
-                match FaultTarget::new(node, &self.measurements, order, object.as_str()) {
-                    Ok(duty) => drop(tokio::spawn(duty.carry_out(fault))),
-                    Err(why) => self.refuse(order, why.to_string()),
+impl Handle<Strike> for Agent {
+    async fn handle(&mut self, strike: Strike, cx: &mut Context<Self>) -> Result<u64, String> {
+        let fault = FAULTS.get(strike.fault as usize).ok_or("there is no such fault")?;
+        let at = cx.now().as_nanos();
+        match fault.blow {
+            Blow::Cut(_) | Blow::Blackout => {
+                for cable in fault.cables() {
+                    let cable = self.robot.cable(cable.name).ok_or("no such cable")?;
+                    match strike.repair {
+                        true => cable.restore(),
+                        // The medium reports nothing.
+                        false => cable.cut(Direction::Both, false),
+                    }
                 }
             }
-            DirectorCommand::Cut { order, cables } => {
-                let cut = |cable: &String| module_node::cut(node, cable);
-                self.answer(order, cables.iter().try_for_each(cut));
+            Blow::Router => self.robot.panic_router(),
+            Blow::Kill => kill_process(getpid(), Signal::KILL).map_err(|e| e.to_string())?,
+            Blow::Inject(_) | Blow::Break { .. } | Blow::Flood { .. } => {
+                let struck = self.strike_object(fault, strike.fault, cx).await;
+                return struck.map_err(|error| error.to_string());
             }
-            DirectorCommand::Restore { order, cables } => {
-                let restore = |cable: &String| module_node::restore(node, cable);
-                self.answer(order, cables.iter().try_for_each(restore));
+        }
+        Ok(at)
+    }
+}
+
+impl Agent {
+    /// Breaks an object, and looks from then on when it answers again.
+    async fn strike_object(
+        &self,
+        fault: &'static DemoFault,
+        number: u32,
+        cx: &mut Context<Self>,
+    ) -> Result<u64, Box<dyn std::error::Error>> {
+        let (object, robot) = (fault.object, self.robot.clone());
+        let ping = robot.sender::<Ping>(object)?;
+        let before = ping.ask(Ping {}).await?;
+        let at = platform::now().as_nanos();
+        match fault.blow {
+            Blow::Break { .. } => robot.sender::<Break>(object)?.tell(Break {})?,
+            Blow::Inject(injections) => {
+                for injection in injections {
+                    robot.inject(object, *injection)?;
+                }
             }
-            DirectorCommand::PanicRouter { order } => {
-                let at = MachineInstant::now();
-                node.panic_router();
-                self.measurements.tell(ModuleEvent::CarriedOut { order, at });
+            _ => robot.inject(object, Injection::Delay(FLOODED))?,
+        }
+        let answers = match fault.blow {
+            // A reset, or a queue that is served, keeps the incarnation.
+            Blow::Break { restarts: false } | Blow::Flood { .. } => before,
+            _ => before + 1,
+        };
+        cx.spawn(async move {
+            if let Blow::Flood { messages } = fault.blow {
+                flood(&ping, messages).await;
             }
-            DirectorCommand::Watch { since } => self.measurements.watch(since),
-            DirectorCommand::Status => self.report(node).await,
-            DirectorCommand::Start { .. } | DirectorCommand::Shutdown => {}
+            served(&ping, answers).await;
+            Counters::lock().served = Some((number, platform::now().as_nanos()));
+            // What was put in goes with the incarnation that it was to end.
+            let _ = robot.inject(object, Injection::Nothing);
+        });
+        Ok(at)
+    }
+}
+
+impl Handle<ReadModule> for Agent {
+    async fn handle(&mut self, read: ReadModule, _: &mut Context<Self>) -> ModuleReport {
+        let (table, faults) = (self.robot.table().await, self.robot.faults().await);
+        let letters = self.robot.dead_letters().counts();
+        let source = |flow: &str, sent: u64| {
+            let to = FLOWS.iter().find(|known| known.name == flow).map(|known| known.to.name());
+            let count = |died: bool| {
+                let of_flow = letters.iter().filter(|letter| {
+                    letter.contract == "demo/numbered"
+                        && letter.node.as_ref().map(|node| node.as_str()) == to
+                        && (letter.reason == DeadReason::PeerDied) == died
+                });
+                of_flow.map(|letter| letter.count).sum()
+            };
+            let (perished, returned) = (count(true), count(false));
+            SourceReport { flow: flow.to_owned(), sent, perished, returned }
+        };
+        let mut counters = Counters::lock();
+        ModuleReport {
+            process: counters.process,
+            at: platform::now().as_nanos(),
+            since: read.since,
+            cables: table.iter().filter_map(cable).collect(),
+            sources: counters.sent.iter().map(|(flow, sent)| source(flow, *sent)).collect(),
+            sinks: counters
+                .sinks
+                .iter()
+                .map(|(flow, sink)| sink.report(flow, read.since))
+                .collect(),
+            measured: std::mem::take(&mut counters.measured).into_iter().collect(),
+            faults: faults.entries.iter().map(fault_report).collect(),
+            served: counters.served,
         }
     }
+}
 
-    async fn report(&self, node: &Node) {
-        let table = node.table().await;
-        let (objects, links) = (objects_of(&table), links_of(&table));
-        let mut snapshot = Snapshot { objects, links, ..self.measurements.snapshot() };
-        let dead_letters = node.dead_letters().counts();
-        for source in &mut snapshot.sources {
-            source.returned = returned_of(&source.flow, &dead_letters);
+/// Waits until this incarnation, or a later one, answers.
+async fn served(ping: &Sender<Ping>, incarnation: u64) {
+    let mut pings = 0;
+    loop {
+        match ping.ask_within(Ping {}, ANSWER).await {
+            Ok(answering) if answering >= incarnation => return,
+            _ if pings < EAGER_PINGS => yield_now().await,
+            _ => sleep(BETWEEN_PINGS).await,
         }
-        self.measurements.tell(ModuleEvent::Snapshot(Box::new(snapshot)));
+        pings += 1;
     }
+}
 
-    fn answer(&self, order: OrderId, outcome: Result<(), DeliveryError>) {
-        match outcome {
-            Ok(()) => {
-                self.measurements.tell(ModuleEvent::CarriedOut { order, at: MachineInstant::now() })
-            }
-            Err(why) => self.refuse(order, why.to_string()),
+async fn flood(ping: &Sender<Ping>, messages: u32) {
+    for _ in 0..messages / BURST {
+        for _ in 0..BURST {
+            // A full queue refuses the message, as the flood intends.
+            let _ = ping.tell(Ping {});
         }
+        sleep(Duration::from_millis(1)).await;
     }
+}
 
-    fn refuse(&self, order: OrderId, reason: String) {
-        self.measurements.tell(ModuleEvent::Refused { order, reason });
+fn cable(row: &MonitorRow) -> Option<(String, bool)> {
+    match &row.location {
+        // A degraded link is suspected, and still carries messages.
+        FaultLocation::Link { link, .. } => {
+            Some((link.to_string(), row.opinion != Opinion::Failed))
+        }
+        _ => None,
+    }
+}
+
+fn fault_report(entry: &FaultEntry) -> FaultReport {
+    let fault = entry.fault.clone();
+    FaultReport {
+        id: fault.id,
+        kind: fault.kind,
+        location: fault.location,
+        found_at: fault.found_at.as_nanos(),
+        detail: fault.detail,
+        symptom_of: fault.symptom_of,
+        decided: entry.decided.as_ref().map(|(_, action)| action.clone()),
+        recovered: entry.recovered_at.or(entry.repaired_at).is_some(),
+        given_up: entry.given_up.as_ref().map(|(_, reason)| reason.clone()),
     }
 }

@@ -1,39 +1,36 @@
 //! The laser scanner on the robot's head.
 
-use super::harm::{HarmState, declare, vulnerable};
-use super::messages::Scan;
+use super::messages::{Break, Ping, Scan, answers};
 use blastema::prelude::*;
+use std::time::Duration;
 
 /// Directions in one sweep.
 const RAYS: u16 = 32;
 /// How far a person who walks by comes near and goes away, in sweeps.
 const WALK: u32 = 200;
+/// How long the laser keeps its thread when it is to hang: longer than any grace, short enough that
+/// the thread returns while the demonstration runs.
+const HANG: Duration = Duration::from_millis(2_500);
 
 /// Sweeps the room, where a person walks to and fro.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Laser {
-    pub(super) harm: HarmState,
-    pub(super) sweeps: u32,
+    sweeps: u32,
 }
 
 impl Component for Laser {
     fn ports(ports: &mut Ports<Self>) {
-        declare(ports);
-    }
-
-    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.harm.initialize()
+        ports.serve::<Ping>().accept::<Break>();
+        ports.publishes::<Scan>("scan");
     }
 
     async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.harm.execute()?;
         self.sweeps = self.sweeps.wrapping_add(1);
         let ranges: Vec<f32> = (0..RAYS).map(|ray| self.range(ray)).collect();
         for range in &ranges {
             cx.check_range("range", range, 0.05..20.0);
         }
-        cx.publish(Scan { ranges });
-        Ok(())
+        Ok(cx.port::<Publisher<Scan>>("scan")?.publish(Scan { ranges })?)
     }
 }
 
@@ -47,4 +44,10 @@ impl Laser {
     }
 }
 
-vulnerable!(Laser);
+impl Handle<Break> for Laser {
+    async fn handle(&mut self, _: Break, _: &mut Context<Self>) {
+        std::thread::sleep(HANG);
+    }
+}
+
+answers!(Laser);

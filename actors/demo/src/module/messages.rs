@@ -38,7 +38,7 @@ pub(super) struct Goal {
     pub(super) y: f64,
 }
 
-/// How fast the robot is to move. A command: the motors take it by name.
+/// How fast the robot is to move.
 #[derive(Clone, Copy, Debug, Default, Event)]
 #[contract(name = "motors/velocity", max_age = "100ms")]
 pub(super) struct Velocity {
@@ -72,15 +72,17 @@ pub(super) struct Wheels {
 }
 
 /// One message of a numbered flow.
-#[derive(Clone, Copy, Debug, Event)]
-#[contract(name = "demo/sample")]
+#[derive(Clone, Debug, Event)]
+#[contract(name = "demo/numbered")]
 pub(super) struct Numbered {
-    /// Which process of the source.
-    pub(super) epoch: u64,
+    /// The flow.
+    pub(super) flow: String,
+    /// The process of the source.
+    pub(super) source: u64,
     /// From 1.
     pub(super) number: u64,
-    /// When it was made, in nanoseconds of the machine's clock.
-    pub(super) made_ns: u64,
+    /// When it was sent, in nanoseconds of the computer's clock.
+    pub(super) sent: u64,
 }
 
 /// A question that is answered at once, to measure response times.
@@ -97,43 +99,32 @@ pub(super) struct EchoRequest {
 pub(super) struct Tick {
     /// Counts up.
     pub(super) number: u64,
-    /// When it was published, in nanoseconds of the machine's clock.
-    pub(super) made_ns: u64,
-}
-
-/// Makes the object harm itself.
-#[derive(Clone, Copy, Debug, Request)]
-#[contract(name = "demo/harm", reply = ())]
-pub(super) struct InjectFault {
-    /// The kind of harm.
-    pub(super) wound: ObjectHarm,
-}
-
-/// The harm that an object can do to itself.
-#[derive(Clone, Copy, Debug, Structure)]
-pub(super) enum ObjectHarm {
-    /// Panic.
-    Panic,
-    /// Block the thread.
-    Hang {
-        /// The duration.
-        #[contract(unit = "ms")]
-        millis: u64,
-    },
-    /// Report an error from the next execution.
-    Error,
-    /// Panic, and fail the next initialisation.
-    FailInitialization,
-    /// Stop the signs of life.
-    Silence,
+    /// When it was published, in nanoseconds of the computer's clock.
+    pub(super) sent: u64,
 }
 
 /// Asks for the incarnation that answers.
 #[derive(Clone, Copy, Debug, Request)]
-#[contract(name = "demo/poke", reply = u64)]
-pub(super) struct Probe {}
+#[contract(name = "demo/ping", reply = u64)]
+pub(super) struct Ping {}
 
-/// One message of a flood.
+/// Lets a component that serves [`Ping`] answer it.
+macro_rules! answers {
+    ($component:ty) => {
+        impl Handle<$crate::module::messages::Ping> for $component {
+            async fn handle(
+                &mut self,
+                _: $crate::module::messages::Ping,
+                cx: &mut Context<Self>,
+            ) -> u64 {
+                cx.incarnation().0
+            }
+        }
+    };
+}
+pub(super) use answers;
+
+/// Has an object break itself, in a way of its own.
 #[derive(Clone, Copy, Debug, Event)]
-#[contract(name = "demo/noise")]
-pub(super) struct FloodMessage {}
+#[contract(name = "demo/break")]
+pub(super) struct Break {}

@@ -1,7 +1,6 @@
 //! The motors of the base.
 
-use super::harm::{HarmState, declare, vulnerable};
-use super::messages::{Stop, Velocity, Wheels};
+use super::messages::{Break, Ping, Stop, Velocity, Wheels, answers};
 use blastema::prelude::*;
 
 /// One round of control, in seconds: the motors run at 100 Hz.
@@ -10,32 +9,28 @@ const ROUND_S: f64 = 0.01;
 const PATIENCE: u32 = 20;
 
 /// Turns the wheels as commanded, and stops when commands cease.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Motors {
-    pub(super) harm: HarmState,
-    pub(super) velocity: Velocity,
-    pub(super) rounds_since: u32,
+    velocity: Velocity,
+    rounds_since: u32,
 }
 
 impl Component for Motors {
     fn ports(ports: &mut Ports<Self>) {
-        declare(ports);
-        ports.accept::<Velocity>().accept::<Stop>();
-    }
-
-    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.harm.initialize()
+        ports.serve::<Ping>().accept::<Break>();
+        ports.accept::<Velocity>().named("drive");
+        ports.accept::<Stop>().named("stop");
+        ports.publishes::<Wheels>("wheels");
     }
 
     async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.harm.execute()?;
         self.rounds_since = self.rounds_since.saturating_add(1);
         if self.rounds_since > PATIENCE {
             self.velocity = Velocity::default();
         }
         let Velocity { forward, turning } = self.velocity;
-        cx.publish(Wheels { way: forward * ROUND_S, turn: turning * ROUND_S });
-        Ok(())
+        let wheels = Wheels { way: forward * ROUND_S, turn: turning * ROUND_S };
+        Ok(cx.port::<Publisher<Wheels>>("wheels")?.publish(wheels)?)
     }
 
     async fn on_aborting(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
@@ -57,4 +52,10 @@ impl Handle<Stop> for Motors {
     }
 }
 
-vulnerable!(Motors);
+impl Handle<Break> for Motors {
+    async fn handle(&mut self, _: Break, cx: &mut Context<Self>) {
+        cx.fail("the device reports an error, as ordered");
+    }
+}
+
+answers!(Motors);

@@ -1,30 +1,23 @@
 //! Odometry: where the wheels have carried the robot.
 
-use super::harm::{HarmState, declare, vulnerable};
-use super::messages::{Pose, Wheels};
+use super::messages::{Ping, Pose, Wheels, answers};
 use blastema::prelude::*;
 
 /// Adds up the turns of the wheels.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Odometry {
-    pub(super) harm: HarmState,
-    pub(super) pose: Pose,
+    pose: Pose,
 }
 
 impl Component for Odometry {
     fn ports(ports: &mut Ports<Self>) {
-        declare(ports);
-        ports.listen::<Wheels>();
-    }
-
-    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.harm.initialize()
+        ports.serve::<Ping>();
+        ports.listen::<Wheels>().named("wheels");
+        ports.publishes::<Pose>("pose");
     }
 
     async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.harm.execute()?;
-        cx.publish(self.pose);
-        Ok(())
+        Ok(cx.port::<Publisher<Pose>>("pose")?.publish(self.pose)?)
     }
 }
 
@@ -36,4 +29,4 @@ impl Handle<Wheels> for Odometry {
     }
 }
 
-vulnerable!(Odometry);
+answers!(Odometry);

@@ -1,7 +1,6 @@
 //! The operator's panel on the robot's head.
 
-use super::harm::{HarmState, declare, vulnerable};
-use super::messages::{Goal, Pose};
+use super::messages::{Goal, Ping, Pose, answers};
 use blastema::prelude::*;
 
 /// How near the robot must come to a goal.
@@ -10,31 +9,25 @@ const NEAR_M: f64 = 0.3;
 const ROUND: [(f64, f64); 4] = [(2.0, 0.0), (2.0, 2.0), (0.0, 2.0), (0.0, 0.0)];
 
 /// Sends the robot on its round, one corner after the other.
-#[derive(Debug)]
-pub(super) struct Operator {
-    pub(super) harm: HarmState,
-    pub(super) corner: usize,
+#[derive(Debug, Default)]
+pub(super) struct OperatorPanel {
+    corner: usize,
 }
 
-impl Component for Operator {
+impl Component for OperatorPanel {
     fn ports(ports: &mut Ports<Self>) {
-        declare(ports);
-        ports.listen::<Pose>();
-    }
-
-    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.harm.initialize()
+        ports.serve::<Ping>();
+        ports.listen::<Pose>().named("pose");
+        ports.publishes::<Goal>("goal");
     }
 
     async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.harm.execute()?;
         let (x, y) = ROUND[self.corner % ROUND.len()];
-        cx.publish(Goal { x, y });
-        Ok(())
+        Ok(cx.port::<Publisher<Goal>>("goal")?.publish(Goal { x, y })?)
     }
 }
 
-impl Handle<Pose> for Operator {
+impl Handle<Pose> for OperatorPanel {
     async fn handle(&mut self, pose: Pose, _: &mut Context<Self>) {
         let (x, y) = ROUND[self.corner % ROUND.len()];
         if (pose.x - x).hypot(pose.y - y) < NEAR_M {
@@ -43,4 +36,4 @@ impl Handle<Pose> for Operator {
     }
 }
 
-vulnerable!(Operator);
+answers!(OperatorPanel);

@@ -1,7 +1,6 @@
 //! The planner: from where the robot is to where it shall be.
 
-use super::harm::{HarmState, declare, vulnerable};
-use super::messages::{Goal, Pose, Scan, Velocity};
+use super::messages::{Goal, Ping, Pose, Scan, Velocity, answers};
 use blastema::prelude::*;
 use std::f64::consts::PI;
 
@@ -9,35 +8,36 @@ use std::f64::consts::PI;
 const FASTEST_M_PER_S: f64 = 0.8;
 /// As fast as it may turn.
 const FASTEST_RAD_PER_S: f64 = 1.5;
+/// Without a sweep for so many rounds it gives no command: half a second.
+const BLIND: u32 = 10;
 /// The distance at which it goes at full speed.
 const CLEAR_M: f32 = 2.0;
 
 /// Steers towards the goal, more slowly where something is near.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Planner {
-    pub(super) harm: HarmState,
-    pub(super) motors: &'static str,
-    pub(super) pose: Option<Pose>,
-    pub(super) goal: Option<Goal>,
-    pub(super) clearance: f32,
+    pose: Option<Pose>,
+    goal: Option<Goal>,
+    clearance: f32,
+    rounds_since: u32,
 }
 
 impl Component for Planner {
     fn ports(ports: &mut Ports<Self>) {
-        declare(ports);
-        ports.listen::<Scan>();
-        ports.listen::<Pose>();
-        ports.listen::<Goal>();
-    }
-
-    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.harm.initialize()
+        ports.serve::<Ping>();
+        ports.listen::<Scan>().named("scan");
+        ports.listen::<Pose>().named("pose");
+        ports.listen::<Goal>().named("goal");
+        ports.asks::<Velocity>("drive");
     }
 
     async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.harm.execute()?;
+        self.rounds_since = self.rounds_since.saturating_add(1);
         let (Some(pose), Some(goal)) = (self.pose, self.goal) else { return Ok(()) };
-        let motors = cx.sender::<Velocity>(self.motors).map_err(|why| why.to_string())?;
+        if self.rounds_since > BLIND {
+            return Ok(());
+        }
+        let motors = cx.port::<Sender<Velocity>>("drive")?;
         // The motors stand still by themselves when no command comes; the next one is better.
         let _ = motors.tell(steer(pose, goal, self.clearance));
         Ok(())
@@ -46,6 +46,7 @@ impl Component for Planner {
 
 impl Handle<Scan> for Planner {
     async fn handle(&mut self, scan: Scan, _: &mut Context<Self>) {
+        self.rounds_since = 0;
         self.clearance = scan.ranges.iter().copied().fold(f32::INFINITY, f32::min);
     }
 }
@@ -62,7 +63,7 @@ impl Handle<Goal> for Planner {
     }
 }
 
-vulnerable!(Planner);
+answers!(Planner);
 
 fn steer(pose: Pose, goal: Goal, clearance_m: f32) -> Velocity {
     let bearing = (goal.y - pose.y).atan2(goal.x - pose.x) - pose.heading;

@@ -66,7 +66,11 @@ const PLACES: [Place; 18] = [
         below: &["blastema"],
         below_in_tests: &["blastema-doubles"],
     },
-    Place { package: "blastema-demo", below: &["blastema"], below_in_tests: &["blastema-doubles"] },
+    Place {
+        package: "blastema-demo",
+        below: &["blastema", "blastema-robot"],
+        below_in_tests: &["blastema-doubles"],
+    },
     Place { package: "blastema-tests", below: EVERYTHING, below_in_tests: EVERYTHING },
     Place { package: "blastema-bench", below: EVERYTHING, below_in_tests: EVERYTHING },
     // Their nodes and contracts are those of a user.
