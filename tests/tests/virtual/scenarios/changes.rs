@@ -168,7 +168,7 @@ async fn a_component_that_fails_its_one_attempt_restarts_none_of_its_group() {
     let node = TestNode::start(with_arm(&strings).supervisor(group(&strings))).await;
     let before = shown(&node).await;
 
-    for pull in [Pull::Fail("no device"), Pull::Panic("oh".into()), Pull::Wait(60 * SECOND)] {
+    for pull in [Pull::Fail("no device"), Pull::Panic("oh"), Pull::Wait(60 * SECOND)] {
         strings.pull("extra", "on_initialize", pull);
         let undone = adding(&node, Some("group"), strings.spec("extra").essential());
         node.advance(30 * SECOND).await;
@@ -229,7 +229,7 @@ async fn additions_and_removals_during_a_recovery_and_under_load_lose_nothing() 
     let removed = tokio::task::spawn_local(async move { remover.remove_child("low").await });
     for n in 0..200 {
         notes.tell(Note(n)).unwrap();
-        news.publish(News(1));
+        let _ = news.publish(News(1));
         node.advance(SECOND / 100).await;
     }
 
