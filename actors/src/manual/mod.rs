@@ -32,8 +32,7 @@
 //! | [guarantees] | order, loss, restarts, and the times until faults are found |
 //! | [limits] | every bound, its reason, and how to change it |
 //! | [testing] | components and whole nodes in virtual time |
-//!
-//! The words are those of the README's glossary, one for each concept.
+//! | [glossary] | the words, one for each concept |
 
 #[doc = include_str!("start.md")]
 pub mod start {}
@@ -112,3 +111,6 @@ pub mod limits {}
 
 #[doc = include_str!("testing.md")]
 pub mod testing {}
+
+#[doc = include_str!("glossary.md")]
+pub mod glossary {}

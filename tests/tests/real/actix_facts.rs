@@ -2,7 +2,7 @@
 //!
 //! The design rests on these facts, the pleasant and the unpleasant ones. Where one of them changes
 //! with a new version, the test that names it fails, and shows which part of the design to look at
-//! again: the README's map says where it is used.
+//! again: ARCHITECTURE.md says where it is used.
 
 use actix::dev::ContextFut;
 use actix::prelude::*;

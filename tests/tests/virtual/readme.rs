@@ -42,12 +42,12 @@ fn the_program_of_the_readme_is_the_example_hello() {
 }
 
 #[test]
-fn the_test_of_the_readme_is_one_of_the_test_kit() {
+fn the_test_of_a_component_is_one_of_the_test_kit() {
     assert_same(
-        &shown("README.md", "## A test", "```rust\n"),
-        &code_of("actors/testkit/tests/virtual/readme.rs"),
-        "copy the code of actors/testkit/tests/virtual/readme.rs, from its first `use` on, into README.md below \
-         \"A test\"",
+        &shown("actors/src/manual/testing.md", "## One component", "```text\n"),
+        &code_of("actors/testkit/tests/virtual/component.rs"),
+        "copy the code of actors/testkit/tests/virtual/component.rs, from its first `use` on, into \
+         actors/src/manual/testing.md below \"One component\"",
     );
 }
 

@@ -331,13 +331,13 @@ fn a_robot_from_a_file_and_the_same_from_code_have_equal_descriptions() {
 }
 
 #[test]
-fn the_file_of_the_readme_is_right() {
-    let readme = std::fs::read_to_string("../../README.md").expect("it is there");
-    let shown = readme.split("```xml\n").nth(1).and_then(|rest| rest.split("```").next());
-    let shown = shown.expect("the README shows a robot file");
-    let file = std::fs::read_to_string("tests/right/readme.robot.xml").expect("it is there");
-    assert_eq!(shown, file, "copy the one of README.md");
-    assert_eq!(load("tests/right/readme.robot.xml", &[]).connections.len(), 1);
+fn the_file_of_the_manual_is_right() {
+    let page = std::fs::read_to_string("../src/manual/robot_file.md").expect("it is there");
+    let shown = page.split("```xml\n").nth(1).and_then(|rest| rest.split("```").next());
+    let shown = shown.expect("the manual shows a robot file");
+    let file = std::fs::read_to_string("tests/right/manual.robot.xml").expect("it is there");
+    assert_eq!(shown, file, "copy the one of the manual");
+    assert_eq!(load("tests/right/manual.robot.xml", &[]).connections.len(), 1);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The invariants of the README's map, held as tests.
+//! The invariants of ARCHITECTURE.md, held as tests.
 //!
 //! Each rule is a function from the tree of files to its breaches. The first half applies the rules
 //! to this project; the second half shows each of them a small tree that breaks it, since a rule
@@ -32,7 +32,7 @@ fn arrows_between_packages_point_down_only() {
     holds(
         packages::arrows,
         "move what is needed further down, or turn the call into a message of core/contract; a new \
-         package gets its place in the README's map and in PLACES of packages.rs",
+         package gets its place in the map of ARCHITECTURE.md and in PLACES of packages.rs",
     );
 }
 
@@ -192,12 +192,15 @@ fn objects_know_each_other_by_contract() {
 
 #[test]
 fn the_glossary_explains_the_whole_vocabulary() {
-    holds(pages::glossary, "add the term to the README's glossary");
+    holds(pages::glossary, "add the term to actors/src/manual/glossary.md");
 }
 
 #[test]
 fn the_map_shows_every_package() {
-    holds(pages::map, "add the row `folder/` | `package` | what it holds to the README's map");
+    holds(
+        pages::map,
+        "add the row `folder/` | `package` | what it holds to the map of ARCHITECTURE.md",
+    );
 }
 
 #[test]
@@ -507,15 +510,11 @@ mod a_rule_can_fail {
 
     #[test]
     fn when_the_glossary_lacks_a_term_or_the_map_a_package() {
-        let mut readme = String::from("## The map\n| `core/` | `blastema-core` |\n## Glossary\n");
-        let texts = [("README.md", readme.as_str()), ("core/Cargo.toml", CORE)];
+        let map = "## The map\n| `core/` | `blastema-core` |\n";
+        let texts = [("ARCHITECTURE.md", map), ("core/Cargo.toml", CORE)];
         assert!(!pages::glossary(&Tree::of_texts(&texts)).is_empty());
         check(pages::map, &texts, &[]);
-        readme = readme.replace("| `core/` | `blastema-core` |\n", "");
-        check(
-            pages::map,
-            &[("README.md", readme.as_str()), ("core/Cargo.toml", CORE)],
-            &[("README.md", 1)],
-        );
+        let without = [("ARCHITECTURE.md", "## The map\n"), ("core/Cargo.toml", CORE)];
+        check(pages::map, &without, &[("ARCHITECTURE.md", 1)]);
     }
 }

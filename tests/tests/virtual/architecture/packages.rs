@@ -9,7 +9,7 @@ struct Place {
     below_in_tests: &'static [&'static str],
 }
 
-/// The map of the README as data, from the bottom to the top.
+/// The map of ARCHITECTURE.md as data, from the bottom to the top.
 const PLACES: [Place; 18] = [
     Place { package: "blastema-macros", below: &[], below_in_tests: &[] },
     // It runs on a chip, where nothing else of the workspace does.

@@ -1,4 +1,4 @@
-//! The test of a component that the README shows, word for word from the first `use` on.
+//! The test of a component that the manual shows, word for word from the first `use` on.
 
 use blastema::prelude::*;
 use blastema_testkit::Harness;
