@@ -360,8 +360,10 @@ impl RobotDescription {
 
     /// The node of which this one is a process, if it is one.
     pub(crate) fn whole_of<'a>(&'a self, node: &'a str) -> &'a str {
-        let above = self.node(node).and_then(|node| node.process_of.as_deref());
-        above.map_or(node, |above| self.whole_of(above))
+        let above = |node: &&'a str| self.node(node)?.process_of.as_deref();
+        // A description by code may have a circle.
+        let ways = std::iter::successors(Some(node), above).take(self.nodes.len() + 1);
+        ways.last().unwrap_or(node)
     }
 
     /// Parameters whose values are addresses of components: the component, the parameter, the value.

@@ -96,7 +96,7 @@ fn socket_of(robot: &str, node: &str) -> PathBuf {
 
 /// Has addresses name the node, or the process of it, in which their component stands.
 fn follow(robot: &mut RobotDescription) {
-    let places = Places::of(robot);
+    let places = ObjectPlaces::of(robot);
     let node_of = |node: &str, object: &str| match &places.candidates(node, object)[..] {
         [only] if *only != node => Some((*only).to_owned()),
         _ => None,
@@ -130,46 +130,65 @@ fn follow(robot: &mut RobotDescription) {
     }
 }
 
-/// Where objects stand: each node with the one whose processes are one family with it, the names
-/// of its components with ports, and those of all its objects.
-struct Places(Vec<(String, String, Vec<String>, Vec<String>)>);
+/// Where objects stand.
+struct ObjectPlaces(Vec<NodeObjects>);
 
-impl Places {
+/// A node and what is in it.
+struct NodeObjects {
+    node: String,
+    /// The node of which it is a process, or itself.
+    whole: String,
+    /// The components that may have ports.
+    components: Vec<String>,
+    objects: Vec<String>,
+}
+
+impl NodeObjects {
+    fn has(&self, object: &str) -> bool {
+        self.components.iter().any(|known| known == object)
+    }
+}
+
+impl ObjectPlaces {
     fn of(robot: &RobotDescription) -> Self {
-        let of_node = |node: &NodeDescription| {
-            let whole = robot.whole_of(&node.name).to_owned();
+        let place = |node: &NodeDescription| {
             let components = node.components().into_iter();
             let with_ports = components.filter(|component| component.process.is_none());
             let mut objects = Vec::new();
             node.root.visit(&mut |child| objects.push(child.identity().0.to_owned()));
-            let with_ports = with_ports.map(|component| component.name.clone()).collect();
-            (node.name.clone(), whole, with_ports, objects)
+            NodeObjects {
+                node: node.name.clone(),
+                whole: robot.whole_of(&node.name).to_owned(),
+                components: with_ports.map(|component| component.name.clone()).collect(),
+                objects,
+            }
         };
-        Places(robot.nodes.iter().map(of_node).collect())
+        ObjectPlaces(robot.nodes.iter().map(place).collect())
+    }
+
+    fn node(&self, node: &str) -> Option<&NodeObjects> {
+        self.0.iter().find(|place| place.node == node)
     }
 
     /// Whether the node has any object of this name.
     fn holds_any(&self, node: &str, object: &str) -> bool {
-        let has = |objects: &[String]| objects.iter().any(|known| known == object);
-        self.0.iter().any(|(known, _, _, objects)| known == node && has(objects))
+        let place = self.node(node);
+        place.is_some_and(|place| place.objects.iter().any(|known| known == object))
     }
 
     /// The node, if it has a component of this name, or else those of its family that have one.
     fn candidates(&self, node: &str, object: &str) -> Vec<&str> {
-        let has = |(_, _, components, _): &&(String, String, Vec<String>, Vec<String>)| {
-            components.iter().any(|known| known == object)
-        };
-        let own = self.0.iter().find(|(known, ..)| known == node);
-        if own.as_ref().is_some_and(has) {
-            return self.0.iter().filter(|(known, ..)| known == node).map(|of| &*of.0).collect();
+        let Some(own) = self.node(node) else { return Vec::new() };
+        if own.has(object) {
+            return vec![&own.node];
         }
-        let Some((_, whole, ..)) = own else { return Vec::new() };
-        self.0.iter().filter(|of| of.1 == *whole).filter(has).map(|of| &*of.0).collect()
+        let family = self.0.iter().filter(|place| place.whole == own.whole && place.has(object));
+        family.map(|place| &*place.node).collect()
     }
 }
 
 /// The nodes of the family of this node that have a component of this name.
 pub(crate) fn candidates(robot: &RobotDescription, node: &str, object: &str) -> Vec<String> {
-    let places = Places::of(robot);
+    let places = ObjectPlaces::of(robot);
     places.candidates(node, object).into_iter().map(str::to_owned).collect()
 }

@@ -590,7 +590,7 @@ fn process(element: &RobotElement<'_>) -> ChildDescription {
     if is_own {
         name = element.need("name", value::node_name).unwrap_or_default();
         let program = env::current_exe().unwrap_or_default();
-        spec = ProcessSpec::new(&name, program).folder(element.folder());
+        spec = ProcessSpec::new(&name, program);
         let mut root = SupervisorDescription { origin: element.origin(), ..rules(element) };
         for element in element.children(&CHILDREN) {
             child(&element, &mut root.children);
