@@ -75,7 +75,9 @@ async fn who_watches_a_supervisor_is_told_when_it_gives_up_and_when_it_is_stoppe
     assert_eq!(mourned().await, ["widow#1 mourns group#1: Fatal"]);
     node.remove_child("group").await.unwrap();
 
-    assert_eq!(mourned().await, ["widow#1 mourns group#2: Stopped"]);
+    let both =
+        ["group#2", "chain/supervisor/group#1"].map(|of| format!("widow#1 mourns {of}: Stopped"));
+    assert_eq!(mourned().await, both, "its actor ends with it");
 }
 
 #[blastema_testkit::test]
