@@ -37,7 +37,11 @@ pub(crate) fn make_nodes(robot: &mut RobotDescription, file: &Path, set: &[(Stri
             continue;
         }
         let network = format!("{}-processes", parent.name);
-        let socket = |node: &str| socket_of(&robot.name, node);
+        // One that is a process and has some is in two of these networks.
+        let socket = |node: &str| match node == parent.name {
+            true => socket_of(&robot.name, node),
+            false => socket_of(&robot.name, &format!("{}:{node}", parent.name)),
+        };
         let endpoint = |node: &str, origin| EndpointDescription {
             network: network.clone(),
             at: format!("unix://{}", socket(node).display()),

@@ -464,7 +464,7 @@ fn a_sealed_robot_of_two_nodes_runs_from_a_file() {
 #[test]
 fn what_moves_into_a_process_is_reached_by_its_name_over_its_node_also_sealed() {
     let _turn = blastema_doubles::turn();
-    for is_sealed in [false, true] {
+    for (is_sealed, is_nested) in [(false, false), (true, false), (false, true)] {
         let folder = tempfile::tempdir().expect("a folder");
         let keys = RobotKeys::new(folder.path(), &["left", "right", "eye"], 1);
         let key = |node| match is_sealed {
@@ -476,6 +476,13 @@ fn what_moves_into_a_process_is_reached_by_its_name_over_its_node_also_sealed() 
         let text = fs::read_to_string(&file).expect("it was written");
         let counter = r#"<component name="counter" type="Counter" rate="${rate}"/>"#;
         let process = format!("<process name=\"eye\">{counter}</process>");
+        let (process, ends) = match is_nested {
+            false => (process, "[left] [eye] counter ends"),
+            true => {
+                let head = format!("<process name=\"head\">{process}</process>");
+                (head, "[left] [head] [eye] counter ends")
+            }
+        };
         fs::write(&file, text.replace(counter, &process)).expect("it can be written");
 
         let mut robot = RunningRobot::start(&file, &["--set", "rate=50Hz"]);
@@ -483,8 +490,7 @@ fn what_moves_into_a_process_is_reached_by_its_name_over_its_node_also_sealed() 
         robot.interrupt();
 
         assert_eq!(robot.status(), 0, "{:#?}", robot.seen);
-        let ends = ["[right] display ends", "[left] [eye] counter ends"];
-        assert_eq!(robot.lines_with(" ends"), ends);
+        assert_eq!(robot.lines_with(" ends"), ["[right] display ends", ends]);
     }
 }
 

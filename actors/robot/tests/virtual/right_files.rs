@@ -314,7 +314,11 @@ fn a_robot_from_a_file_and_the_same_from_code_have_equal_descriptions() {
     let fingers = robot.nodes.pop().expect("it is the last");
     assert_eq!((&*fingers.name, fingers.process_of.as_deref()), ("fingers", Some("arm")));
     let [end] = &fingers.endpoints[..] else { panic!("{:?}", fingers.endpoints) };
-    assert!(end.at.starts_with("unix://") && end.at.ends_with("-whole-fingers.sock"), "{}", end.at);
+    assert!(
+        end.at.starts_with("unix://") && end.at.ends_with("-whole-arm:fingers.sock"),
+        "{}",
+        end.at
+    );
     let [thumb] = &fingers.components()[..] else { panic!("{fingers:?}") };
     assert_eq!((&*thumb.name, &thumb.depends_on[..]), ("thumb", &["arm:gripper".to_owned()][..]));
     assert_eq!(fingers.root.strategy, Strategy::OneForAll);
