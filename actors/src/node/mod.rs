@@ -383,7 +383,7 @@ impl Node {
     /// The order is given when this is first polled; it is carried out also if the future is
     /// dropped before it resolves. So a component can shut its node down, but not wait for that in
     /// a handler: its handler would be waited for in turn, until it counts as hanging after
-    /// [`max_wait`](ChildSpec::max_wait). Let a task of `main` call it, or spawn it with
+    /// [`max_wait`](crate::ChildSpec::max_wait). Let a task of `main` call it, or spawn it with
     /// `actix_rt::spawn`.
     pub async fn shutdown(&self) {
         self.shut_down_because("the program shut it down").await;
