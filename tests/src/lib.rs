@@ -47,12 +47,7 @@ impl Process {
         more: &[(&str, &String)],
     ) -> Self {
         let own = std::env::current_exe().expect("a running program has a path");
-        let copy = folder.join("program");
-        // By another process: a file that this one has open for writing could be inherited by what
-        // another test starts just then, and cannot be executed before that has closed it.
-        let copied = Command::new("cp").arg(own).arg(&copy).status();
-        assert!(copied.expect("there is cp").success());
-        let mut program = Command::new(copy);
+        let mut program = Command::new(blastema_doubles::program_in(folder, &own));
         program.uid(user);
         Process::spawn(program, module, role, addresses, more)
     }

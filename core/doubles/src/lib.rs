@@ -8,6 +8,7 @@
 //! | [`FakeCrypto`] | the cryptography of sealed frames: fast, and panics when a nonce is used twice |
 //! | [`paused`](fn@paused), [`advance`] | the clock |
 //! | [`Record`] | what a double of your own has seen |
+//! | [`program_in`] | nothing: it lets another user run a program |
 //! | [`turn`](fn@turn) | nothing: it lets tests on real threads run one after the other |
 //! | [`long`] | nothing: whether long lists of cases are run whole |
 //!
@@ -39,6 +40,7 @@ mod mock_transport;
 mod network;
 mod paused;
 mod probe;
+mod program;
 mod record;
 mod turn;
 
@@ -47,5 +49,6 @@ pub use mock_transport::MockTransport;
 pub use network::SimulatedNetwork;
 pub use paused::{advance, now, paused, settle};
 pub use probe::Probe;
+pub use program::program_in;
 pub use record::{PATIENCE, Record};
 pub use turn::{Turn, long, turn, turn_if_long, turn_within};

@@ -218,12 +218,8 @@ fn who_may_not_look_is_told_who_may() {
         let _listener = UnixListener::bind(&socket).expect("a socket");
         std::fs::set_permissions(&socket, Permissions::from_mode(0o000)).expect("it is ours");
         // Root may do everything, and so looks as another user, who can reach the program there.
-        let own = folder.path().join("blastema");
-        // By another process: a file that this one has open for writing could be inherited by what
-        // another test starts just then, and cannot be executed before that has closed it.
-        let mut copy = Command::new("cp");
-        copy.arg(env!("CARGO_BIN_EXE_blastema")).arg(&own);
-        assert!(copy.status().expect("it can be started").success());
+        let own = Path::new(env!("CARGO_BIN_EXE_blastema"));
+        let own = blastema_doubles::program_in(folder.path(), own);
         std::fs::set_permissions(folder.path(), Permissions::from_mode(0o755)).expect("it is ours");
         let mut program = Command::new(own);
         if rustix::process::geteuid().is_root() {
