@@ -90,10 +90,11 @@
 //! | `device` | [small devices](manual::devices), and `serial`; with `ip` also those on UDP |
 //! | `process` | [programs in any language](ProcessSpec) as components |
 //! | `trees` | [behaviour trees](manual::trees) as components |
-//! | `journal` | `journal` and `NodeBuilder::journal`, by SQLite: needs a C compiler |
+//! | `journal` | `journal` and `NodeBuilder::journal`, by SQLite |
 //!
 //! The default is all media, `device` and `process`. A robot of one process needs none of it: with
-//! `default-features = false` no code of a network is compiled.
+//! `default-features = false` no code of a network is compiled. `network` (its ciphers, `ring`) and
+//! `journal` need a C compiler.
 
 // What the other modules have for the network alone is not used without it.
 #![cfg_attr(not(feature = "network"), expect(dead_code))]
@@ -255,8 +256,9 @@ pub use node::{
     MemoryMedium, Network, NetworkRow, NetworkSnapshot, NotReady, RouteRow,
 };
 pub use node::{
-    ComponentOrder, FaultEvents, Node, NodeBuilder, NodeSnapshot, NodeState, OrderReply, OrderRow,
-    OrderVerb, RemoveError, RestartError, RestartedChild, StartError, Subtree, SupervisorSpec,
+    ComponentOrder, DegradedPart, FaultCounts, FaultEvents, LastRecovery, Node, NodeBuilder,
+    NodeHealth, NodeSnapshot, NodeState, OrderReply, OrderRow, OrderVerb, RemoveError,
+    RestartError, RestartedChild, StartError, Subtree, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.

@@ -79,6 +79,7 @@ pub enum FaultKind {
 
 /// How bad a fault is for the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Severity {
     /// Service goes on; a user should look.
     Warning,
