@@ -104,7 +104,8 @@ impl<E: Event> Probe<E> {
 impl<E: Event> Probe<E> {
     /// An actuator in the place of a real one: it records the commands that its lease lets through,
     /// and `safe` when its commander has gone. The lease lasts as long as that of an
-    /// [`ActuatorSpec`] does by default.
+    /// [`ActuatorSpec`] does by default. Its commands are an event; a request, whose commands have
+    /// replies, has [`Probe::answering_actuator`].
     pub fn actuator(&self, name: &str, safe: E) -> ChildSpec<Actuator<E>> {
         let record = self.0.clone();
         let spec = ChildSpec::new(name, move || Actuator { record: record.clone() });

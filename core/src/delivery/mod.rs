@@ -220,8 +220,8 @@ pub enum DeliveryError {
         limit: usize,
     },
     /// As much of this class is in flight to the receiver's node as may be, for all its objects:
-    /// `deliver` waits. Contracts of large messages declare `class = "bulk"`, which has capacity of
-    /// its own.
+    /// `deliver` waits. Contracts of large messages declare `#[contract(bulk)]`, a class with
+    /// capacity of its own.
     #[error("the way to node {node} is full of {class}")]
     WayFull {
         /// The node that the message is for.

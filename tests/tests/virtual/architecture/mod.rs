@@ -196,6 +196,11 @@ fn the_glossary_explains_the_whole_vocabulary() {
 }
 
 #[test]
+fn the_manual_says_what_every_error_means() {
+    holds(pages::errors, "say in actors/src/manual/sending.md what it means and what to do");
+}
+
+#[test]
 fn the_map_shows_every_package() {
     holds(
         pages::map,

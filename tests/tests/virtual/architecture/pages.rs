@@ -5,6 +5,9 @@ use crate::architecture::tree::{Breach, Tree};
 /// The pages with the words and with the packages.
 const GLOSSARY: &str = "actors/src/manual/glossary.md";
 const MAP: &str = "ARCHITECTURE.md";
+/// The page that says what each error means, and the errors.
+const ERRORS: &str = "actors/src/manual/sending.md";
+const DELIVERY: &str = "core/src/delivery/mod.rs";
 
 /// One word per concept: in types, files, manual and command line.
 const VOCABULARY: [&str; 26] = [
@@ -48,6 +51,21 @@ pub(crate) fn glossary(tree: &Tree) -> Vec<Breach> {
         .iter()
         .filter(|term| !terms.contains(*term))
         .map(|term| Breach::new(GLOSSARY, 1, format!("the glossary lacks \"{term}\"")))
+        .collect()
+}
+
+/// The manual's table of errors has every variant of `DeliveryError`.
+pub(crate) fn errors(tree: &Tree) -> Vec<Breach> {
+    let table: String = section(tree, ERRORS, "## What every error means").collect();
+    let source = tree.files.get(DELIVERY).map_or("", String::as_str);
+    let body = source.lines().skip_while(|line| *line != "pub enum DeliveryError {").skip(1);
+    let variants = body.take_while(|line| *line != "}").filter_map(|line| {
+        let name = line.strip_prefix("    ").filter(|rest| rest.starts_with(char::is_uppercase))?;
+        Some(name.trim_end_matches([',', ' ', '{']))
+    });
+    variants
+        .filter(|name| !table.contains(&format!("`{name}`")))
+        .map(|name| Breach::new(ERRORS, 1, format!("the table of errors lacks {name}")))
         .collect()
 }
 
