@@ -15,7 +15,7 @@
 //! * The last entry of a run, with the code [`NODE_ENDED`], says when and why the node ended: it
 //!   was shut down or dropped, or a signal ended its process. A process that is killed leaves none.
 //! * A file that cannot be written is a fault of the object `chain/journal`, and no more than that.
-//!   A damaged file is set aside.
+//!   A damaged file is set aside; one that is removed begins again.
 //! * The file is bounded: see [`FAULTS_MAX`]. Faults that are over go first, the oldest of them
 //!   first.
 //! * The order is that of [`JournalEntry::sequence`]. Wall-clock times are shown beside it and

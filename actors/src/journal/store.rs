@@ -5,6 +5,7 @@ use blastema_core::{Fault, Incarnation, Instant, NodeName};
 use rusqlite::{Connection, ErrorCode, OpenFlags, Statement, Transaction, params};
 use std::fs::File;
 use std::io::Read;
+use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::time::Duration;
 
@@ -155,6 +156,8 @@ pub(super) struct Store {
     connection: Connection,
     run: i64,
     limits: StoreLimits,
+    /// Its device and its number there.
+    file: Option<(u64, u64)>,
 }
 
 impl Store {
@@ -205,11 +208,19 @@ impl Store {
             params![ENDED_WITH_PROCESS, run],
         )?;
         transaction.commit()?;
-        Ok(Store { connection, run, limits })
+        Ok(Store { connection, run, limits, file: identity(path) })
+    }
+
+    /// Whether the file is still at this path. SQLite goes on writing into one that was removed.
+    pub(super) fn is_at(&self, path: &Path) -> bool {
+        identity(path) == self.file
     }
 
     /// Writes these lines, all or none.
     pub(super) fn write(&mut self, lines: &[JournalRow]) -> Result<(), StoreError> {
+        if lines.is_empty() {
+            return Ok(());
+        }
         let transaction = self.connection.transaction()?;
         let mut statement = transaction.prepare(PUT)?;
         lines.iter().try_for_each(|line| put(&mut statement, self.run, line))?;
@@ -259,6 +270,10 @@ fn check(connection: &Connection, is_journal: bool) -> Result<(), StoreError> {
         return Err(StoreError::Damaged(found));
     }
     Ok(())
+}
+
+fn identity(path: &Path) -> Option<(u64, u64)> {
+    std::fs::metadata(path).ok().map(|file| (file.dev(), file.ino()))
 }
 
 /// Whether the file's header says that it is a journal: see section 1.3 of SQLite's file format.

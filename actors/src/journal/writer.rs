@@ -4,7 +4,7 @@ use super::WallTime;
 use super::lock::JournalLock;
 use super::store::{Author, JournalRow, Moment, Store, StoreError, StoreLimits};
 use crate::platform;
-use crate::platform::file_lock::beside;
+use crate::platform::file_lock::{FileLock, beside};
 use crate::runtime::guardian::answers_the_monitor;
 use crate::runtime::reports::FaultReports;
 use actix::prelude::*;
@@ -12,7 +12,7 @@ use blastema_contract::detector::{FaultEvent, ReadRecord};
 use blastema_core::detection::{FaultEntry, FaultTransition};
 use blastema_core::{Incarnation, Instant, NodeName};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use std::{fs, io};
@@ -24,6 +24,7 @@ const QUEUE: usize = 1024;
 /// Steps in one transaction: each costs one sync of the disk, however many steps it holds.
 const BATCH: usize = 256;
 /// From a failed write, or a full queue, to the next attempt. A disk does not become empty sooner.
+/// A file that is removed is noticed as soon.
 const RETRY: Duration = Duration::from_secs(5);
 /// How long the end of a node waits for the last steps: a slow disk must not hold a robot's
 /// shutdown.
@@ -33,7 +34,9 @@ const SET_ASIDE_MAX: u32 = 8;
 
 /// What the journal's actor is made of.
 pub(crate) struct JournalSetup {
-    pub(crate) lock: JournalLock,
+    pub(crate) path: PathBuf,
+    /// `None` where the file system does not give it yet.
+    pub(crate) lock: Option<JournalLock>,
     pub(crate) node: NodeName,
     pub(crate) incarnation: Incarnation,
     pub(crate) record: Recipient<ReadRecord>,
@@ -61,8 +64,8 @@ enum Wrote {
     },
     /// It is not.
     Failed(String),
-    /// A damaged file was replaced by a new one.
-    SetAside(String),
+    /// It is, in a new file: the one before was damaged, or is not there any more.
+    BeganAgain(String),
 }
 
 /// Hands every step of every fault to the journal's thread.
@@ -116,14 +119,13 @@ struct Writer {
     /// Dropped at the end, which the guard waits for.
     ended: SyncSender<()>,
     /// Given back at the end.
-    lock: JournalLock,
+    lock: Option<JournalLock>,
 }
 
 impl JournalActor {
     /// The actor, and what ends its thread.
     pub(crate) fn new(setup: JournalSetup) -> (Self, JournalGuard) {
-        let JournalSetup { lock, node, incarnation, record, reports } = setup;
-        let path = lock.path().to_owned();
+        let JournalSetup { path, lock, node, incarnation, record, reports } = setup;
         let (queue, work) = sync_channel(QUEUE);
         let (ended, awaited) = sync_channel(1);
         let ends = Arc::<OnceLock<String>>::default();
@@ -228,7 +230,8 @@ impl Handler<Wrote> for JournalActor {
                 }
             }
             Wrote::Failed(reason) => self.fail(&reason, context),
-            Wrote::SetAside(detail) => {
+            Wrote::BeganAgain(detail) => {
+                self.failed = true;
                 self.reports.declare(JOURNAL, detail);
                 self.fall_behind(context);
             }
@@ -288,7 +291,7 @@ impl Now {
 }
 
 impl Writer {
-    fn run(self, recipient: &Recipient<Wrote>) {
+    fn run(mut self, recipient: &Recipient<Wrote>) {
         let mut store = None;
         // Opened at once, so that an earlier run is marked as ended before this one's first fault.
         let mut result = self.write(&mut store, &[], recipient);
@@ -299,11 +302,16 @@ impl Writer {
                 Err(reason) => Wrote::Failed(reason),
             });
             // A queue that was full when the node ended holds no `Work::End`.
-            let first = match self.ends.get() {
-                Some(_) => self.work.try_recv().ok(),
-                None => self.work.recv().ok(),
+            let timeout = if self.ends.get().is_some() { Duration::ZERO } else { RETRY };
+            let first = match self.work.recv_timeout(timeout) {
+                Ok(first) => first,
+                Err(RecvTimeoutError::Timeout) if self.ends.get().is_none() => {
+                    whole = false;
+                    result = self.write(&mut store, &[], recipient);
+                    continue;
+                }
+                Err(_) => break,
             };
-            let Some(first) = first else { break };
             whole = false;
             let mut lines = Vec::new();
             let mut over = self.gather(first, &mut lines, &mut whole);
@@ -338,40 +346,51 @@ impl Writer {
     }
 
     fn write(
-        &self,
+        &mut self,
         store: &mut Option<Store>,
         lines: &[JournalRow],
         recipient: &Recipient<Wrote>,
     ) -> Result<(), String> {
-        let written = self.open(store).and_then(|store| store.write(lines));
-        match written {
-            Ok(()) => Ok(()),
-            Err(StoreError::Unwritable(reason)) => Err(reason),
+        let removed = store.take_if(|store| !store.is_at(&self.path)).is_some();
+        if removed {
+            // Its folder may be new as well, and its log belongs to no file.
+            self.lock = None;
+            logs(&self.path).iter().for_each(|log| drop(fs::remove_file(log)));
+        }
+        let again = match self.open(store).and_then(|store| store.write(lines)) {
+            Ok(()) if removed => "was removed, or is another file".to_owned(),
+            Ok(()) => return Ok(()),
+            Err(StoreError::Unwritable(reason)) => return Err(reason),
             Err(StoreError::Damaged(reason)) => {
                 *store = None;
                 let aside = set_aside(&self.path).map_err(|error| {
                     format!("it is damaged ({reason}), and cannot be set aside: {error}")
                 })?;
-                let (path, aside) = (self.path.display(), aside.display());
-                let detail = format!(
-                    "the journal {path} was damaged ({reason}): it is set aside as {aside}, and \
-                     begins again"
-                );
-                recipient.do_send(Wrote::SetAside(detail));
                 let fresh = self.open(store).and_then(|store| store.write(lines));
                 fresh.map_err(|error| match error {
                     StoreError::Damaged(reason) | StoreError::Unwritable(reason) => reason,
-                })
+                })?;
+                format!("was damaged ({reason}): it is set aside as {}", aside.display())
             }
-        }
+        };
+        let detail = format!("the journal {} {again}, and begins again", self.path.display());
+        recipient.do_send(Wrote::BeganAgain(detail));
+        Ok(())
     }
 
-    fn open<'a>(&self, store: &'a mut Option<Store>) -> Result<&'a mut Store, StoreError> {
+    fn open<'a>(&mut self, store: &'a mut Option<Store>) -> Result<&'a mut Store, StoreError> {
         let open = match store.take() {
             Some(open) => open,
             None => {
+                let lock = match self.lock.take() {
+                    Some(lock) => lock,
+                    None => FileLock::acquire(&self.path, &self.author.node)
+                        .map(JournalLock::new)
+                        .map_err(|error| StoreError::Unwritable(error.to_string()))?,
+                };
+                let lock = self.lock.insert(lock);
                 let open = Store::open(&self.path, &self.author, self.limits)?;
-                self.lock.begin_run().map_err(|error| {
+                lock.begin_run().map_err(|error| {
                     StoreError::Unwritable(format!("the lock of its run: {error}"))
                 })?;
                 open
@@ -381,19 +400,23 @@ impl Writer {
     }
 }
 
+/// The files that SQLite keeps beside the database while it is open.
+fn logs(path: &Path) -> [PathBuf; 2] {
+    ["-wal", "-shm"].map(|ending| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(ending);
+        PathBuf::from(name)
+    })
+}
+
 /// Renames a damaged database and its log, for a person to look at.
 pub(super) fn set_aside(path: &Path) -> io::Result<PathBuf> {
     let numbered = |number: u32| beside(path, &format!("damaged-{number}"));
     let free = (1..SET_ASIDE_MAX).find(|&number| !numbered(number).exists());
     let aside = numbered(free.unwrap_or(SET_ASIDE_MAX));
     fs::rename(path, &aside)?;
-    for ending in ["-wal", "-shm"] {
-        let name = |path: &Path| {
-            let mut name = path.as_os_str().to_owned();
-            name.push(ending);
-            PathBuf::from(name)
-        };
-        match fs::rename(name(path), name(&aside)) {
+    for (log, aside) in logs(path).iter().zip(logs(&aside)) {
+        match fs::rename(log, aside) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
             _ => {}
         }

@@ -3,7 +3,7 @@
 use super::{NodeAssembly, middleware, named};
 use crate::journal::{JOURNAL, JournalActor, JournalLock, JournalSetup};
 use crate::node::error::StartError;
-use crate::platform::file_lock::{FileLock, LockError};
+use crate::platform::file_lock::{FileLock, LockError, without_links};
 use actix::prelude::*;
 use blastema_contract::detector::Subscribe;
 use std::path::PathBuf;
@@ -15,25 +15,19 @@ impl NodeAssembly {
         let name = named(JOURNAL);
         let reports = self.environment.reports.clone();
         let lock = match FileLock::acquire_after_predecessor(&path, &self.node).await {
-            Ok(lock) => JournalLock::new(lock),
+            Ok(lock) => Some(JournalLock::new(lock)),
             Err(error @ LockError::InUse { .. }) => {
                 return Err(StartError::Journal { file: path, reason: error.to_string() });
             }
-            Err(LockError::Io(error)) => {
-                // No permission, no folder, a full disk: nothing of that stops a robot.
-                self.enrolments.push(middleware(name, None));
-                let path = path.display();
-                let detail = format!(
-                    "the journal {path} cannot be written, and the node goes on without: {error}"
-                );
-                reports.declare(JOURNAL, detail);
-                return Ok(());
-            }
+            // No permission, no folder, a full disk: nothing of that stops a robot. The journal
+            // tries it again.
+            Err(LockError::Io(_)) => None,
         };
-        self.held.push(lock.path().to_owned());
+        let path = without_links(&path);
+        self.held.push(path.clone());
         let (node, incarnation) = (self.node.clone(), self.incarnation);
         let record = self.parts.chain.record.clone();
-        let setup = JournalSetup { lock, node, incarnation, record, reports };
+        let setup = JournalSetup { path, lock, node, incarnation, record, reports };
         let (journal, guard) = JournalActor::new(setup);
         let arbiter = self.parts.chain.arbiter.as_ref();
         let guardian = &self.parts.guardian;
