@@ -145,6 +145,16 @@ impl Component for Broken {
     }
 }
 
+/// Begins well, and panics in each round.
+#[derive(Default)]
+struct Faulty;
+
+impl Component for Faulty {
+    async fn on_execute(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        panic!("it is faulty")
+    }
+}
+
 /// Turns the wheels.
 #[derive(Clone, Debug, Request)]
 #[contract(name = "test/drive", reply = ())]
@@ -215,6 +225,7 @@ fn main() -> ExitCode {
         .component::<Display>("Display")
         .component::<Part>("Part")
         .component::<Broken>("Broken")
+        .component::<Faulty>("Faulty")
         .component::<Wheels>("Wheels")
         .component::<Driver>("Driver")
         .component::<Slow>("Slow")

@@ -592,6 +592,10 @@ fn process(element: &RobotElement<'_>) -> ChildDescription {
         let program = env::current_exe().unwrap_or_default();
         spec = ProcessSpec::new(&name, program);
         let mut root = SupervisorDescription { origin: element.origin(), ..rules(element) };
+        // As in OTP: what gives up tells its parent, here by the end of the process.
+        if !element.node.has_attribute("when-exceeded") {
+            root.when_exceeded = WhenExceeded::Escalate;
+        }
         for element in element.children(&CHILDREN) {
             child(&element, &mut root.children);
         }

@@ -3,7 +3,7 @@
 use crate::description::{ComponentDescription, RobotNetwork, SupervisorDescription};
 use crate::reader::{AskedNames, EXCEEDED, RESTARTS, STRATEGIES, WHEN_FULL, read};
 use crate::value::word_of;
-use blastema::core::recovery::{Backoff, SupervisorRules};
+use blastema::core::recovery::{Backoff, SupervisorRules, WhenExceeded};
 use blastema::prelude::*;
 use blastema::{DeviceSpec, LostCommunicationPolicy, NodeBuilder};
 use roxmltree::Document;
@@ -89,7 +89,9 @@ fn the_schema_has_the_defaults_of_the_code() {
         ("rules strategy", word(&STRATEGIES, rules.strategy)),
         ("rules intensity", rules.intensity.to_string()),
         ("rules period", span(rules.period)),
-        ("rules when-exceeded", word(&EXCEEDED, rules.when_exceeded)),
+        ("node when-exceeded", word(&EXCEEDED, rules.when_exceeded)),
+        ("supervisor when-exceeded", word(&EXCEEDED, rules.when_exceeded)),
+        ("process when-exceeded", word(&EXCEEDED, WhenExceeded::Escalate)),
         ("step times", "1".to_owned()),
         ("step pause", span(backoff.first)),
         ("step pause-factor", backoff.factor.to_string()),

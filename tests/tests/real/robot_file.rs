@@ -494,6 +494,34 @@ fn what_moves_into_a_process_is_reached_by_its_name_over_its_node_also_sealed() 
     }
 }
 
+#[test]
+fn a_process_ends_when_a_component_in_it_fails_for_good_and_its_group_answers() {
+    let _turn = blastema_doubles::turn();
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("one.robot.xml");
+    let text = r#"<robot schema="1" name="ranger"><node name="base">
+  <supervisor name="drive" strategy="rest-for-one">
+    <process name="unit"><component name="motors" type="Faulty" rate="50Hz"/></process>
+    <component name="map" type="Part"><param name="mass" value="2 kg"/></component>
+  </supervisor>
+</node></robot>"#;
+    fs::write(&file, text).expect("it can be written");
+
+    let mut robot = RunningRobot::start(&file, &[]);
+    robot.until("map is active");
+    robot.until_each(&[
+        "[unit] node unit: motors needed more than 3 restarts in 10s",
+        "unexpected exit of base:unit",
+        "map is finalized",
+    ]);
+    if robot.lines_with("map is active").len() == 1 {
+        robot.until("map is active");
+    }
+
+    robot.interrupt();
+    robot.status();
+}
+
 fn run(arguments: &[&str]) -> Output {
     Command::new(program()).args(arguments).output().expect("it starts")
 }
