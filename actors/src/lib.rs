@@ -219,6 +219,9 @@ pub use crate::device::{DeviceDescription, DeviceProxy, DeviceSpec};
 
 // Programs in any language.
 #[cfg(feature = "process")]
+#[doc(hidden)]
+pub use crate::platform::launcher::runtime_folder;
+#[cfg(feature = "process")]
 pub use crate::platform::processes::{launch_processes, launch_processes_by};
 #[cfg(feature = "process")]
 pub use crate::process::{ProcessSpec, SupervisedProcess};

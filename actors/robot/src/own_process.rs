@@ -15,7 +15,6 @@ use crate::description::{
 };
 use blastema::NodeName;
 use blastema::core::port::PortAddress;
-use std::env;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -92,10 +91,8 @@ fn node_key(of_parent: Option<&PathBuf>, name: &str) -> Option<PathBuf> {
 
 /// In the runtime directory of the user. Only processes of this user are heard there.
 fn socket_of(robot: &str, node: &str) -> PathBuf {
-    let runtime = env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
-    let runtime = runtime.filter(|path| path.is_dir()).unwrap_or_else(env::temp_dir);
     let user = rustix::process::geteuid().as_raw();
-    runtime.join(format!("blastema-{user}-{robot}-{node}.sock"))
+    blastema::runtime_folder().join(format!("blastema-{user}-{robot}-{node}.sock"))
 }
 
 /// Has addresses name the node, or the process of it, in which their component stands.

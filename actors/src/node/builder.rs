@@ -267,7 +267,8 @@ impl NodeBuilder {
     }
 
     /// Notifies the service manager that started the process, such as systemd, that the node has
-    /// started (`READY=1`), that it lives (`WATCHDOG=1`), and that it stops (`STOPPING=1`).
+    /// started (`READY=1`), that it lives (`WATCHDOG=1`), and that it stops (`STOPPING=1`), or why
+    /// it is in the safe state where it stops then (`STATUS=`).
     /// `WATCHDOG=1` is sent as long as each actor of the fault chain answers, four times in the
     /// `WatchdogSec=` of the service. Where no service manager has started the process, nothing is
     /// told.

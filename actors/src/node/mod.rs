@@ -418,7 +418,13 @@ impl Node {
     }
 
     async fn carry_out_end(&self, cause: &str) {
-        self.0.tell_systemd("STOPPING=1");
+        match self.state() {
+            // What ends then has not ended in order.
+            NodeState::InSafeState { reason } => {
+                self.0.tell_systemd(&format!("STATUS={}", reason.replace('\n', " ")));
+            }
+            _ => self.0.tell_systemd("STOPPING=1"),
+        }
         let cut_short = || self.0.environment.cut_short.load(SeqCst);
         let before = cut_short();
         let stopped = self.0.chain.answer(self.0.shutdown.send(Shutdown)).await;

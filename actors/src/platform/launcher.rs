@@ -23,7 +23,7 @@ use std::env;
 use std::fs::{self, DirBuilder, File};
 use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, BorrowedFd};
-use std::os::unix::fs::DirBuilderExt;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::os::unix::net::{UnixDatagram, UnixStream};
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
@@ -326,17 +326,32 @@ impl NotifySocket {
     const NAME: &str = "notify";
 
     fn open() -> io::Result<Self> {
-        let runtime = env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
-        let runtime = runtime.filter(|path| path.is_dir()).unwrap_or_else(env::temp_dir);
         let name = format!("blastema-{}-{:016x}", std::process::id(), random_seed());
-        let folder = runtime.join(name);
-        DirBuilder::new().mode(0o700).create(&folder)?;
+        let folder = runtime_folder().join(name);
+        DirBuilder::new().mode(0o700).create(&folder).map_err(|error| {
+            let text = format!(
+                "{}: {error}: set XDG_RUNTIME_DIR to a folder of the user of this program",
+                folder.display()
+            );
+            io::Error::new(error.kind(), text)
+        })?;
         let socket = UnixDatagram::bind(folder.join(Self::NAME)).inspect_err(|_| {
             let _ = fs::remove_dir_all(&folder);
         })?;
         socket.set_nonblocking(true)?;
         Ok(NotifySocket { socket, folder })
     }
+}
+
+/// Where sockets of this user's processes are: in `XDG_RUNTIME_DIR` if that folder is the user's, as
+/// the XDG Base Directory Specification asks, or else among the temporary files.
+pub fn runtime_folder() -> PathBuf {
+    let user = rustix::process::geteuid().as_raw();
+    let is_ours = |path: &PathBuf| {
+        path.metadata().is_ok_and(|folder| folder.is_dir() && folder.uid() == user)
+    };
+    let runtime = env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
+    runtime.filter(is_ours).unwrap_or_else(env::temp_dir)
 }
 
 impl Drop for NotifySocket {

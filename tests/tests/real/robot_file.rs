@@ -511,7 +511,8 @@ fn a_process_ends_when_a_component_in_it_fails_for_good_and_its_group_answers() 
     robot.until("map is active");
     robot.until_each(&[
         "[unit] node unit: motors needed more than 3 restarts in 10s",
-        "unexpected exit of base:unit",
+        "fatal error of base:unit: its program ended with exit status 1",
+        "its last STATUS was \"motors needed more than 3 restarts in 10s",
         "map is finalized",
     ]);
     if robot.lines_with("map is active").len() == 1 {
