@@ -71,7 +71,7 @@ pub enum FaultKind {
     /// it, and by the one whose subscription was refused.
     Forbidden,
     /// A condition does not hold: an operator, a node or a topic is silent for longer than it may
-    /// be.
+    /// be. Or accepted messages were lost with the session to another node.
     ConnectionLost,
     /// A fault of the application's own list.
     Custom(Arc<str>),

@@ -93,6 +93,8 @@ pub(super) struct GatewayActor {
     /// Messages of isolated nodes.
     of_isolated: u64,
     forbidden: ForbiddenAlarm,
+    /// Lost messages, of all peers, that the fault tells of.
+    lost_declared: u64,
     /// The node ends; the sessions follow once nothing waits here.
     leaving: bool,
 }
@@ -150,6 +152,7 @@ impl GatewayActor {
             next: 0,
             of_isolated: 0,
             forbidden: ForbiddenAlarm::default(),
+            lost_declared: 0,
             leaving: false,
         }
     }
@@ -427,6 +430,7 @@ impl Actor for GatewayActor {
         context.run_interval(REFUSAL_CHECK_INTERVAL, |gateway, _| {
             gateway.look_at_refusals();
             gateway.look_at_access();
+            gateway.look_at_losses();
         });
     }
 }

@@ -7,11 +7,11 @@ use crate::topic::TopicKey;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::MessageTarget;
-use blastema_core::{DeliveryError, NodeName, ObjectName};
+use blastema_core::{DeliveryError, FaultKind, NodeName, ObjectName};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
-use tracing::debug;
+use tracing::{debug, warn};
 
 /// Why an event is not sent at all, to a peer that listens.
 const REASONS: [DeadReason; 5] = [
@@ -124,10 +124,22 @@ impl GatewayActor {
     }
 
     /// Counts a message to this peer that did not arrive, or perhaps not.
-    pub(super) fn record_undelivered(&self, peer: NodeId, to: MessageTarget, why: &DeliveryError) {
+    pub(super) fn record_undelivered(
+        &mut self,
+        peer: NodeId,
+        to: MessageTarget,
+        why: &DeliveryError,
+    ) {
         match to {
             MessageTarget::Object(object, contract) => {
-                let node = self.peers.get(&peer).map(|peer| peer.node.clone());
+                let known = self.peers.get_mut(&peer);
+                let node = known.map(|known| {
+                    let by_session = [DeadReason::Unreachable, DeadReason::PeerDied];
+                    // The middleware's own are repeated.
+                    let is_lost = !contract.starts_with("blastema/");
+                    known.lost += u64::from(is_lost && by_session.contains(&why.into()));
+                    known.node.clone()
+                });
                 self.wiring.dead_letters.take_for(node, &object, contract, why);
             }
             MessageTarget::Subscription(number) => match self.losses_under(peer, number) {
@@ -137,6 +149,28 @@ impl GatewayActor {
             MessageTarget::Forgotten => {
                 debug!(%peer, %why, "a message came back, and to whom is not known")
             }
+        }
+    }
+
+    /// Declares how many accepted messages were lost with sessions. Clears the fault when a second
+    /// has added none and a session is open with each of those peers.
+    pub(super) fn look_at_losses(&mut self) {
+        let lossy = || self.peers.values().filter(|peer| peer.lost > 0);
+        let lost = lossy().map(|peer| peer.lost).sum();
+        if lost > self.lost_declared {
+            let by_peer = lossy().map(|peer| format!("{} for {}", peer.lost, peer.node));
+            let detail = format!(
+                "messages that had been accepted did not arrive, since sessions ended: {}; the dead \
+                 letters name their receivers",
+                by_peer.collect::<Vec<_>>().join(", ")
+            );
+            warn!("{detail}");
+            self.wiring.faults.declare(FaultKind::ConnectionLost, detail);
+            self.lost_declared = lost;
+        } else if lost > 0 && lossy().all(|peer| peer.send_state.has_session()) {
+            self.peers.values_mut().for_each(|peer| peer.lost = 0);
+            self.lost_declared = 0;
+            self.wiring.faults.clear(FaultKind::ConnectionLost);
         }
     }
 
