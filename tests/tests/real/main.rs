@@ -7,6 +7,7 @@ mod busy_computer;
 mod chain_outside;
 mod changes;
 mod conditions;
+mod credit;
 mod devices;
 mod discovery;
 mod exposure;
