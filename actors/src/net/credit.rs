@@ -3,8 +3,8 @@
 //!
 //! All senders of a class share its credit. A sender may hold up to seven times as much as is free
 //! (dynamic threshold, Choudhury and Hahne 1998), so that a sender that fills its share leaves
-//! capacity to the others, and gives way as soon as they send. Events that do not wait may use half
-//! of what messages may, and requests half more.
+//! capacity to the others, and gives way as soon as they send. Requests have credit of their own, and
+//! events that do not wait may use half of what messages may.
 
 use blastema_core::{Credit, CreditPool, TrafficClass};
 use std::sync::Arc;
@@ -12,39 +12,21 @@ use std::sync::atomic::Ordering::SeqCst;
 use std::sync::atomic::{AtomicBool, AtomicUsize};
 use tokio::sync::Notify;
 
-/// Messages of one class that may be in flight to one peer, requests apart. Half of it is what a hub
-/// of events has capacity for.
-const MESSAGES_MAX: usize = 2048;
-/// Their bytes, likewise: four of the largest messages.
-const BYTES_MAX: usize = 4 << 20;
+/// Messages of one class that may be in flight to one peer, and their bytes, requests apart. Half of
+/// the messages is what a hub of events has capacity for; the bytes are four of the largest messages.
+const MESSAGES_MAX: Amount = [2048, 4 << 20];
+/// Requests of one class, and their bytes, likewise.
+const REQUESTS_MAX: Amount = [1024, 2 << 20];
 /// A sender may hold so many times what is free: one that is alone takes seven eighths.
 const ALPHA: usize = 7;
 
-/// What a message is sent by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum CreditUse {
-    /// An event that does not wait.
-    Publish,
-    /// A message without a reply, or an event that waits.
-    Deliver,
-    /// A request.
-    Ask,
-}
+/// Messages, and their bytes.
+type Amount = [usize; 2];
 
-impl CreditUse {
-    /// How many halves of a class's credit are open to it.
-    fn halves(self) -> usize {
-        match self {
-            CreditUse::Publish => 1,
-            CreditUse::Deliver => 2,
-            CreditUse::Ask => 3,
-        }
-    }
-}
-
-/// The credits to one peer. Each class has a pool of its own, so that none fills that of another.
+/// The credits to one peer. Each class has pools of its own, so that none fills that of another.
 pub(super) struct SendCredits {
-    classes: [Arc<Pool>; TrafficClass::COUNT],
+    messages: [Arc<Pool>; TrafficClass::COUNT],
+    requests: [Arc<Pool>; TrafficClass::COUNT],
     /// Of messages of which only the newest counts. They hold their credit until the session has
     /// them, which keeps one of each channel.
     newest: Arc<Pool>,
@@ -52,23 +34,37 @@ pub(super) struct SendCredits {
 
 impl SendCredits {
     pub(super) fn new(changed: &Arc<Notify>) -> Self {
-        let pool = || {
+        let pool = |max| {
             let (taken, refused) = (Held::default(), AtomicBool::default());
-            Arc::new(Pool { taken, refused, changed: changed.clone() })
+            Arc::new(Pool { max, taken, refused, changed: changed.clone() })
         };
-        SendCredits { classes: std::array::from_fn(|_| pool()), newest: pool() }
+        SendCredits {
+            messages: std::array::from_fn(|_| pool(MESSAGES_MAX)),
+            requests: std::array::from_fn(|_| pool(REQUESTS_MAX)),
+            newest: pool(MESSAGES_MAX),
+        }
     }
 
-    /// The account of one more sender of this class; `None` of messages of which only the newest
-    /// counts.
+    /// The account of one more sender of messages of this class; `None` of those of which only the
+    /// newest counts.
     pub(super) fn sender(&self, class: Option<TrafficClass>) -> Arc<SenderCredit> {
-        let pool = class.map_or(&self.newest, |class| &self.classes[class as usize]);
+        self.account(&self.messages, class)
+    }
+
+    /// The same of requests.
+    pub(super) fn caller(&self, class: Option<TrafficClass>) -> Arc<SenderCredit> {
+        self.account(&self.requests, class)
+    }
+
+    fn account(&self, pools: &[Arc<Pool>], class: Option<TrafficClass>) -> Arc<SenderCredit> {
+        let pool = class.map_or(&self.newest, |class| &pools[class as usize]);
         Arc::new(SenderCredit { pool: pool.clone(), held: Held::default() })
     }
 }
 
 /// The credit of one class.
 struct Pool {
+    max: Amount,
     taken: Held,
     /// A sender was refused, and has not been told of capacity since.
     refused: AtomicBool,
@@ -76,7 +72,7 @@ struct Pool {
     changed: Arc<Notify>,
 }
 
-/// The messages that hold credit, and their bytes.
+/// What holds credit.
 #[derive(Default)]
 struct Held {
     messages: AtomicUsize,
@@ -84,12 +80,12 @@ struct Held {
 }
 
 impl Held {
-    fn load(&self) -> [usize; 2] {
+    fn load(&self) -> Amount {
         [self.messages.load(SeqCst), self.bytes.load(SeqCst)]
     }
 
     /// Answers what was held before.
-    fn add(&self, bytes: usize) -> [usize; 2] {
+    fn add(&self, bytes: usize) -> Amount {
         [self.messages.fetch_add(1, SeqCst), self.bytes.fetch_add(bytes, SeqCst)]
     }
 
@@ -105,34 +101,41 @@ pub(super) struct SenderCredit {
     held: Held,
 }
 
-/// Whether a sender that holds so much may take more while all have taken so much, each messages
-/// and bytes.
-fn has_share(held: [usize; 2], taken: [usize; 2], usage: CreditUse) -> bool {
-    let limits = [MESSAGES_MAX, BYTES_MAX].map(|max| max / 2 * usage.halves());
-    let mut all = held.into_iter().zip(taken).zip(limits);
+/// Whether a sender that holds so much may take more, where all have taken so much of `max`.
+fn has_share(held: Amount, taken: Amount, max: Amount) -> bool {
+    let mut all = held.into_iter().zip(taken).zip(max);
     all.all(|((held, taken), max)| held < max.saturating_sub(taken) * ALPHA)
 }
 
 impl SenderCredit {
     /// Takes credit for so many bytes; it is given back when it is dropped.
-    pub(super) fn take(self: &Arc<Self>, bytes: usize, usage: CreditUse) -> Option<Credit> {
-        if !self.check(|held, taken| has_share(held, taken, usage)) {
+    pub(super) fn take(self: &Arc<Self>, bytes: usize) -> Option<Credit> {
+        self.take_of(self.pool.max, bytes)
+    }
+
+    /// Takes credit for an event that does not wait, and leaves half to those that do.
+    pub(super) fn take_for_event(self: &Arc<Self>, bytes: usize) -> Option<Credit> {
+        self.take_of(self.pool.max.map(|max| max / 2), bytes)
+    }
+
+    fn take_of(self: &Arc<Self>, max: Amount, bytes: usize) -> Option<Credit> {
+        if !self.check(|held, taken| has_share(held, taken, max)) {
             return None;
         }
         // Many threads may have found capacity for one.
         let (taken, held) = (self.pool.taken.add(bytes), self.held.add(bytes));
         let credit = Credit::new(self.clone(), bytes);
-        has_share(held, taken, usage).then_some(credit)
+        has_share(held, taken, max).then_some(credit)
     }
 
     /// Whether a sender that waited is to go on: it has half of its share, so that it goes on for a
     /// while.
     pub(super) fn is_open(&self) -> bool {
-        self.check(|held, taken| has_share(held.map(|held| held * 2), taken, CreditUse::Deliver))
+        self.check(|held, taken| has_share(held.map(|held| held * 2), taken, self.pool.max))
     }
 
     /// If it is refused, the next credit that is given back tells so.
-    fn check(&self, is_admitted: impl Fn([usize; 2], [usize; 2]) -> bool) -> bool {
+    fn check(&self, is_admitted: impl Fn(Amount, Amount) -> bool) -> bool {
         let is_admitted = || is_admitted(self.held.load(), self.pool.taken.load());
         is_admitted() || {
             self.pool.refused.store(true, SeqCst);
@@ -165,8 +168,8 @@ mod tests {
     }
 
     /// All that this sender gets.
-    fn fill(sender: &Arc<SenderCredit>, each: usize, usage: CreditUse) -> Vec<Credit> {
-        (0..9_999).map_while(|_| sender.take(each, usage)).collect()
+    fn fill(sender: &Arc<SenderCredit>, each: usize) -> Vec<Credit> {
+        (0..9_999).map_while(|_| sender.take(each)).collect()
     }
 
     #[test]
@@ -176,17 +179,17 @@ mod tests {
             let credits = credits();
             let sender = credits.sender(full);
 
-            let taken = fill(&sender, each, CreditUse::Deliver);
+            let taken = fill(&sender, each);
 
-            assert_eq!(taken.len(), if each == 64 { MESSAGES_MAX / 8 * 7 } else { 4 });
+            assert_eq!(taken.len(), if each == 64 { MESSAGES_MAX[0] / 8 * 7 } else { 4 });
             assert!(!sender.is_open());
             for class in all.clone().filter(|class| *class != full) {
-                let other = fill(&credits.sender(class), each, CreditUse::Deliver);
+                let other = fill(&credits.sender(class), each);
                 assert_eq!(other.len(), taken.len(), "{full:?}, {class:?}");
             }
             let took = taken.len();
             drop(taken);
-            assert_eq!(fill(&sender, each, CreditUse::Deliver).len(), took);
+            assert_eq!(fill(&sender, each).len(), took);
         }
     }
 
@@ -194,29 +197,34 @@ mod tests {
     fn a_sender_that_fills_its_share_leaves_some_to_each_other_and_gives_way_to_it() {
         let credits = credits();
         let [greedy, late] = [(); 2].map(|()| credits.sender(REQUEST));
-        let mut held = fill(&greedy, 64, CreditUse::Deliver);
+        let mut held = fill(&greedy, 64);
 
-        let mut other = fill(&late, 64, CreditUse::Deliver);
+        let mut other = fill(&late, 64);
         assert!(other.len() > 100, "{}", other.len());
         // Whatever is given back goes to the one that has less.
-        while held.len() > other.len() + 1 {
+        while held.len() > other.len() + 1 + ALPHA {
             held.pop();
-            assert!(greedy.take(64, CreditUse::Deliver).is_none());
-            other.extend(late.take(64, CreditUse::Deliver));
+            assert!(greedy.take(64).is_none());
+            other.extend(late.take(64));
         }
         assert!((900..1_000).contains(&other.len()), "{}", other.len());
     }
 
     #[test]
-    fn requests_have_credit_that_no_stream_of_messages_can_take() {
+    fn requests_and_messages_leave_each_other_their_credit() {
         for each in [64, 1 << 20] {
             let credits = credits();
-            let streams = [(); 64].map(|()| credits.sender(REQUEST));
-            let held: Vec<_> =
-                streams.iter().flat_map(|one| fill(one, each, CreditUse::Deliver)).collect();
-            let late = credits.sender(REQUEST);
-            let asked: Vec<_> = (0..300).map(|_| late.take(64, CreditUse::Ask)).collect();
-            assert!(asked.iter().all(Option::is_some), "beside {} messages", held.len());
+            let flood = |accounts: [Arc<SenderCredit>; 64]| -> Vec<_> {
+                accounts.iter().flat_map(|account| fill(account, each)).collect()
+            };
+            let messages = flood([(); 64].map(|()| credits.sender(REQUEST)));
+            let caller = credits.caller(REQUEST);
+            let requests: Vec<_> = (0..300).map_while(|_| caller.take(64)).collect();
+            assert_eq!(requests.len(), 300, "beside {} messages", messages.len());
+            drop(messages);
+
+            let requests = flood([(); 64].map(|()| credits.caller(REQUEST)));
+            assert!(credits.sender(REQUEST).is_open(), "beside {} requests", requests.len());
         }
     }
 
@@ -225,23 +233,24 @@ mod tests {
         let credits = credits();
         let sender = credits.sender(Some(TrafficClass::Event));
 
-        let events = fill(&sender, 64, CreditUse::Publish);
+        let events = (0..9_999).map_while(|_| sender.take_for_event(64));
+        let events: Vec<_> = events.collect();
 
-        assert_eq!(events.len(), MESSAGES_MAX / 2 / 8 * 7);
-        assert!(sender.take(64, CreditUse::Deliver).is_some());
+        assert_eq!(events.len(), MESSAGES_MAX[0] / 2 / 8 * 7);
+        assert!(sender.take(64).is_some());
     }
 
     #[test]
     fn a_sender_that_waits_is_told_when_it_has_half_of_its_share() {
         let changed = Arc::new(Notify::new());
         let sender = SendCredits::new(&changed).sender(REQUEST);
-        let mut held = fill(&sender, 64, CreditUse::Deliver);
+        let mut held = fill(&sender, 64);
         while !sender.is_open() {
             let mut told = pin!(changed.notified());
             held.pop();
             assert!(told.as_mut().poll(&mut Context::from_waker(Waker::noop())).is_ready());
         }
-        assert_eq!(held.len(), MESSAGES_MAX * 7 / 9);
+        assert_eq!(held.len(), MESSAGES_MAX[0] * 7 / 9);
     }
 
     #[test]
@@ -252,7 +261,7 @@ mod tests {
             let sender = credits.sender(class);
             std::thread::spawn(move || {
                 (0..20_000).for_each(|_| {
-                    let all = (0..3).map_while(|_| sender.take(1 << 20, CreditUse::Deliver));
+                    let all = (0..3).map_while(|_| sender.take(1 << 20));
                     drop(all.collect::<Vec<_>>());
                 });
             })

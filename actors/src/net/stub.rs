@@ -1,6 +1,6 @@
 //! The credits out of this node: what stands behind a `Sender` of a remote object.
 
-use super::credit::{CreditUse, SendCredits, SenderCredit};
+use super::credit::{SendCredits, SenderCredit};
 use super::gateway::SendToPeer;
 use super::own_isolation::OwnIsolation;
 use crate::platform;
@@ -155,9 +155,8 @@ impl PeerSendState {
         self.any_full.load(Relaxed) && self.lock_full().contains(object)
     }
 
-    /// The credit of one more sender of this class; `None` if only the newest counts.
-    pub(super) fn sender_credit(&self, class: Option<TrafficClass>) -> Arc<SenderCredit> {
-        self.credits.sender(class)
+    pub(super) fn credits(&self) -> &SendCredits {
+        &self.credits
     }
 
     /// Whether a message may go to this object, credit apart.
@@ -324,8 +323,10 @@ impl StubFactory for PeerStubs {
         let send_state = self.send_state(&to.node);
         let gateway = self.gateway.get().cloned();
         let is_ordered = contract.delivery != Delivery::Newest;
-        let credit = send_state.sender_credit(is_ordered.then(|| contract.message_class()));
-        Arc::new(PeerStub { to, contract, send_state, credit, gateway })
+        let class = is_ordered.then(|| contract.message_class());
+        let (messages, requests) =
+            (send_state.credits.sender(class), send_state.credits.caller(class));
+        Arc::new(PeerStub { to, contract, send_state, messages, requests, gateway })
     }
 
     fn is_reachable(&self, node: &NodeName) -> bool {
@@ -338,8 +339,9 @@ struct PeerStub {
     to: ObjectAddress,
     contract: ContractIdentity,
     send_state: Arc<PeerSendState>,
-    /// What the messages of its sender hold.
-    credit: Arc<SenderCredit>,
+    /// The credit of its sender's messages without a reply, and of its requests.
+    messages: Arc<SenderCredit>,
+    requests: Arc<SenderCredit>,
     gateway: Option<Recipient<SendToPeer>>,
 }
 
@@ -354,8 +356,8 @@ impl RemoteStub for PeerStub {
         }
         self.send_state.check(&self.to.object)?;
         let gateway = self.gateway.as_ref().ok_or(DeliveryError::Stopped)?;
-        let usage = if asked.is_some() { CreditUse::Ask } else { CreditUse::Deliver };
-        let taken = self.credit.take(message.len(), usage);
+        let account = if asked.is_some() { &self.requests } else { &self.messages };
+        let taken = account.take(message.len());
         let credit =
             taken.ok_or_else(|| self.send_state.way_full(self.contract.message_class()))?;
         let sent = platform::now();
@@ -377,7 +379,7 @@ impl RemoteStub for PeerStub {
     }
 
     fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
-        Box::pin(self.send_state.space(&self.to.object, &self.credit))
+        Box::pin(self.send_state.space(&self.to.object, &self.messages))
     }
 }
 
@@ -430,8 +432,8 @@ mod tests {
             let (send_state, object) = send_state();
             let [(requests, request), (bulk, image)] = [REQUEST, BULK].map(|class| {
                 let (send_state, object) = (send_state.clone(), object.clone());
-                let credit = send_state.sender_credit(class);
-                let all = std::iter::from_fn(|| credit.take(64, CreditUse::Deliver));
+                let credit = send_state.credits.sender(class);
+                let all = std::iter::from_fn(|| credit.take(64));
                 let all: Vec<_> = all.collect();
                 (all, actix_rt::spawn(async move { send_state.space(&object, &credit).await }))
             });

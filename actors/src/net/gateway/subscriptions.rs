@@ -2,7 +2,7 @@
 
 use super::GatewayActor;
 use super::undelivered::UndeliveredEvents;
-use crate::net::credit::{CreditUse, SenderCredit};
+use crate::net::credit::SenderCredit;
 use crate::net::gateway_messages::LocalEvent;
 use crate::net::stub::PeerSendState;
 use crate::topic::{EventForward, ForwardId, RemoteForward, Reservation, TopicKey, described};
@@ -61,7 +61,7 @@ fn event_stream(delivery: Delivery, bulk: bool) -> Option<TrafficClass> {
 impl EventForward for PeerForward {
     fn forward(&self, event: &GatherBuffer, sent: Instant) {
         let is_open = self.send_state.has_session() && !self.send_state.is_isolated();
-        let taken = is_open.then(|| self.credit.take(event.len(), CreditUse::Publish)).flatten();
+        let taken = is_open.then(|| self.credit.take_for_event(event.len())).flatten();
         match taken {
             Some(credit) => self.target.send(event, sent, credit),
             None => self.unsent.take(self.send_state.why_not()),
@@ -72,8 +72,11 @@ impl EventForward for PeerForward {
         if self.class.is_none() || !self.send_state.takes_messages() {
             return Reservation::Needless;
         }
-        let usage = if waits { CreditUse::Deliver } else { CreditUse::Publish };
-        match self.credit.take(bytes, usage) {
+        let taken = match waits {
+            true => self.credit.take(bytes),
+            false => self.credit.take_for_event(bytes),
+        };
+        match taken {
             Some(credit) => {
                 let target = self.target.clone();
                 Reservation::Taken(Box::new(move |event, sent| target.send(event, sent, credit)))
@@ -128,7 +131,7 @@ impl GatewayActor {
         let (send_state, gateway) = (known.send_state.clone(), context.address().recipient());
         let (losses, node) = (self.losses(known, &key), known.node.clone());
         let (target, unsent) = (ForwardTarget { gateway, peer, subscription }, losses.clone());
-        let credit = send_state.sender_credit(by.1);
+        let credit = send_state.credits().sender(by.1);
         let forward = PeerForward { target, send_state, class: by.1, credit, unsent };
         let forward: RemoteForward = Arc::new(forward);
         self.end_forward((peer, subscription));

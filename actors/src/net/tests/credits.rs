@@ -75,7 +75,7 @@ fn the_credit_to_a_peer_is_whole_after_cuts_panics_and_refusals() {
         assert_eq!(accepted(&positions, || Position(1)), 1792);
         let before = left.host.dead_letters.total();
         (0..1500).for_each(|n| publisher.publish(Note(n)).unwrap());
-        assert_eq!(left.host.dead_letters.total() - before, 1500 - 896);
+        assert_eq!(left.host.dead_letters.total() - before, 1500 - 1024);
     });
 }
 
