@@ -25,7 +25,8 @@ pub enum FaultKind {
     Fatal,
     /// Data that is checked at a fixed point was wrong.
     CheckFailed,
-    /// A component works, and is, or makes others on its thread, later than they may be.
+    /// A component works, and is, or makes others on its thread, later than they may be. Or a topic
+    /// loses a tenth of its events for lack of capacity.
     Overload,
     /// Two parties hold different versions of one contract.
     ContractMismatch,

@@ -2,6 +2,7 @@
 //! wait for events with a generous bound, and judge counts and order, never a duration.
 
 mod actix_facts;
+mod books;
 mod busy;
 mod busy_computer;
 mod chain_outside;
@@ -18,7 +19,6 @@ mod large_messages;
 mod media;
 mod namesakes;
 mod node_start;
-mod outage;
 mod overload;
 mod panic_strategy;
 mod processes;

@@ -7,6 +7,7 @@ use crate::net::gateway_messages::LocalEvent;
 use crate::net::stub::PeerSendState;
 use crate::topic::{EventForward, ForwardId, RemoteForward, Reservation, TopicKey, described};
 use actix::prelude::*;
+use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::TopicContract;
 use blastema_core::{
@@ -59,12 +60,19 @@ fn event_stream(delivery: Delivery, bulk: bool) -> Option<TrafficClass> {
 }
 
 impl EventForward for PeerForward {
-    fn forward(&self, event: &GatherBuffer, sent: Instant) {
+    fn forward(&self, event: &GatherBuffer, sent: Instant) -> bool {
         let is_open = self.send_state.has_session() && !self.send_state.is_isolated();
         let taken = is_open.then(|| self.credit.take_for_event(event.len())).flatten();
         match taken {
-            Some(credit) => self.target.send(event, sent, credit),
-            None => self.unsent.take(self.send_state.why_not()),
+            Some(credit) => {
+                self.target.send(event, sent, credit);
+                true
+            }
+            None => {
+                let why = self.send_state.why_not();
+                self.unsent.take(why);
+                why != DeadReason::WayFull
+            }
         }
     }
 

@@ -3,6 +3,7 @@
 use super::GatewayActor;
 use super::peer::GatewayPeer;
 use crate::messaging::dead_letters::DeadLetterLog;
+use crate::platform;
 use crate::topic::TopicKey;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::net::NodeId;
@@ -21,6 +22,11 @@ const REASONS: [DeadReason; 5] = [
     DeadReason::Left,
     DeadReason::Isolated,
 ];
+
+/// A topic of which one event in so many finds no capacity, within a second, is overloaded,
+const LOST_SHARE: u64 = 10;
+/// if there are so many of them.
+const LOST_MIN: u64 = 10;
 
 /// Subscriptions of the past of which it is known what they were, of all peers: as many as one peer
 /// has at most.
@@ -171,6 +177,31 @@ impl GatewayActor {
             self.peers.values_mut().for_each(|peer| peer.lost = 0);
             self.lost_declared = 0;
             self.wiring.faults.clear(FaultKind::ConnectionLost);
+        }
+    }
+
+    /// Declares the topics that lose more than a share of their events for lack of capacity. Clears
+    /// the fault when no topic has for a minute.
+    pub(super) fn look_at_topics(&mut self) {
+        let now = platform::now();
+        for (topic, [events, lost]) in self.wiring.topics.take_losses() {
+            if lost < LOST_MIN || lost * LOST_SHARE < events {
+                continue;
+            }
+            if !self.overloads.iter().any(|known| *known == topic) {
+                let detail = format!(
+                    "of {events} events on {topic} in a second, {lost} found no capacity with a \
+                     listener or on the way to another node: publish less, use `deliver`, or make \
+                     the listeners' queues larger; the dead letters name who lost them"
+                );
+                warn!("{detail}");
+                self.wiring.faults.declare(FaultKind::Overload, detail);
+            }
+            self.overloads.raise(topic, now);
+        }
+        let ended = !self.overloads.take_over(now).is_empty();
+        if ended && self.overloads.iter().next().is_none() {
+            self.wiring.faults.clear(FaultKind::Overload);
         }
     }
 

@@ -1,5 +1,6 @@
-//! An outage that outlasts the session, during a stream of messages: each message that was accepted
-//! has arrived, or is counted as lost, and none is both.
+//! The books of what was sent to another process: each message and each event that was accepted has
+//! arrived, or is counted as lost, and none is both. During an outage that outlasts the session, and
+//! where the receiver is slow.
 
 use blastema::core::detection::FaultEntry;
 use blastema::prelude::*;
@@ -19,12 +20,17 @@ const SOME: u64 = 3_000;
 
 /// A number, and more bytes in flight than sockets hold.
 #[derive(Clone, Debug, Event)]
-#[contract(name = "outage/note")]
+#[contract(name = "books/note")]
 struct Note(u64, Blob);
 
-/// How many notes have arrived, and how many its node has counted as lost.
+/// Takes its listener milliseconds.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "books/news")]
+struct News(u64);
+
+/// How many notes and news have arrived, and how many its node has counted as lost.
 #[derive(Clone, Debug, Request)]
-#[contract(name = "outage/tally", reply = (u64, u64))]
+#[contract(name = "books/tally", reply = (u64, u64))]
 struct Tally;
 
 #[derive(Default)]
@@ -37,11 +43,23 @@ struct Ledger {
 impl Component for Ledger {
     fn ports(ports: &mut Ports<Self>) {
         ports.accept::<Note>().serve::<Tally>();
+        let _ = ports.listen::<News>();
     }
 }
 
 impl Handle<Note> for Ledger {
     async fn handle(&mut self, Note(number, _): Note, _: &mut Context<Self>) {
+        assert!(self.last.replace(number).is_none_or(|last| last < number), "once and in order");
+        self.arrived += 1;
+    }
+}
+
+impl Handle<News> for Ledger {
+    async fn handle(&mut self, News(number): News, _: &mut Context<Self>) {
+        let end = std::time::Instant::now() + 2 * MS;
+        while std::time::Instant::now() < end {
+            std::hint::spin_loop();
+        }
         assert!(self.last.replace(number).is_none_or(|last| last < number), "once and in order");
         self.arrived += 1;
     }
@@ -53,10 +71,13 @@ impl Handle<Tally> for Ledger {
     }
 }
 
-/// How many notes are counted as lost.
+/// How many notes and news are counted as lost.
 fn lost(dead_letters: &DeadLetterLog) -> u64 {
     let counts = dead_letters.counts().into_iter();
-    counts.filter(|count| count.contract == Note::NAME).map(|count| count.count).sum()
+    counts
+        .filter(|count| [Note::NAME, News::NAME].contains(&&*count.contract))
+        .map(|count| count.count)
+        .sum()
 }
 
 fn network(scheme: &str, own: usize, at: &[String]) -> Network {
@@ -174,5 +195,43 @@ fn each_accepted_message_of_an_outage_arrived_or_is_counted_as_lost() {
     let _turn = blastema_doubles::turn_within(6 * PATIENCE);
     for scheme in ["udp", "tcp"] {
         blastema::run(stop_for_longer_than_a_session(scheme));
+    }
+}
+
+async fn publish_to_a_slow_listener(scheme: &'static str) {
+    let at: Vec<_> = free_addresses(2).iter().map(ToString::to_string).collect();
+    let node = Node::builder("left").network(network(scheme, 0, &at)).start().await;
+    let node = node.expect("it starts");
+    let _right = Process::start_with(module_path!(), scheme, &at, &[]);
+    assert!(node.connected("right", PATIENCE).await);
+    let tally = node.sender("right:ledger").expect("a name");
+    let observer = Observer { node: &node, tally };
+    let news = node.publisher::<News>(News::NAME).expect("a topic");
+    news.matched_at_least(1).await;
+
+    let mut handed_over = 0;
+    for number in 0..30_000 {
+        handed_over += u64::from(news.publish(News(number)).is_ok());
+        if number % 1_000 == 0 {
+            sleep(20 * MS).await;
+        }
+    }
+
+    let (arrived, lost) = observer.settled().await;
+    assert_eq!(handed_over, arrived + lost, "{scheme}: {arrived} arrived, {lost} are lost");
+    assert!(arrived > 0 && lost > arrived, "{scheme}: {arrived} arrived, {lost} are lost");
+    let entries = node.faults().await.entries;
+    let is_told = |entry: &&FaultEntry| {
+        entry.fault.kind == FaultKind::Overload && entry.fault.detail.contains(News::NAME)
+    };
+    assert_eq!(entries.iter().filter(is_told).count(), 1, "{scheme}: {entries:#?}");
+    node.shutdown().await;
+}
+
+#[test]
+fn each_event_that_was_handed_over_arrived_or_is_counted_as_lost() {
+    let _turn = blastema_doubles::turn_within(6 * PATIENCE);
+    for scheme in ["udp", "tcp"] {
+        blastema::run(publish_to_a_slow_listener(scheme));
     }
 }
