@@ -25,7 +25,8 @@ pub enum FaultKind {
     Fatal,
     /// Data that is checked at a fixed point was wrong.
     CheckFailed,
-    /// A component works, and is, or makes others on its thread, later than they may be.
+    /// A component works, and is, or makes others on its thread, later than they may be. Or a topic
+    /// loses a tenth of its events for lack of capacity.
     Overload,
     /// Two parties hold different versions of one contract.
     ContractMismatch,
@@ -71,7 +72,7 @@ pub enum FaultKind {
     /// it, and by the one whose subscription was refused.
     Forbidden,
     /// A condition does not hold: an operator, a node or a topic is silent for longer than it may
-    /// be.
+    /// be. Or accepted messages were lost with the session to another node.
     ConnectionLost,
     /// A fault of the application's own list.
     Custom(Arc<str>),

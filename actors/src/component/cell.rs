@@ -486,8 +486,14 @@ impl<C: Component> ComponentCell<C> {
         }
     }
 
-    /// An event for a component that is busy, or has just been. It waits at this port.
-    pub(crate) fn queue_event<M: Contract>(&self, port: usize, event: M, times: impl Into<Times>)
+    /// An event for a component that is busy, or has just been. It waits at this port. False where
+    /// it does not fit and the queue's policy is not to drop.
+    pub(crate) fn queue_event<M: Contract>(
+        &self,
+        port: usize,
+        event: M,
+        times: impl Into<Times>,
+    ) -> bool
     where
         C: Handle<M>,
     {
@@ -496,7 +502,7 @@ impl<C: Component> ComponentCell<C> {
             Some(why) => why,
             None => {
                 let pushed = self.push(port, event, |m| seal_message::<C, M>(m, None, None, times));
-                let Err((_, why)) = pushed else { return };
+                let Err((_, why)) = pushed else { return true };
                 why
             }
         };
@@ -504,6 +510,7 @@ impl<C: Component> ComponentCell<C> {
         if let Some(id) = times.logged {
             message_log::lost(id, M::NAME, &self.record.name, &refused);
         }
+        refused != DeliveryError::Full || self.queue.bound(port).1 == WhenFull::DropNewest
     }
 }
 

@@ -29,11 +29,14 @@ use blastema_contract::session::{
 };
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
+use blastema_core::net::active_alarms::ActiveAlarms;
 use blastema_core::net::peer_protocol::{
     PeerProtocol, PeerProtocolOutput, SessionEpoch, TopicContract,
 };
 use blastema_core::sorted::SortedMap;
-use blastema_core::{DeliveryError, FaultKind, FaultLocation, GatherBuffer, Incarnation, NodeName};
+use blastema_core::{
+    DeliveryError, FaultKind, FaultLocation, GatherBuffer, Incarnation, NodeName, ObjectName,
+};
 use bytes::Bytes;
 use forbidden::ForbiddenAlarm;
 use inbound::{InboundBacklog, PeerBinding, REFUSAL_CHECK_INTERVAL};
@@ -93,6 +96,10 @@ pub(super) struct GatewayActor {
     /// Messages of isolated nodes.
     of_isolated: u64,
     forbidden: ForbiddenAlarm,
+    /// Lost messages, of all peers, that the fault tells of.
+    lost_declared: u64,
+    /// Topics that lose events for lack of capacity.
+    overloads: ActiveAlarms<ObjectName>,
     /// The node ends; the sessions follow once nothing waits here.
     leaving: bool,
 }
@@ -150,6 +157,8 @@ impl GatewayActor {
             next: 0,
             of_isolated: 0,
             forbidden: ForbiddenAlarm::default(),
+            lost_declared: 0,
+            overloads: ActiveAlarms::default(),
             leaving: false,
         }
     }
@@ -427,6 +436,8 @@ impl Actor for GatewayActor {
         context.run_interval(REFUSAL_CHECK_INTERVAL, |gateway, _| {
             gateway.look_at_refusals();
             gateway.look_at_access();
+            gateway.look_at_losses();
+            gateway.look_at_topics();
         });
     }
 }

@@ -1,6 +1,6 @@
 //! The credits out of this node: what stands behind a `Sender` of a remote object.
 
-use super::credit::SendCredits;
+use super::credit::{SendCredits, SenderCredit};
 use super::gateway::SendToPeer;
 use super::own_isolation::OwnIsolation;
 use crate::platform;
@@ -10,8 +10,8 @@ use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::net::session::PAYLOAD_MAX;
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{
-    ContractIdentity, Credit, Delivery, DeliveryError, GatherBuffer, NodeName, ObjectAddress,
-    ObjectName, TrafficClass,
+    ContractIdentity, Delivery, DeliveryError, GatherBuffer, NodeName, ObjectAddress, ObjectName,
+    TrafficClass,
 };
 use std::future::Future;
 use std::pin::Pin;
@@ -155,14 +155,8 @@ impl PeerSendState {
         self.any_full.load(Relaxed) && self.lock_full().contains(object)
     }
 
-    /// Takes credit for an event, which never waits.
-    pub(super) fn take_for_event(
-        &self,
-        bytes: usize,
-        class: Option<TrafficClass>,
-    ) -> Option<Credit> {
-        let is_open = self.has_session() && !self.is_isolated();
-        is_open.then(|| self.credits.take_for_event(bytes, class)).flatten()
+    pub(super) fn credits(&self) -> &SendCredits {
+        &self.credits
     }
 
     /// Whether a message may go to this object, credit apart.
@@ -216,32 +210,27 @@ impl PeerSendState {
         self.has_session() && !self.is_isolated() && !self.ended.load(Relaxed)
     }
 
-    /// Takes credit for so many bytes.
-    pub(super) fn take(&self, bytes: usize, class: Option<TrafficClass>) -> Option<Credit> {
-        self.credits.take(bytes, class)
-    }
-
     pub(super) fn way_full(&self, class: TrafficClass) -> DeliveryError {
         DeliveryError::WayFull { node: self.node.to_string(), class }
     }
 
     /// Completes when there is credit, or nothing can be sent at all.
-    pub(super) async fn capacity(&self, class: Option<TrafficClass>) {
+    pub(super) async fn capacity(&self, credit: &SenderCredit) {
         loop {
             let changed = self.changed.notified();
-            if !self.takes_messages() || self.credits.is_open(class) {
+            if !self.takes_messages() || credit.is_open() {
                 return;
             }
             changed.await;
         }
     }
 
-    async fn space(&self, object: &ObjectName, class: Option<TrafficClass>) {
+    async fn space(&self, object: &ObjectName, credit: &SenderCredit) {
         loop {
             let changed = self.changed.notified();
             match self.check(object) {
                 Err(DeliveryError::Full | DeliveryError::Restarting) => changed.await,
-                Ok(()) if !self.credits.is_open(class) => changed.await,
+                Ok(()) if !credit.is_open() => changed.await,
                 // Whatever else stands in the way is told by the next attempt.
                 _ => return,
             }
@@ -333,7 +322,11 @@ impl StubFactory for PeerStubs {
     fn stub(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
         let send_state = self.send_state(&to.node);
         let gateway = self.gateway.get().cloned();
-        Arc::new(PeerStub { to, contract, send_state, gateway })
+        let is_ordered = contract.delivery != Delivery::Newest;
+        let class = is_ordered.then(|| contract.message_class());
+        let (messages, requests) =
+            (send_state.credits.sender(class), send_state.credits.caller(class));
+        Arc::new(PeerStub { to, contract, send_state, messages, requests, gateway })
     }
 
     fn is_reachable(&self, node: &NodeName) -> bool {
@@ -346,15 +339,10 @@ struct PeerStub {
     to: ObjectAddress,
     contract: ContractIdentity,
     send_state: Arc<PeerSendState>,
+    /// The credit of its sender's messages without a reply, and of its requests.
+    messages: Arc<SenderCredit>,
+    requests: Arc<SenderCredit>,
     gateway: Option<Recipient<SendToPeer>>,
-}
-
-impl PeerStub {
-    /// What it shares credit with; `None` if only the newest counts.
-    fn class(&self) -> Option<TrafficClass> {
-        let is_ordered = self.contract.delivery != Delivery::Newest;
-        is_ordered.then(|| self.contract.message_class())
-    }
 }
 
 impl RemoteStub for PeerStub {
@@ -368,7 +356,8 @@ impl RemoteStub for PeerStub {
         }
         self.send_state.check(&self.to.object)?;
         let gateway = self.gateway.as_ref().ok_or(DeliveryError::Stopped)?;
-        let taken = self.send_state.credits.take(message.len(), self.class());
+        let account = if asked.is_some() { &self.requests } else { &self.messages };
+        let taken = account.take(message.len());
         let credit =
             taken.ok_or_else(|| self.send_state.way_full(self.contract.message_class()))?;
         let sent = platform::now();
@@ -390,7 +379,7 @@ impl RemoteStub for PeerStub {
     }
 
     fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
-        Box::pin(self.send_state.space(&self.to.object, self.class()))
+        Box::pin(self.send_state.space(&self.to.object, &self.messages))
     }
 }
 
@@ -408,11 +397,6 @@ mod tests {
             PeerStubs::new(OwnIsolation::new(name("module1"))).send_state(&name("module2"));
         send_state.begin();
         (send_state, ObjectName::new("arm").unwrap())
-    }
-
-    /// All credit of a class.
-    fn exhaust(send_state: &PeerSendState, class: Option<TrafficClass>) -> Vec<Credit> {
-        std::iter::from_fn(|| send_state.credits.take(64, class)).collect()
     }
 
     #[test]
@@ -446,10 +430,12 @@ mod tests {
     fn a_sender_that_waits_goes_on_when_there_is_credit_of_its_class_and_its_object_has_room() {
         paused(async {
             let (send_state, object) = send_state();
-            let (requests, bulk) = (exhaust(&send_state, REQUEST), exhaust(&send_state, BULK));
-            let [request, image] = [REQUEST, BULK].map(|class| {
+            let [(requests, request), (bulk, image)] = [REQUEST, BULK].map(|class| {
                 let (send_state, object) = (send_state.clone(), object.clone());
-                actix_rt::spawn(async move { send_state.space(&object, class).await })
+                let credit = send_state.credits.sender(class);
+                let all = std::iter::from_fn(|| credit.take(64));
+                let all: Vec<_> = all.collect();
+                (all, actix_rt::spawn(async move { send_state.space(&object, &credit).await }))
             });
             settle().await;
 

@@ -59,7 +59,10 @@ impl<C: Handle<E>, E: Event> EventListener<E> for Resident<C> {
                         hub.runs.set(Runs::Other);
                     }
                     None if hub.still_gets(entry) => {
-                        self.cell.queue_event(self.port, event, posted.at);
+                        let is_taken = self.cell.queue_event(self.port, event, posted.at);
+                        if let (false, Some(topic)) = (is_taken, hub.topic.upgrade()) {
+                            topic.traffic.lose();
+                        }
                     }
                     None => drop(event),
                 }

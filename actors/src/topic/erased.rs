@@ -35,6 +35,8 @@ pub(super) trait AnyTopic: Send + Sync {
     fn has_publishers(&self) -> bool;
     /// For display, without the other nodes that listen: the table knows them.
     fn row(&self, now: Instant) -> TopicRow;
+    /// The events since the last call, and how many times one of them found no capacity.
+    fn take_losses(&self) -> [u64; 2];
     /// Says whether it has publishers and no listeners, although they have had the time to join.
     fn is_unheard(&self, now: Instant) -> bool;
     /// The names of its publishers and listeners of this node.
@@ -74,6 +76,10 @@ impl<E: Event> AnyTopic for Topic<E> {
 
     fn row(&self, now: Instant) -> TopicRow {
         self.traffic.row(&self.key, E::LATCHED, now)
+    }
+
+    fn take_losses(&self) -> [u64; 2] {
+        self.traffic.take_losses()
     }
 
     fn is_unheard(&self, now: Instant) -> bool {

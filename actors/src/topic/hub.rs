@@ -75,7 +75,7 @@ pub(super) trait EventListener<E: Event> {
 pub(super) struct Hub<E: Event> {
     pub(super) shared: Arc<HubQueue<E>>,
     /// For what its events do when they are copied and dropped.
-    topic: Weak<Topic<E>>,
+    pub(super) topic: Weak<Topic<E>>,
     entries: RefCell<Vec<ListenerEntry<E>>>,
     /// Those that came since the last event.
     pub(super) newcomers: RefCell<Vec<ListenerEntry<E>>>,

@@ -67,8 +67,8 @@ pub(crate) type EventFilter<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
 /// Takes a topic's events out of the process, to the listeners of another node.
 pub(crate) trait EventForward: Send + Sync {
     /// Sends an encoded event, with the time by which its age is judged. Does not wait: an event for
-    /// which there is no capacity is lost, and counted.
-    fn forward(&self, event: &GatherBuffer, sent: Instant);
+    /// which there is no capacity is lost, and counted: false then.
+    fn forward(&self, event: &GatherBuffer, sent: Instant) -> bool;
 
     /// Takes capacity for an event of so many bytes. A publisher that does not wait where there is
     /// none leaves half of it to those that do.
@@ -365,6 +365,7 @@ impl<E: Event> Topic<E> {
             waker.wake();
         }
         if let Some(displaced) = displaced {
+            self.traffic.lose();
             self.record_dead_letter(&DeliveryError::Full);
             self.log_lost(&displaced, &DeliveryError::Full);
             self.discard([displaced]);
@@ -406,7 +407,8 @@ impl<E: Event> Topic<E> {
         for forward in forwards.iter() {
             match reserved.take(forward) {
                 Some(capacity) => capacity(&parcel, sent),
-                None => forward.forward(&parcel, sent),
+                None if forward.forward(&parcel, sent) => {}
+                None => self.traffic.lose(),
             }
         }
     }

@@ -242,6 +242,15 @@ impl Topics {
         topics.into_iter().map(row).collect()
     }
 
+    /// Of each topic, the events since the last call, and how many times one of them found no
+    /// capacity.
+    pub(crate) fn take_losses(&self) -> Vec<(ObjectName, [u64; 2])> {
+        let known = lock(&self.inner);
+        let topics: Vec<_> = known.topics.values().map(|known| known.erased.clone()).collect();
+        drop(known);
+        topics.iter().map(|topic| (topic.key().topic.clone(), topic.take_losses())).collect()
+    }
+
     /// Ships every event that is published here on this topic to this node, from now on, also if the topic does
     /// not exist yet; none if it carries no version that is `wanted`. Events that came in by
     /// [`inject`](Self::inject) are not shipped.

@@ -224,11 +224,12 @@ impl ToNarrow {
 }
 
 impl EventForward for ToNarrow {
-    fn forward(&self, event: &GatherBuffer, _: Instant) {
+    fn forward(&self, event: &GatherBuffer, _: Instant) -> bool {
         let event: Sample = codec::decode(&event.clone().into_bytes()).unwrap();
         lock(&self.0.got).push(event.0);
         let act = lock(&self.0.on_send).take();
         act.into_iter().for_each(|act| act());
+        true
     }
 
     fn reserve(&self, _: usize, _: bool) -> Reservation {

@@ -45,6 +45,9 @@ pub struct TopicRow {
 
 pub(super) struct Traffic {
     events: AtomicU64,
+    /// Events for which there was no capacity: with one listener, on one thread's list, or on the
+    /// way to one node.
+    lost: AtomicU64,
     bytes: AtomicUsize,
     /// The next event is to be measured.
     unmeasured: AtomicBool,
@@ -66,6 +69,8 @@ struct Shown {
     /// The window that began last: when, and after how many events.
     window: (Instant, u64),
     rate_hz: f64,
+    /// The events, and those that were lost, as they were looked at last.
+    looked: [u64; 2],
 }
 
 fn count<K: Ord>(counts: &mut SortedMap<K, usize>, key: K, more: bool) {
@@ -80,6 +85,7 @@ impl Traffic {
     pub(super) fn new(now: Instant, joined: Arc<AtomicU64>, publishing: Arc<AtomicU64>) -> Self {
         Traffic {
             events: AtomicU64::new(0),
+            lost: AtomicU64::new(0),
             bytes: AtomicUsize::new(0),
             unmeasured: AtomicBool::new(true),
             joined,
@@ -91,6 +97,7 @@ impl Traffic {
                 listeners: SortedMap::new(),
                 window: (now, 0),
                 rate_hz: 0.0,
+                looked: [0; 2],
             }),
         }
     }
@@ -99,6 +106,18 @@ impl Traffic {
     #[inline]
     pub(super) fn count(&self) {
         self.events.fetch_add(1, Relaxed);
+    }
+
+    /// There was no capacity for an event somewhere.
+    pub(super) fn lose(&self) {
+        self.lost.fetch_add(1, Relaxed);
+    }
+
+    /// The events since the last call, and how many times one of them was lost.
+    pub(super) fn take_losses(&self) -> [u64; 2] {
+        let counts = [&self.events, &self.lost].map(|count| count.load(Relaxed));
+        let before = std::mem::replace(&mut lock(&self.shown).looked, counts);
+        [counts[0] - before[0], counts[1] - before[1]]
     }
 
     #[inline]

@@ -219,7 +219,7 @@ pub enum DeliveryError {
         /// The limit in bytes.
         limit: usize,
     },
-    /// As much of this class is in flight to the receiver's node as may be, for all its objects:
+    /// As much of this class is in flight to the receiver's node as this sender's share allows:
     /// `deliver` waits. Contracts of large messages declare `#[contract(bulk)]`, a class with
     /// capacity of its own.
     #[error("the way to node {node} is full of {class}")]

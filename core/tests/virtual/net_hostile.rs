@@ -82,8 +82,14 @@ fn genuine() -> Vec<Bytes> {
         ack: Some(ack.clone()),
         payload: payload.clone().into(),
     };
-    let open =
-        OpenSegment { version: VERSION, tag: 9, echo: 0, incarnation: Incarnation(1), number: 1 };
+    let open = OpenSegment {
+        version: VERSION,
+        tag: 9,
+        echo: 0,
+        incarnation: Incarnation(1),
+        number: 1,
+        before: None,
+    };
     let segment = Segment::Data(data).encode();
     let packet = Packet {
         class: PacketPriority::Data,
@@ -235,8 +241,14 @@ fn session() -> (Session, u32) {
     else {
         panic!("it says who it is first");
     };
-    let answer =
-        OpenSegment { version: VERSION, tag: 9, echo: tag, incarnation: Incarnation(1), number: 1 };
+    let answer = OpenSegment {
+        version: VERSION,
+        tag: 9,
+        echo: tag,
+        incarnation: Incarnation(1),
+        number: 1,
+        before: None,
+    };
     session.handle_segment(Segment::Open(answer).encode(), Instant::ORIGIN);
     assert_eq!(session.peer(), Some(Incarnation(1)));
     (session, tag)

@@ -2,11 +2,13 @@
 //! wait for events with a generous bound, and judge counts and order, never a duration.
 
 mod actix_facts;
+mod books;
 mod busy;
 mod busy_computer;
 mod chain_outside;
 mod changes;
 mod conditions;
+mod credit;
 mod devices;
 mod discovery;
 mod exposure;

@@ -228,8 +228,9 @@ fn an_event_that_waited_too_long_is_counted_instead() {
 struct Shipped(Arc<Mutex<Vec<GatherBuffer>>>);
 
 impl EventForward for Shipped {
-    fn forward(&self, event: &GatherBuffer, _: Instant) {
+    fn forward(&self, event: &GatherBuffer, _: Instant) -> bool {
         self.0.lock().unwrap().push(event.clone());
+        true
     }
 
     fn reserve(&self, _: usize, _: bool) -> Reservation {

@@ -14,6 +14,8 @@ pub(super) struct GatewayPeer {
     pub(super) incarnation: Incarnation,
     /// That incarnation has ended in order.
     pub(super) left: bool,
+    /// Messages to its objects that had been accepted and did not arrive, since sessions ended.
+    pub(super) lost: u64,
     /// Contracts that it does not mean as this node does, in this incarnation.
     differences: Vec<String>,
 }
@@ -24,8 +26,8 @@ impl GatewayPeer {
 
     /// One that no session was open with yet.
     pub(super) fn new(node: NodeName, send_state: Arc<PeerSendState>) -> Self {
-        let (session, incarnation, left) = (0, Incarnation::default(), false);
-        GatewayPeer { node, send_state, session, incarnation, left, differences: Vec::new() }
+        let (session, incarnation, left, lost) = (0, Incarnation::default(), false, 0);
+        GatewayPeer { node, send_state, session, incarnation, left, lost, differences: Vec::new() }
     }
 
     /// A session begins. Says whether that ends what differed in an earlier incarnation.

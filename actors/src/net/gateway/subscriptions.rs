@@ -2,10 +2,12 @@
 
 use super::GatewayActor;
 use super::undelivered::UndeliveredEvents;
+use crate::net::credit::SenderCredit;
 use crate::net::gateway_messages::LocalEvent;
 use crate::net::stub::PeerSendState;
 use crate::topic::{EventForward, ForwardId, RemoteForward, Reservation, TopicKey, described};
 use actix::prelude::*;
+use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::TopicContract;
 use blastema_core::{
@@ -30,8 +32,10 @@ pub(super) struct Forwarded {
 struct PeerForward {
     target: ForwardTarget,
     send_state: Arc<PeerSendState>,
-    /// What they share credit with; `None` if only the newest counts.
+    /// `None` if only the newest counts.
     class: Option<TrafficClass>,
+    /// What they hold.
+    credit: Arc<SenderCredit>,
     unsent: Arc<UndeliveredEvents>,
 }
 
@@ -56,10 +60,19 @@ fn event_stream(delivery: Delivery, bulk: bool) -> Option<TrafficClass> {
 }
 
 impl EventForward for PeerForward {
-    fn forward(&self, event: &GatherBuffer, sent: Instant) {
-        match self.send_state.take_for_event(event.len(), self.class) {
-            Some(credit) => self.target.send(event, sent, credit),
-            None => self.unsent.take(self.send_state.why_not()),
+    fn forward(&self, event: &GatherBuffer, sent: Instant) -> bool {
+        let is_open = self.send_state.has_session() && !self.send_state.is_isolated();
+        let taken = is_open.then(|| self.credit.take_for_event(event.len())).flatten();
+        match taken {
+            Some(credit) => {
+                self.target.send(event, sent, credit);
+                true
+            }
+            None => {
+                let why = self.send_state.why_not();
+                self.unsent.take(why);
+                why != DeadReason::WayFull
+            }
         }
     }
 
@@ -68,8 +81,8 @@ impl EventForward for PeerForward {
             return Reservation::Needless;
         }
         let taken = match waits {
-            true => self.send_state.take(bytes, self.class),
-            false => self.send_state.take_for_event(bytes, self.class),
+            true => self.credit.take(bytes),
+            false => self.credit.take_for_event(bytes),
         };
         match taken {
             Some(credit) => {
@@ -85,8 +98,8 @@ impl EventForward for PeerForward {
     }
 
     fn capacity(&self) -> Pin<Box<dyn Future<Output = ()> + Send>> {
-        let (class, state) = (self.class, self.send_state.clone());
-        Box::pin(async move { state.capacity(class).await })
+        let (credit, state) = (self.credit.clone(), self.send_state.clone());
+        Box::pin(async move { state.capacity(&credit).await })
     }
 }
 
@@ -126,7 +139,8 @@ impl GatewayActor {
         let (send_state, gateway) = (known.send_state.clone(), context.address().recipient());
         let (losses, node) = (self.losses(known, &key), known.node.clone());
         let (target, unsent) = (ForwardTarget { gateway, peer, subscription }, losses.clone());
-        let forward = PeerForward { target, send_state, class: by.1, unsent };
+        let credit = send_state.credits().sender(by.1);
+        let forward = PeerForward { target, send_state, class: by.1, credit, unsent };
         let forward: RemoteForward = Arc::new(forward);
         self.end_forward((peer, subscription));
         let id = self.wiring.topics.forward(&key, (node, wanted), forward);

@@ -3,15 +3,16 @@
 use super::GatewayActor;
 use super::peer::GatewayPeer;
 use crate::messaging::dead_letters::DeadLetterLog;
+use crate::platform;
 use crate::topic::TopicKey;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::MessageTarget;
-use blastema_core::{DeliveryError, NodeName, ObjectName};
+use blastema_core::{DeliveryError, FaultKind, NodeName, ObjectName};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
-use tracing::debug;
+use tracing::{debug, warn};
 
 /// Why an event is not sent at all, to a peer that listens.
 const REASONS: [DeadReason; 5] = [
@@ -21,6 +22,11 @@ const REASONS: [DeadReason; 5] = [
     DeadReason::Left,
     DeadReason::Isolated,
 ];
+
+/// A topic of which one event in so many finds no capacity, within a second, is overloaded,
+const LOST_SHARE: u64 = 10;
+/// if there are so many of them.
+const LOST_MIN: u64 = 10;
 
 /// Subscriptions of the past of which it is known what they were, of all peers: as many as one peer
 /// has at most.
@@ -124,10 +130,22 @@ impl GatewayActor {
     }
 
     /// Counts a message to this peer that did not arrive, or perhaps not.
-    pub(super) fn record_undelivered(&self, peer: NodeId, to: MessageTarget, why: &DeliveryError) {
+    pub(super) fn record_undelivered(
+        &mut self,
+        peer: NodeId,
+        to: MessageTarget,
+        why: &DeliveryError,
+    ) {
         match to {
             MessageTarget::Object(object, contract) => {
-                let node = self.peers.get(&peer).map(|peer| peer.node.clone());
+                let known = self.peers.get_mut(&peer);
+                let node = known.map(|known| {
+                    let by_session = [DeadReason::Unreachable, DeadReason::PeerDied];
+                    // The middleware's own are repeated.
+                    let is_lost = !contract.starts_with("blastema/");
+                    known.lost += u64::from(is_lost && by_session.contains(&why.into()));
+                    known.node.clone()
+                });
                 self.wiring.dead_letters.take_for(node, &object, contract, why);
             }
             MessageTarget::Subscription(number) => match self.losses_under(peer, number) {
@@ -137,6 +155,53 @@ impl GatewayActor {
             MessageTarget::Forgotten => {
                 debug!(%peer, %why, "a message came back, and to whom is not known")
             }
+        }
+    }
+
+    /// Declares how many accepted messages were lost with sessions. Clears the fault when a second
+    /// has added none and a session is open with each of those peers.
+    pub(super) fn look_at_losses(&mut self) {
+        let lossy = || self.peers.values().filter(|peer| peer.lost > 0);
+        let lost = lossy().map(|peer| peer.lost).sum();
+        if lost > self.lost_declared {
+            let by_peer = lossy().map(|peer| format!("{} for {}", peer.lost, peer.node));
+            let detail = format!(
+                "messages that had been accepted did not arrive, since sessions ended: {}; the dead \
+                 letters name their receivers",
+                by_peer.collect::<Vec<_>>().join(", ")
+            );
+            warn!("{detail}");
+            self.wiring.faults.declare(FaultKind::ConnectionLost, detail);
+            self.lost_declared = lost;
+        } else if lost > 0 && lossy().all(|peer| peer.send_state.has_session()) {
+            self.peers.values_mut().for_each(|peer| peer.lost = 0);
+            self.lost_declared = 0;
+            self.wiring.faults.clear(FaultKind::ConnectionLost);
+        }
+    }
+
+    /// Declares the topics that lose more than a share of their events for lack of capacity. Clears
+    /// the fault when no topic has for a minute.
+    pub(super) fn look_at_topics(&mut self) {
+        let now = platform::now();
+        for (topic, [events, lost]) in self.wiring.topics.take_losses() {
+            if lost < LOST_MIN || lost * LOST_SHARE < events {
+                continue;
+            }
+            if !self.overloads.iter().any(|known| *known == topic) {
+                let detail = format!(
+                    "of {events} events on {topic} in a second, {lost} found no capacity with a \
+                     listener or on the way to another node: publish less, use `deliver`, or make \
+                     the listeners' queues larger; the dead letters name who lost them"
+                );
+                warn!("{detail}");
+                self.wiring.faults.declare(FaultKind::Overload, detail);
+            }
+            self.overloads.raise(topic, now);
+        }
+        let ended = !self.overloads.take_over(now).is_empty();
+        if ended && self.overloads.iter().next().is_none() {
+            self.wiring.faults.clear(FaultKind::Overload);
         }
     }
 

@@ -52,7 +52,14 @@ fn stale(tag: u32) -> Vec<Segment> {
     };
     let open = |incarnation, number| {
         let incarnation = Incarnation(incarnation);
-        Segment::Open(OpenSegment { version: VERSION, tag, echo: 0, incarnation, number })
+        Segment::Open(OpenSegment {
+            version: VERSION,
+            tag,
+            echo: 0,
+            incarnation,
+            number,
+            before: None,
+        })
     };
     vec![
         Segment::Acknowledge { tag, streams: [ack(), ack(), ack(), ack()], datagrams: None },

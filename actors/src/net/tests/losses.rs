@@ -71,7 +71,8 @@ fn what_a_node_had_not_acknowledged_when_it_was_killed_is_counted_at_its_sender(
             } else {
                 None
             };
-            advance(3000 * MS).await;
+            // A peer that is silent may still tell for a while what has arrived.
+            advance(if returns { 3_000 * MS } else { 12_000 * MS }).await;
 
             let why = if returns { DeadReason::PeerDied } else { DeadReason::Unreachable };
             let all = [
@@ -92,7 +93,7 @@ fn what_was_under_way_when_the_gateway_panicked_is_counted() {
         deliver_in_vain(&robot, &left).await;
 
         left.net.victims()[2].do_send(InjectPanic);
-        advance(100 * MS).await;
+        advance(10_000 * MS).await;
 
         assert_eq!(counted(&left), all_unreachable());
         assert_eq!(right.log.take(), [0]);
@@ -132,5 +133,45 @@ fn events_for_which_there_is_no_room_on_the_way_are_counted_under_their_topic() 
         let latest = left.host.dead_letters.latest();
         let theirs = latest.iter().filter(|letter| letter.node.is_some()).count();
         assert_eq!(theirs, 1, "one flood leaves the others' letters where they are: {latest:?}");
+    });
+}
+
+#[test]
+fn each_message_of_an_outage_arrived_or_is_counted_and_a_fault_tells_of_them_until_it_is_over() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let notes = left.sender::<Note>("right:acc");
+        notes.deliver(Note(0)).await.unwrap();
+        advance(10 * MS).await;
+        // What arrives from here on is not acknowledged.
+        for end in ["ethernet/right", "ieee1394/right"] {
+            let mute = Cut { direction: Direction::Outgoing, reported: false };
+            robot.cable(end).do_send(mute);
+        }
+        for n in 1..=5 {
+            notes.deliver(Note(n)).await.unwrap();
+        }
+        advance(20 * MS).await;
+        ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
+        for n in 6..=12 {
+            notes.deliver(Note(n)).await.unwrap();
+        }
+        advance(4_000 * MS).await;
+        assert_eq!(left.declared.drain(), [], "the peer may still tell");
+
+        for end in ["ethernet/left", "ieee1394/left", "ethernet/right", "ieee1394/right"] {
+            robot.restore(end);
+        }
+        advance(1_500 * MS).await;
+
+        assert_eq!(right.log.take(), [0, 1, 2, 3, 4, 5]);
+        assert_eq!(counted(&left), [row("acc", "Note", DeadReason::Unreachable, 7)]);
+        let declared = left.declared.expect().await;
+        assert_eq!(declared.kind, FaultKind::ConnectionLost);
+        assert!(declared.detail.contains("7 for right"), "{}", declared.detail);
+        advance(1_000 * MS).await;
+        let cleared = left.cleared.expect().await;
+        assert_eq!((cleared.object, cleared.kind), (declared.object, FaultKind::ConnectionLost));
+        assert_eq!(left.declared.drain(), []);
     });
 }

@@ -1,9 +1,9 @@
 //! How a session begins and ends.
 
-use super::{RemoteEnd, Session, SessionOutput, State, VERSION, tag};
+use super::{RemoteEnd, Session, SessionOutput, State, Unsettled, VERSION, tag};
 use crate::net::wire::WireError;
 use crate::net::wire::packet::PacketPriority;
-use crate::net::wire::segment::{OpenSegment, Segment};
+use crate::net::wire::segment::{OpenSegment, Segment, SessionReceipt};
 use crate::{DeliveryError, Incarnation, TrafficClass};
 
 impl Session {
@@ -26,7 +26,8 @@ impl Session {
     pub(super) fn tell_open(&mut self, echo: u32) {
         let (tag, number) = (self.tag, self.number);
         let incarnation = self.config.incarnation;
-        let open = OpenSegment { version: VERSION, tag, echo, incarnation, number };
+        let before = self.before;
+        let open = OpenSegment { version: VERSION, tag, echo, incarnation, number, before };
         self.transmit(PacketPriority::Control, Segment::Open(open));
     }
 
@@ -55,6 +56,11 @@ impl Session {
         }
         let theirs =
             RemoteEnd { incarnation: open.incarnation, number: open.number, tag: open.tag };
+        let older = |unsettled: &Unsettled| unsettled.peer.number < open.number;
+        if self.unsettled.as_ref().is_some_and(older) {
+            // The peer has ended that session, and receives no more of it.
+            self.settle(open.incarnation, open.before);
+        }
         match self.state {
             State::Open { peer } | State::Closing { peer, .. } => {
                 if open.incarnation > peer.incarnation {
@@ -106,6 +112,32 @@ impl Session {
         }
     }
 
+    /// Takes out what is in flight to a peer that is silent.
+    pub(super) fn take_unsettled(&mut self, peer: RemoteEnd) -> Unsettled {
+        let sent = TrafficClass::ALL.into_iter().flat_map(|stream| {
+            let sent = self.streams[stream as usize].outbound.take_sent();
+            sent.map(move |(last, message)| (stream, last, message))
+        });
+        Unsettled { tag: self.tag, peer, messages: sent.collect() }
+    }
+
+    /// Returns what was in flight in the last session and has not arrived, as far as the peer's
+    /// `receipt` tells. The peer is in this incarnation now.
+    pub(super) fn settle(&mut self, incarnation: Incarnation, receipt: Option<SessionReceipt>) {
+        let Some(Unsettled { tag, peer, messages }) = self.unsettled.take() else { return };
+        let receipt = receipt.filter(|receipt| receipt.tag == tag);
+        let why = match incarnation == peer.incarnation {
+            true => self.unreachable(),
+            false => DeliveryError::PeerDied { incarnation: peer.incarnation },
+        };
+        for (stream, last, message) in messages {
+            if receipt.is_none_or(|receipt| last >= receipt.next[stream as usize]) {
+                let (why, sent) = (why.clone(), receipt.is_none());
+                self.outputs.push_back(SessionOutput::Returned { stream, message, why, sent });
+            }
+        }
+    }
+
     /// The peer has a newer session, or a newer incarnation: what we had with the old one is over.
     pub(super) fn end_with_old_peer(&mut self, incarnation: Incarnation) {
         match self.state {
@@ -124,6 +156,7 @@ impl Session {
     }
 
     pub(super) fn begin(&mut self, peer: RemoteEnd) {
+        self.settle(peer.incarnation, None);
         self.state = State::Open { peer };
         self.newest = self.newest.max((peer.incarnation, peer.number));
         self.record_receipt();

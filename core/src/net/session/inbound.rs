@@ -80,6 +80,11 @@ impl Inbound {
         }
     }
 
+    /// The first part that has not arrived. All messages that end before it have been delivered.
+    pub(crate) fn next(&self) -> u64 {
+        self.next
+    }
+
     fn limit(&self) -> u64 {
         self.next.saturating_add(self.window.into())
     }

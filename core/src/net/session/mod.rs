@@ -17,6 +17,9 @@
 //!   message that fits into one chunk may be sent between the chunks of a larger one with another
 //!   ordering key. When a session ends, every message that was not acknowledged is returned with
 //!   the reason: it was delivered at most once.
+//! * Messages that were in flight when the peer fell silent are returned later. The next handshake
+//!   tells what the peer had received, and those that had arrived are not returned. Without a
+//!   handshake within four times the idle timeout, they are returned as perhaps delivered.
 //! * A handshake of the peer is compared with the incarnation that the router knows. A newer
 //!   session of the same incarnation is accepted if the peer has forgotten the present one.
 //! * When the router reports another path, everything that is not acknowledged is retransmitted at
@@ -60,7 +63,7 @@ use self::round_trip::RttEstimator;
 use self::turns::WeightedTurns;
 use super::wire::Refusals;
 use super::wire::packet::{PacketPriority, UndeliveredReason};
-use super::wire::segment::{ACKNOWLEDGED_TOGETHER, Data, Datagram, Segment};
+use super::wire::segment::{ACKNOWLEDGED_TOGETHER, Data, Datagram, Segment, SessionReceipt};
 use crate::timer::Timers;
 use crate::{Credit, DeliveryError, GatherBuffer, Incarnation, Instant, Machine, TrafficClass};
 use bytes::Bytes;
@@ -70,8 +73,8 @@ use std::time::Duration;
 
 /// The version of what sessions say to each other. From 2 on whole messages come between the parts
 /// of a large one; from 3 on acknowledgements tell when the last part arrived; from 4 on each class
-/// has a stream of its own.
-pub const VERSION: u8 = 5;
+/// has a stream of its own; from 6 on an open tells what arrived in the session before.
+pub const VERSION: u8 = 6;
 
 /// The machine of one peer node's sessions, one after the other.
 #[derive(Debug)]
@@ -100,6 +103,10 @@ pub struct Session {
     turns: WeightedTurns,
     /// Since when the peer owes an answer, or has no path.
     waiting_since: Option<Instant>,
+    /// What had been received in the last session that ended.
+    before: Option<SessionReceipt>,
+    /// What was in flight in it.
+    unsettled: Option<Unsettled>,
     pieces: Reassembly<(TrafficClass, u64)>,
     datagrams_out: BestEffortOutbound,
     datagrams_in: BestEffortInbound,
@@ -138,6 +145,16 @@ struct RemoteEnd {
     tag: u32,
 }
 
+/// Messages that were in flight when a session ended, for the peer was silent.
+#[derive(Debug)]
+struct Unsettled {
+    /// Our tag in that session.
+    tag: u32,
+    peer: RemoteEnd,
+    /// Each with its stream and the part that it ends in.
+    messages: Vec<(TrafficClass, u64, Bytes)>,
+}
+
 #[derive(Debug)]
 struct StreamState {
     outbound: Outbound,
@@ -150,6 +167,8 @@ impl Session {
     const CONTROL_RUN: usize = 8;
     /// How long an unfinished message is kept.
     const REASSEMBLY_TIMEOUT: Duration = Duration::from_secs(5);
+    /// So many idle timeouts long a silent peer may still tell what it had received.
+    const SETTLE_TIMES: u32 = 4;
     /// How often an unanswered close is sent.
     const CLOSE_TRIES: u32 = 5;
 
@@ -174,6 +193,8 @@ impl Session {
             control_run: 0,
             turns: WeightedTurns::default(),
             waiting_since: None,
+            before: None,
+            unsettled: None,
             pieces: Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT),
             datagrams_out: BestEffortOutbound::default(),
             datagrams_in: BestEffortInbound::new(
@@ -324,6 +345,7 @@ impl Session {
         self.known = Some(incarnation);
         if self.newest.0 != incarnation {
             self.newest = (incarnation, 0);
+            self.settle(incarnation, None);
             self.end_with_old_peer(incarnation);
         }
     }
@@ -357,13 +379,13 @@ impl Session {
     /// Takes out what was not acknowledged, and whether some of it was sent, when this machine is
     /// about to be replaced.
     pub fn take_unacknowledged(&mut self) -> Vec<(TrafficClass, Bytes, bool)> {
-        TrafficClass::ALL
-            .into_iter()
-            .flat_map(|stream| {
-                let messages = self.streams[stream as usize].outbound.take_all();
-                messages.map(move |(message, sent)| (stream, message, sent))
-            })
-            .collect()
+        let unsettled = self.unsettled.take().into_iter().flat_map(|unsettled| unsettled.messages);
+        let unsettled = unsettled.map(|(stream, _, message)| (stream, message, true));
+        let held = TrafficClass::ALL.into_iter().flat_map(|stream| {
+            let messages = self.streams[stream as usize].outbound.take_all();
+            messages.map(move |(message, sent)| (stream, message, sent))
+        });
+        unsettled.chain(held).collect()
     }
 
     /// A segment from the peer's node arrived.
@@ -439,7 +461,15 @@ impl Session {
     fn end(&mut self, why: DeliveryError) {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
         let closing = matches!(self.state, State::Closing { .. });
+        let next = std::array::from_fn(|stream| self.streams[stream].inbound.next());
+        self.before = Some(SessionReceipt { tag: peer.tag, next });
+        let may_tell = !closing && matches!(why, DeliveryError::Unreachable { .. });
+        let unsettled = may_tell.then(|| self.take_unsettled(peer));
         self.return_unacknowledged(&why);
+        if let Some(unsettled) = unsettled.filter(|unsettled| !unsettled.messages.is_empty()) {
+            self.unsettled = Some(unsettled);
+            self.waiting_since = Some(self.now);
+        }
         let incarnation = peer.incarnation;
         self.outputs.push_back(SessionOutput::Ended { incarnation, why });
         if closing {
@@ -453,6 +483,7 @@ impl Session {
 
     /// Returns every unacknowledged message and begins from nothing.
     fn return_unacknowledged(&mut self, why: &DeliveryError) {
+        self.settle(self.newest.0, None);
         for stream in TrafficClass::ALL {
             let state = &mut self.streams[stream as usize];
             for (message, sent) in state.outbound.take_all() {
@@ -490,13 +521,13 @@ impl Session {
         self.waiting_since = None;
         match self.state {
             State::Open { .. } | State::Closing { .. } => self.end(self.unreachable()),
-            State::Opening { .. } => {
+            State::Opening { .. } | State::Idle => {
                 self.return_unacknowledged(&self.unreachable());
                 if self.path.is_none() {
                     self.state = State::Idle;
                 }
             }
-            State::Idle | State::Closed => {}
+            State::Closed => {}
         }
     }
 }

@@ -165,6 +165,12 @@ impl Outbound {
         self.waiting.push(strand, message);
     }
 
+    /// Takes out the messages that were sent altogether, each with the part that it ends in.
+    pub(crate) fn take_sent(&mut self) -> impl Iterator<Item = (u64, Bytes)> + use<> {
+        let cut = std::mem::take(&mut self.cut).into_iter();
+        cut.map(|held| (held.last, held.message.bytes.into_bytes()))
+    }
+
     /// All messages that are not acknowledged, in order, and whether some of it was sent; nothing
     /// is left.
     pub(crate) fn take_all(&mut self) -> impl Iterator<Item = (Bytes, bool)> + use<> {

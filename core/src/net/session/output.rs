@@ -35,7 +35,8 @@ pub enum SessionOutput {
         /// The message.
         message: Bytes,
     },
-    /// A message was not acknowledged before its session ended.
+    /// A message was not acknowledged before its session ended. Those in flight to a silent peer
+    /// are returned up to four idle timeouts after the end, those that had arrived are not.
     Returned {
         /// The stream that it was for.
         stream: TrafficClass,
@@ -46,7 +47,7 @@ pub enum SessionOutput {
         /// Some of it was sent, so that it may have arrived; otherwise it has not.
         sent: bool,
     },
-    /// The session is over. What was unacknowledged has been returned before this.
+    /// The session is over. What had not been sent has been returned before this.
     Ended {
         /// Which incarnation of the peer it was with.
         incarnation: Incarnation,

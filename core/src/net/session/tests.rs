@@ -5,6 +5,7 @@ mod delivery;
 mod incarnations;
 mod overtaking;
 mod paths;
+mod settling;
 
 use super::*;
 use crate::NodeName;

@@ -56,7 +56,8 @@ impl Timers for Session {
                 // Where an answer takes long, one that is lost is asked for twice before that.
                 let longest = self.rtt.iter().map(RttEstimator::timeout).max();
                 let answers = longest.filter(|_| self.path.is_some()).unwrap_or_default() * 3;
-                Some(self.waiting_since? + self.config.idle_timeout.max(answers))
+                let times = if self.unsettled.is_some() { Session::SETTLE_TIMES } else { 1 };
+                Some(self.waiting_since? + self.config.idle_timeout.max(answers) * times)
             }
             (SessionTimer::Loss(stream), _) => self.retransmit_at[stream as usize],
             (SessionTimer::LossDatagrams, _) => self.datagrams_lost_at,

@@ -129,6 +129,17 @@ pub struct OpenSegment {
     pub incarnation: Incarnation,
     /// The n-th session of that incarnation.
     pub number: u32,
+    /// What the sender had received in the session before, if it had one.
+    pub before: Option<SessionReceipt>,
+}
+
+/// What one end of a session had received when it ended that session. It received no more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SessionReceipt {
+    /// The other end's tag in that session; never 0.
+    pub tag: u32,
+    /// For each stream, the first part that had not arrived.
+    pub next: [u64; TrafficClass::COUNT],
 }
 
 /// A part of an ordered stream.
@@ -260,12 +271,15 @@ impl Segment {
     pub fn parcel(&self) -> GatherBuffer {
         match self {
             Segment::Open(open) => {
-                let mut bytes = begin(END, OPEN, 22);
+                let mut bytes = begin(END, OPEN, 32);
                 bytes.put_u8(open.version);
                 bytes.put_u32(open.tag);
                 bytes.put_u32(open.echo);
                 bytes.put_u64(open.incarnation.0);
                 bytes.put_u32(open.number);
+                bytes.put_u32(open.before.map_or(0, |before| before.tag));
+                let next = open.before.iter().flat_map(|before| before.next);
+                next.for_each(|next| bytes.varint(next));
                 bytes.freeze().into()
             }
             Segment::Data(data) => data.parcel(),
@@ -369,11 +383,21 @@ impl OpenSegment {
         let (tag, echo) = (reader.u32()?, reader.u32()?);
         let incarnation = Incarnation(reader.u64()?);
         let number = reader.u32()?;
+        let before = match reader.u32()? {
+            0 => None,
+            tag => {
+                let mut next = [0; TrafficClass::COUNT];
+                for next in &mut next {
+                    *next = reader.varint()?;
+                }
+                Some(SessionReceipt { tag, next })
+            }
+        };
         reader.end("an open")?;
         if tag == 0 {
             return Err(WireError::Malformed { what: "a tag" });
         }
-        Ok(OpenSegment { version, tag, echo, incarnation, number })
+        Ok(OpenSegment { version, tag, echo, incarnation, number, before })
     }
 }
 
@@ -524,7 +548,10 @@ mod tests {
 
     fn examples() -> Vec<(Segment, &'static [u8])> {
         let version = crate::net::session::VERSION;
-        let open = OpenSegment { version, tag: 7, echo: 0, incarnation: Incarnation(2), number: 3 };
+        let (incarnation, before) = (Incarnation(2), None);
+        let open = OpenSegment { version, tag: 7, echo: 0, incarnation, number: 3, before };
+        let before = Some(SessionReceipt { tag: 9, next: [1, 0, 0, 300, 0, 2] });
+        let next = OpenSegment { number: 4, before, ..open };
         let arrived = DelayTicks(0x1234);
         let ack = Ack { next: 5, window: 200, arrived, ranges: vec![(7, 8), (300, 300)] };
         let data = Data {
@@ -557,7 +584,11 @@ mod tests {
         vec![
             (
                 Segment::Open(open),
-                &[0x83, 5, 0, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3],
+                b"\x83\x06\0\0\0\x07\0\0\0\0\0\0\0\0\0\0\0\x02\0\0\0\x03\0\0\0\0",
+            ),
+            (
+                Segment::Open(next),
+                b"\x83\x06\0\0\0\x07\0\0\0\0\0\0\0\0\0\0\0\x02\0\0\0\x04\0\0\0\x09\x01\0\0\xac\x02\0\x02",
             ),
             (Segment::Data(copied), b"\xe7\x01\x02\x03\x04\xac\x02\x02hi"),
             (Segment::Data(data), b"\x27\x01\x02\x03\x04\xac\x02\x02hi"),

@@ -74,7 +74,7 @@ fn nodes_that_only_one_way_joins_are_not_reachable_and_get_their_messages_back()
             world.send(1, 2, 100);
             world.run(10 * MS);
         }
-        world.run(Duration::from_secs(4));
+        world.run(Duration::from_secs(12));
         let reachable =
             |world: &World, node: usize| world.nodes[node].as_ref().unwrap().reachable.len();
         assert_eq!([0, 1, 2].map(|node| reachable(&world, node)), [1, 0, 1]);

@@ -459,8 +459,11 @@ impl World {
                         *last = number;
                         (self.now, key).hash(&mut self.trace);
                     }
-                    SessionOutput::Returned { message, .. } => {
-                        self.returned.insert(read(&message));
+                    SessionOutput::Returned { message, sent, .. } => {
+                        let key = read(&message);
+                        let has_arrived = self.delivered.contains_key(&key);
+                        assert!(sent || !has_arrived, "returned, and arrived: {key:?}");
+                        self.returned.insert(key);
                     }
                     // The version's own bits may have been struck.
                     SessionOutput::Incompatible { .. } if self.flips > 0.0 => {}

@@ -148,7 +148,8 @@ fn another_version_is_told_once_and_nothing_opens() {
     session.handle_path(1389, at(0));
     // Before 2, nothing came between the parts of a large message: such a node would end session
     // after session.
-    let open = OpenSegment { version: 1, tag: 1, echo: 0, incarnation: Incarnation(1), number: 1 };
+    let (incarnation, before) = (Incarnation(1), None);
+    let open = OpenSegment { version: 1, tag: 1, echo: 0, incarnation, number: 1, before };
 
     for _ in 0..3 {
         session.handle_segment(Segment::Open(open).encode(), at(1));
@@ -202,7 +203,8 @@ fn a_forged_session_does_not_end_the_present_one_and_a_true_one_does() {
     }
     let forged = |incarnation, number| {
         let incarnation = Incarnation(incarnation);
-        let open = OpenSegment { version: VERSION, tag: 99, echo: 0, incarnation, number };
+        let before = None;
+        let open = OpenSegment { version: VERSION, tag: 99, echo: 0, incarnation, number, before };
         Segment::Open(open).encode()
     };
     for segment in [forged(1, u32::MAX), forged(u64::MAX, 1), forged(2, 1)] {

@@ -117,7 +117,11 @@ fn a_peer_that_says_nothing_although_there_is_a_path_is_given_up() {
 
     pair.run(2100);
 
-    assert!(pair.take(0).contains(&returned(text("a"), &unreachable("right"))));
+    let why = unreachable("right");
+    let ended = SessionOutput::Ended { incarnation: Incarnation(1), why: why.clone() };
+    assert_eq!(pair.take(0), [ended]);
+    pair.run(8100);
+    assert_eq!(pair.take(0), [returned(text("a"), &why)]);
 }
 
 /// Both ends of a line of 9,600 bits a second say something large at once. Answers how much was
