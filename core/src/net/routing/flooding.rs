@@ -1,6 +1,7 @@
 //! Announcements: told to every neighbour until it confirms them, compared, outdone.
 
 use super::keys::SignatureCheck;
+use super::topology::Adjacency;
 use super::{DatabaseEntry, Router, RouterAlarm, RouterOutput};
 use crate::NodeName;
 use crate::net::wire::advertisement::{
@@ -46,9 +47,23 @@ impl Router {
         self.known.get(&origin).map(|known| &known.advertisement)
     }
 
-    /// Gives an origin's newest advertisement to every neighbour but the one that it came from.
+    /// Gives an origin's newest advertisement to every neighbour that has it neither from the origin
+    /// itself nor from the neighbour that it came from. Among `n` nodes that are all linked to each
+    /// other, one change then takes `n - 1` messages, where each node told all others.
+    ///
+    /// Nothing is lost for good. The origin repeats its advertisement to the neighbours in it until
+    /// they confirm it. If such a link fails, the origin's next advertisement does not list it, and
+    /// is passed on. If the origin fails, neighbours that compare what they know find the rest.
     pub(super) fn flood(&mut self, origin: NodeId, except: Option<LinkId>) {
-        let links: Vec<_> = self.links.keys().copied().filter(|l| Some(*l) != except).collect();
+        let Some(advertisement) = self.advertisement(origin) else { return };
+        let told: SortedSet<_> =
+            advertisement.edges.iter().map(|edge| (edge.to, edge.incarnation)).collect();
+        let lacks = |(link, adjacent): (&LinkId, &Adjacency)| {
+            let incarnation = Edge::incarnation_tag(adjacent.neighbour.incarnation);
+            let has_it = origin != self.id && told.contains(&(adjacent.id, incarnation));
+            (Some(*link) != except && !has_it).then_some(*link)
+        };
+        let links: Vec<_> = self.links.iter().filter_map(lacks).collect();
         for link in links {
             self.announce(link, &[origin]);
         }

@@ -1,6 +1,7 @@
 //! A router among neighbours that the test speaks for.
 
 mod copies;
+mod mesh;
 mod names;
 mod network;
 mod restarts;
