@@ -74,3 +74,40 @@ fn once_the_link_to_its_origin_is_down_news_is_passed_on_at_once() {
 
     assert_eq!(newest(&net, C, "a"), newest(&net, A, "a"));
 }
+
+#[test]
+fn a_node_whose_links_change_all_the_time_announces_the_newest_at_a_bounded_pace() {
+    let mut router = between_two();
+    let mut told = Vec::new();
+    for now in 1_100..1_200 {
+        router.handle_link(FIRST, up("left", now as u16), at(now));
+        let own = announced(&outputs(&mut router, now), SECOND);
+        told.extend(own.into_iter().filter(|told| told.node == named("own")));
+    }
+    told.extend(announced(&outputs(&mut router, 1_210), SECOND));
+
+    let mut ids: Vec<_> = told.iter().map(|told| told.id).collect();
+    ids.dedup();
+    // At once, and after each 10 ms, with two links.
+    assert_eq!(ids.len(), 11, "{ids:?}");
+    let last = told.iter().rfind(|told| told.node == named("own")).unwrap();
+    assert!(last.edges.iter().any(|edge| edge.cost == 1_199), "{last:?}");
+}
+
+#[test]
+fn late_confirmations_of_older_news_are_not_answered_while_the_newest_is_on_its_way() {
+    let mut router = between_two();
+    let before = router.own.id;
+    outputs(&mut router, 1_090);
+    router.handle_link(FIRST, up("left", 7), at(1_100));
+    outputs(&mut router, 1_100);
+    let mut confirm = |now| {
+        let have = RoutingMessage::Have { range: None, ids: vec![before] };
+        router.handle_routing(SECOND, have.encode(), at(now));
+        let outputs: Vec<_> = std::iter::from_fn(|| router.poll_output()).collect();
+        announced(&outputs, SECOND).len()
+    };
+
+    assert_eq!((1_101..1_111).map(&mut confirm).sum::<usize>(), 0);
+    assert_eq!(confirm(2_000), 1, "it may be lost");
+}
