@@ -3,6 +3,7 @@
 //! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [throughput]
 //! [memory] [monitored] [failover] [takeover] [overloaded] [devices] [robot]`; without arguments,
 //! all of them.
+//! `cargo run --release -p blastema-bench mesh 20` measures a full mesh of so many processes.
 //! `ROUNDS=n` sets how often the rows of a table are run in turn.
 #![allow(clippy::print_stdout, reason = "tables are what this program is for")]
 
@@ -12,6 +13,7 @@ mod fanout;
 mod keys;
 mod measure;
 mod memory;
+mod mesh;
 mod messages;
 mod monitored;
 mod overloaded;
@@ -45,6 +47,11 @@ fn main() -> ExitCode {
     if let Some(at) = arguments.iter().position(|argument| argument == "--child") {
         arguments.remove(at);
         return child(&arguments);
+    }
+    // It takes the whole computer, and runs by its name alone.
+    if arguments.first().is_some_and(|argument| argument == "mesh") {
+        mesh::run(arguments.get(1).and_then(|count| count.parse().ok()).unwrap_or(20));
+        return ExitCode::SUCCESS;
     }
     if let Some(unknown) = arguments.iter().find(|name| !PARTS.contains(&name.as_str())) {
         println!("there is no benchmark {unknown:?}; there are {}", PARTS.join(", "));
@@ -98,6 +105,7 @@ fn child(arguments: &[String]) -> ExitCode {
         Some("throughput") => throughput::child(&arguments[1..]),
         Some("takeover") => takeover::child(&arguments[1..]),
         Some("memory") => memory::child(&arguments[1..]),
+        Some("mesh") => mesh::child(&arguments[1..]),
         Some("monitored") => monitored::child(&arguments[1..]),
         _ => return ExitCode::from(2),
     }

@@ -3,7 +3,7 @@
 use rustix::thread::{CpuSet, sched_setaffinity};
 use std::io::{BufRead, BufReader, Write};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 
 /// Keeps the threads that this one starts from now on, and itself, on one core.
@@ -21,11 +21,18 @@ pub(crate) fn addresses<const N: usize>() -> [SocketAddr; N] {
 }
 
 /// Another process of this program, which ends with its standard input.
-pub(crate) struct Peer(Child);
+pub(crate) struct Peer(Child, BufReader<ChildStdout>);
 
 impl Peer {
     /// Starts a part of this program as a child, and waits until it says that it is ready.
     pub(crate) fn start(part: &str, arguments: &[String]) -> Self {
+        let mut peer = Peer::spawn(part, arguments);
+        peer.line();
+        peer
+    }
+
+    /// Starts a part of this program as a child.
+    pub(crate) fn spawn(part: &str, arguments: &[String]) -> Self {
         let program = std::env::current_exe().expect("a running program has a file");
         let mut child = Command::new(program)
             .args(["--child", part])
@@ -34,10 +41,21 @@ impl Peer {
             .stdout(Stdio::piped())
             .spawn()
             .expect("this program starts");
-        let mut ready = String::new();
-        let output = child.stdout.as_mut().expect("it was piped");
-        BufReader::new(output).read_line(&mut ready).expect("it says when it is ready");
-        Peer(child)
+        let output = BufReader::new(child.stdout.take().expect("it was piped"));
+        Peer(child, output)
+    }
+
+    /// Sends it an empty line.
+    pub(crate) fn ask(&mut self) {
+        let input = self.0.stdin.as_mut().expect("it was piped");
+        input.write_all(b"\n").expect("it reads");
+    }
+
+    /// The next line that it prints.
+    pub(crate) fn line(&mut self) -> String {
+        let mut line = String::new();
+        self.1.read_line(&mut line).expect("it prints a line");
+        line
     }
 }
 

@@ -17,6 +17,7 @@ mod inspection;
 mod kill_storm;
 mod large_messages;
 mod media;
+mod mesh;
 mod namesakes;
 mod node_start;
 mod overload;

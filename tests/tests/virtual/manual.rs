@@ -86,7 +86,7 @@ fn the_limits_are_those_of_the_code() {
     let letters = DeadLetterLimits::default();
     let says = format!("{} counts, the latest {}", letters.counts, letters.latest);
     check(&page, "dead letters", says);
-    check(&page, "nodes in one network; links of a node", router.nodes_max.to_string());
+    check(&page, "nodes in one network; neighbours of a node", router.nodes_max.to_string());
     check(&page, "hops", router.hops.to_string());
     check(&page, "nodes that carry one service", MEMBERS_MAX.to_string());
     let says = format!("{}, or {}", session.buffer_messages, mebibytes(session.buffer_bytes));

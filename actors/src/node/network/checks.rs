@@ -37,8 +37,9 @@ pub(in crate::node) fn check_networks(
     let neighbours: SortedSet<_> = networks.iter().flat_map(Network::neighbours).collect();
     if neighbours.len() > NEIGHBOURS_MAX {
         let text = format!(
-            "{} neighbours are described, and a node tells the others of {NEIGHBOURS_MAX} only: \
-             leave out those that are reached over another one",
+            "{} neighbours are described, and a node has {NEIGHBOURS_MAX} at most: leave out those \
+             that are reached over another one, or connect the nodes by Zenoh (the crate \
+             blastema-zenoh, transports/zenoh)",
             neighbours.len()
         );
         return Err(StartError::Network(text).into());

@@ -65,6 +65,11 @@ impl LinkSet {
     pub const WORDS: usize = 2;
     /// The greetings of all nodes together may take one part in so many of the bus.
     const SHARE: u64 = 10;
+    /// With more links than this, a node sends no more than one hello in 5 ms, and receives as many:
+    /// all hellos among `n` nodes that are linked to each other then take `200 * n` frames a second,
+    /// not `20 * n * n`.
+    const LINKS_AT_ANY_PACE: usize = 10;
+    const PACE_OF_MANY: Duration = Duration::from_millis(5);
     /// From this lateness on, neighbours with the usual hello interval of 50 ms find two hellos
     /// missing.
     const STALL: Duration = Duration::from_millis(100);
@@ -146,11 +151,16 @@ impl LinkSet {
         }
     }
 
-    /// Sets the hello interval as configured, or as long as the medium needs.
+    /// Sets the hello interval as configured, or as long as the medium and the number of links need.
     fn pace(&mut self) {
+        let links = self.machines.iter().count();
+        if links > Self::LINKS_AT_ANY_PACE && self.bus.is_none() {
+            let interval = Self::PACE_OF_MANY * links as u32;
+            self.each(|link| link.slow_down(interval));
+        }
         match (self.bytes_per_second, &self.bus) {
             (Some(rate), None) => {
-                let links = if self.shared { self.machines.iter().count().max(1) } else { 1 };
+                let links = if self.shared { links.max(1) } else { 1 };
                 let (share, overhead) = (rate / links as u64, self.overhead as u64);
                 // The rate is that of both directions together.
                 let bytes = 2 * (self.mtu as u64 + overhead + 2 * Link::FRAMING);
@@ -161,7 +171,6 @@ impl LinkSet {
                 });
             }
             (rate, Some(_)) => {
-                let links = self.machines.iter().count();
                 let Some((_, link)) = self.machines.iter().next() else { return };
                 let word = NeighbourEntry {
                     to: NodeId(0),
@@ -352,6 +361,28 @@ mod tests {
                 LinkSetOutput::Of(LinkId(2), LinkOutput::Transmit(_)),
             ]
         ));
+    }
+
+    #[test]
+    fn with_more_than_ten_links_each_sends_its_hellos_less_often() {
+        let check = |links: u16, configured: u64, expected: u64| {
+            let mut set = LinkSet::default();
+            for number in 1..=links {
+                let hello_interval = Duration::from_millis(configured);
+                let config =
+                    LinkConfig { hello_interval, ..LinkConfig::new(name(0), Incarnation(1)) };
+                set.insert(LinkId(number), Link::new(config, at(0)));
+            }
+            let intervals: Vec<_> = set.iter().map(|(_, link)| link.hello_interval()).collect();
+            let expected = Duration::from_millis(expected);
+            assert_eq!(intervals, vec![expected; links.into()], "{links} links");
+        };
+        check(10, 50, 50);
+        check(10, 1, 1);
+        check(11, 50, 55);
+        check(11, 500, 500);
+        check(19, 50, 95);
+        check(64, 50, 320);
     }
 
     #[test]

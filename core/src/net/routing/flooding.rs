@@ -1,7 +1,9 @@
 //! Announcements: told to every neighbour until it confirms them, compared, outdone.
 
 use super::keys::SignatureCheck;
+use super::topology::Adjacency;
 use super::{DatabaseEntry, Router, RouterAlarm, RouterOutput};
+use crate::Instant;
 use crate::NodeName;
 use crate::net::wire::advertisement::{
     Advertisement, AdvertisementId, Edge, HAVE_HEADER, ID_LENGTH, NEIGHBOURS_MAX, RoutingMessage,
@@ -10,10 +12,32 @@ use crate::net::wire::frame::FRAME_HEADER;
 use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::sorted::{SortedMap, SortedSet};
+use std::time::Duration;
 
 impl Router {
-    /// Our own links have changed: everybody must know.
+    /// A node with news announces it at once, and again after 5 ms for each of its links: it sends
+    /// its neighbours 200 announcements a second at most, however often its links change (OSPF:
+    /// MinLSInterval).
+    const PACE: Duration = Duration::from_millis(5);
+
+    /// When our own links are announced next.
+    pub(super) fn refresh_due(&self) -> Instant {
+        let links = u32::try_from(self.links.len()).unwrap_or(u32::MAX);
+        let paced = Self::PACE.saturating_mul(links).min(self.config.refresh);
+        self.announced_at + if self.has_news { paced } else { self.config.refresh }
+    }
+
+    /// Our own links have changed: all nodes must know.
     pub(super) fn announce_links(&mut self) {
+        self.outdate();
+        self.has_news = true;
+        if self.own.edges.is_empty() || self.refresh_due() <= self.now {
+            return self.renew();
+        }
+        self.wake_at = self.wake_at.min(self.refresh_due());
+    }
+
+    pub(super) fn renew(&mut self) {
         let mut edges: SortedMap<NodeId, Edge> = SortedMap::new();
         for adjacent in self.links.values() {
             let edge = Edge {
@@ -28,14 +52,9 @@ impl Router {
             }
         }
         self.own.edges = edges.into_values().take(NEIGHBOURS_MAX).collect();
-        self.outdate();
-        self.renew();
-    }
-
-    pub(super) fn renew(&mut self) {
         self.own.id.sequence = self.own.id.sequence.saturating_add(1);
         self.sign();
-        self.refresh_at = self.now + self.config.refresh;
+        (self.announced_at, self.has_news) = (self.now, false);
         self.flood(self.id, None);
     }
 
@@ -46,9 +65,23 @@ impl Router {
         self.known.get(&origin).map(|known| &known.advertisement)
     }
 
-    /// Gives an origin's newest advertisement to every neighbour but the one that it came from.
+    /// Gives an origin's newest advertisement to every neighbour that has it neither from the origin
+    /// itself nor from the neighbour that it came from. Among `n` nodes that are all linked to each
+    /// other, one change then takes `n - 1` messages, where each node told all others.
+    ///
+    /// Nothing is lost for good. The origin repeats its advertisement to the neighbours in it until
+    /// they confirm it. If such a link fails, the origin's next advertisement does not list it, and
+    /// is passed on. If the origin fails, neighbours that compare what they know find the rest.
     pub(super) fn flood(&mut self, origin: NodeId, except: Option<LinkId>) {
-        let links: Vec<_> = self.links.keys().copied().filter(|l| Some(*l) != except).collect();
+        let Some(advertisement) = self.advertisement(origin) else { return };
+        let told: SortedSet<_> =
+            advertisement.edges.iter().map(|edge| (edge.to, edge.incarnation)).collect();
+        let lacks = |(link, adjacent): (&LinkId, &Adjacency)| {
+            let incarnation = Edge::incarnation_tag(adjacent.neighbour.incarnation);
+            let has_it = origin != self.id && told.contains(&(adjacent.id, incarnation));
+            (Some(*link) != except && !has_it).then_some(*link)
+        };
+        let links: Vec<_> = self.links.iter().filter_map(lacks).collect();
         for link in links {
             self.announce(link, &[origin]);
         }
@@ -57,10 +90,16 @@ impl Router {
     /// Gives these origins' advertisements to a neighbour until it confirms them.
     pub(super) fn announce(&mut self, link: LinkId, origins: &[NodeId]) {
         let Some(adjacent) = self.links.get_mut(&link) else { return };
-        let again = self.now + adjacent.patience(self.config.resend);
+        let first = adjacent.patience(self.config.resend);
+        let longest = first * 8;
         let capacity = usize::from(adjacent.mtu) - FRAME_HEADER;
-        self.wake_at = self.wake_at.min(again);
-        adjacent.pending.extend(origins.iter().map(|origin| (*origin, again)));
+        for origin in origins {
+            let (due, pause) = adjacent.pending.entry(*origin).or_insert((self.now, first));
+            *due = self.now + *pause;
+            self.wake_at = self.wake_at.min(*due);
+            // A neighbour that confirms late has too much to do already.
+            *pause = (*pause * 2).min(longest);
+        }
         let mut frame = Vec::new();
         let mut length = 1;
         let mut frames = Vec::new();
@@ -176,6 +215,13 @@ impl Router {
         self.flood(origin, Some(from));
     }
 
+    /// Whether a neighbour was given an origin's newest advertisement, and still has time to confirm
+    /// it.
+    fn is_on_its_way(&self, link: LinkId, origin: NodeId) -> bool {
+        let pending = self.links.get(&link).and_then(|adjacent| adjacent.pending.get(&origin));
+        pending.is_some_and(|(due, _)| *due > self.now)
+    }
+
     pub(super) fn handle_have(
         &mut self,
         link: LinkId,
@@ -189,7 +235,11 @@ impl Router {
             let nothing = AdvertisementId { origin, sequence: 0 };
             let held = self.advertisement(origin).map_or(nothing, |held| held.id);
             if held > advertisement_id {
-                better.push(origin);
+                // A confirmation of older news asks for nothing that is on its way. Each of many
+                // late ones would be answered, and each answer be confirmed late again.
+                if range.is_some() || !self.is_on_its_way(link, origin) {
+                    better.push(origin);
+                }
             } else if held < advertisement_id {
                 wanted.push(held);
             } else if let Some(adjacent) = self.links.get_mut(&link) {

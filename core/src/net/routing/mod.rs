@@ -52,7 +52,9 @@ pub struct Router {
     /// When the paths are computed again; `None` while they are current.
     compute_at: Option<Instant>,
     computed_at: Instant,
-    refresh_at: Instant,
+    /// When our own links were announced last, and whether they have changed since.
+    announced_at: Instant,
+    has_news: bool,
     /// The last reported pair, so that a collision is reported once and not with every flood.
     reported_conflict: Option<(NodeName, NodeName)>,
     namesakes: Namesakes,
@@ -96,7 +98,7 @@ impl Router {
             edges: Vec::new(),
             signature: None,
         };
-        let refresh_at = now + config.refresh;
+        let wake_at = now + config.refresh;
         Router {
             config,
             id,
@@ -108,14 +110,15 @@ impl Router {
             routes: SortedMap::new(),
             compute_at: None,
             computed_at: Instant::ORIGIN,
-            refresh_at,
+            announced_at: now,
+            has_news: false,
             reported_conflict: None,
             namesakes: Namesakes::default(),
             unused: SortedMap::new(),
             keys: None,
             troubles: ActiveAlarms::default(),
             remembered: None,
-            wake_at: refresh_at,
+            wake_at,
             now,
             refusals: Refusals::default(),
             outputs: VecDeque::new(),
@@ -366,7 +369,7 @@ impl Router {
         let numbers: Vec<_> = self.links.keys().copied().collect();
         for link in numbers {
             let Some(adjacent) = self.links.get(&link) else { continue };
-            let due = adjacent.pending.iter().filter(|(_, again)| **again <= now);
+            let due = adjacent.pending.iter().filter(|(_, (again, _))| *again <= now);
             let due: Vec<_> = due.map(|(origin, _)| *origin).collect();
             let compare = adjacent.compare_at <= now;
             if !due.is_empty() {
@@ -393,7 +396,7 @@ impl Machine for Router {
     fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
         self.fire_due(now);
-        self.wake_at = self.next_due().unwrap_or(self.refresh_at);
+        self.wake_at = self.next_due().unwrap_or_else(|| self.refresh_due());
     }
 }
 

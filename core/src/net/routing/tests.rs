@@ -1,6 +1,7 @@
 //! A router among neighbours that the test speaks for.
 
 mod copies;
+mod mesh;
 mod names;
 mod network;
 mod restarts;
@@ -376,13 +377,19 @@ fn a_node_that_nobody_repeats_is_forgotten() {
 
 #[test]
 fn over_a_narrow_medium_news_is_repeated_ten_times_as_rarely() {
-    let reported_within = |mtu| {
+    let reported_after = |mtu, within: u64| {
         let mut router = router();
         router.handle_link(FIRST, LinkStatus { mtu, ..up("left", 1) }, at(1000));
-        (1000..1900).map(|now| announced(&outputs(&mut router, now), FIRST).len()).sum::<usize>()
+        let count = |now| announced(&outputs(&mut router, now), FIRST).len();
+        let counts: Vec<_> = (1000..1000 + within).map(count).collect();
+        let times = counts.iter().enumerate().filter(|(_, count)| **count > 0);
+        times.map(|(after, count)| (after, *count)).collect::<Vec<_>>()
     };
 
-    assert_eq!((reported_within(1400), reported_within(MTU_MIN)), (23, 3));
+    let fast = [0, 40, 120, 280, 600, 920].map(|after| (after, 1));
+    assert_eq!(reported_after(1400, 999), fast);
+    let narrow = fast.map(|(after, count)| (10 * after, count));
+    assert_eq!(reported_after(MTU_MIN, 9_990), narrow);
 }
 
 #[test]

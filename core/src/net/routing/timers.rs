@@ -8,12 +8,13 @@ use crate::timer::Timers;
 /// The timers of a router. Those of links and advertisements are the earliest of all of them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum RouterTimer {
-    /// Floods our own advertisement again, every 10 s (OSPF: LSRefreshTime).
+    /// Floods our own advertisement again: every 10 s (OSPF: LSRefreshTime), or 5 ms for each link
+    /// after the last time, where links have changed (OSPF: MinLSInterval).
     RefreshOwn,
     /// Forgets an origin whose advertisement was not refreshed for 35 s (OSPF: MaxAge).
     AdvertisementExpiry,
-    /// Sends again what a neighbour has not confirmed for 40 ms, 400 ms on a narrow link (OSPF:
-    /// RxmtInterval).
+    /// Sends again what a neighbour has not confirmed for 40 ms, 80 ms and so on up to 1 s, ten
+    /// times as long on a narrow link (OSPF: RxmtInterval).
     Retransmit,
     /// Sends the summary of the database, every second, every 10 s on a narrow link (IS-IS: CSNP
     /// interval).
@@ -60,9 +61,11 @@ impl Timers for Router {
     fn due(&self, timer: RouterTimer) -> Option<Instant> {
         let (links, known) = (self.links.values(), self.known.values());
         match timer {
-            RouterTimer::RefreshOwn => Some(self.refresh_at),
+            RouterTimer::RefreshOwn => Some(self.refresh_due()),
             RouterTimer::AdvertisementExpiry => known.map(|known| known.expires).min(),
-            RouterTimer::Retransmit => links.flat_map(|link| link.pending.values()).min().copied(),
+            RouterTimer::Retransmit => {
+                links.flat_map(|link| link.pending.values()).map(|(due, _)| *due).min()
+            }
             RouterTimer::CompareDatabase => links.map(|link| link.compare_at).min(),
             RouterTimer::ComputeRoutes => self.compute_at,
             RouterTimer::SetAside => self.set_aside_due(),

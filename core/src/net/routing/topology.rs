@@ -48,8 +48,9 @@ pub(crate) struct Adjacency {
     pub(crate) cost: u16,
     pub(crate) mtu: u16,
     pub(crate) health: LinkHealth,
-    /// Origins whose advertisement the neighbour has not confirmed, and when to repeat it.
-    pub(crate) pending: SortedMap<NodeId, Instant>,
+    /// Origins whose advertisement the neighbour has not confirmed, when to repeat it, and how long
+    /// to wait after that.
+    pub(crate) pending: SortedMap<NodeId, (Instant, Duration)>,
     /// The sequence of this node's newest advertisement that the neighbour has confirmed.
     pub(crate) confirmed: u64,
     pub(crate) compare_at: Instant,

@@ -24,8 +24,8 @@ pub struct RouterConfig {
     pub lifetime: Duration,
     /// How often neighbours compare what they know; ten times as rarely over narrow media.
     pub compare: Duration,
-    /// After how long an advertisement is repeated that a neighbour has not confirmed; ten times as
-    /// long over narrow media.
+    /// After how long an advertisement is repeated that a neighbour has not confirmed, then after
+    /// twice that and so on up to `compare`; ten times as long over narrow media.
     pub resend: Duration,
     /// How many nodes may pass a packet on, at most 31.
     pub hops: u8,

@@ -26,7 +26,7 @@ pub(super) struct Net {
     /// The nodes of the roster, where nodes have keys.
     pub(super) roster: Option<NodeRoster>,
     /// Who has a cable to whom; its number on one's side says who is at the other.
-    cables: SortedSet<(Who, Who)>,
+    pub(super) cables: SortedSet<(Who, Who)>,
     numbers: SortedMap<(Who, &'static str), LinkId>,
     /// From whom, to whom, over which of its links.
     pub(super) wire: Vec<(Who, Who, LinkId, Load)>,

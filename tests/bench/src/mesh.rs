@@ -1,0 +1,108 @@
+//! What a full mesh costs: so many processes, each with a link to every other over UDP on loopback.
+//!
+//! `blastema-bench mesh 20` says how many there are. It shows after how long all are connected,
+//! what all of them together take when nothing happens, and how many are in safe state.
+
+use crate::process::{Peer, cpu_seconds, texts};
+use blastema::prelude::*;
+use blastema::{Link, Network, NodeState};
+use std::io::{BufRead, Write};
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::time::{Duration, Instant};
+
+/// A node that is not connected to all others by then says with how many it is.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// Reports of the start, and the first refresh of every router, are over by then.
+const SETTLE: Duration = Duration::from_secs(12);
+/// Whole rounds of the routers' refresh.
+const MEASURED: Duration = Duration::from_secs(20);
+
+/// One of the processes: its number, and all addresses.
+pub(crate) fn child(arguments: &[String]) {
+    let [number, addresses @ ..] = arguments else { return };
+    let own: usize = number.parse().expect("the parent writes a number");
+    let addresses: Vec<SocketAddr> =
+        addresses.iter().map(|text| text.parse().expect("the parent writes addresses")).collect();
+    blastema::run(async {
+        let others = (0..addresses.len()).filter(|number| *number != own);
+        let others: Vec<_> = others.map(|number| (format!("module{number}"), number)).collect();
+        let mut network = Network::udp("ethernet", addresses[own]);
+        for (name, number) in &others {
+            network = network.link(Link::new(name, addresses[*number]));
+        }
+        let (node, start) =
+            (Node::builder(&format!("module{own}")).network(network), Instant::now());
+        let node = node.start().await.expect("the node starts");
+        let mut met = 0;
+        for (name, _) in &others {
+            let left = PATIENCE.saturating_sub(start.elapsed());
+            met += usize::from(node.connected(name, left).await);
+        }
+        say(&met.to_string());
+        // Each line asks what was used so far; the end of the parent's input ends this process.
+        loop {
+            let asked = tokio::task::spawn_blocking(|| {
+                std::io::stdin().lock().lines().next().is_some_and(|line| line.is_ok())
+            });
+            if !asked.await.expect("reading does not panic") {
+                return;
+            }
+            let standing = node.faults().await.entries.iter().filter(|e| e.stands()).count();
+            let sent: u64 = node.media().await.iter().map(|row| row.counters.sent).sum();
+            let safe = u8::from(matches!(node.state(), NodeState::InSafeState { .. }));
+            say(&format!("{} {sent} {safe} {standing}", cpu_seconds()));
+        }
+    });
+}
+
+fn say(line: &str) {
+    println!("{line}");
+    let _ = std::io::stdout().flush();
+}
+
+/// Of all processes together: seconds of a core, frames sent, those in safe state, faults that
+/// stand.
+fn totals(peers: &mut [Peer]) -> [f64; 4] {
+    peers.iter_mut().for_each(Peer::ask);
+    let lines: Vec<String> = peers.iter_mut().map(Peer::line).collect();
+    let mut sums = [0.0; 4];
+    for line in lines {
+        let numbers = line.split_whitespace().map(|word| word.parse().unwrap_or(f64::NAN));
+        sums.iter_mut().zip(numbers).for_each(|(sum, number): (_, f64)| *sum += number);
+    }
+    sums
+}
+
+pub(crate) fn run(count: usize) {
+    let sockets: Vec<_> = (0..count)
+        .map(|_| UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port"))
+        .collect();
+    let address = |socket: &UdpSocket| socket.local_addr().expect("a bound socket has an address");
+    let addresses: Vec<String> = sockets.iter().map(|socket| address(socket).to_string()).collect();
+    drop(sockets);
+    let start = Instant::now();
+    let spawn = |number: usize| {
+        let arguments = [texts(&[&number.to_string()]), addresses.clone()].concat();
+        Peer::spawn("mesh", &arguments)
+    };
+    let mut peers: Vec<_> = (0..count).map(spawn).collect();
+    let met: usize = peers.iter_mut().map(|peer| peer.line().trim().parse().unwrap_or(0)).sum();
+    let seconds = start.elapsed().as_secs_f64();
+    println!("\n## a full mesh of {count} processes over UDP on loopback");
+    println!("{met} of {} connections after {seconds:.1} s", count * count.saturating_sub(1));
+    let [starting, sent, safe, faults] = totals(&mut peers);
+    println!(
+        "{starting:.1} s of a core and {sent} frames until then; {safe} in safe state, {faults} \
+         faults stand"
+    );
+    std::thread::sleep(SETTLE);
+    let ([before, sent_before, ..], start) = (totals(&mut peers), Instant::now());
+    std::thread::sleep(MEASURED);
+    let ([after, sent, safe, faults], span) = (totals(&mut peers), start.elapsed().as_secs_f64());
+    let percent = (after - before) / span * 100.0;
+    let frames = (sent - sent_before) / span;
+    println!(
+        "idle: {percent:.1} % of a core, {frames:.0} frames a second; {safe} in safe state, {faults} \
+         faults stand"
+    );
+}
