@@ -16,6 +16,7 @@ use super::stub::{PeerCondition, PeerSendState, PeerStubs};
 use super::{NetEnvironment, fault_forwarding};
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
+use crate::registry::remote_watch::DeathWatchService;
 use crate::registry::{MessageMetadata, Registry, ReplyTo};
 use crate::runtime::guardian::answers_the_monitor;
 use crate::topic::{TopicKey, Topics};
@@ -59,6 +60,7 @@ struct GatewaySetup {
     faults: FaultReporter,
     sessions: SessionRecipients,
     stubs: Arc<PeerStubs>,
+    deaths: DeathWatchService,
     isolation: IsolationControl,
     dead_letters: DeadLetterLog,
     /// Who of this node talks to others like itself.
@@ -101,7 +103,7 @@ impl GatewayActor {
     pub(super) fn maker(
         environment: &NetEnvironment,
         sessions: SessionRecipients,
-        stubs: Arc<PeerStubs>,
+        (stubs, deaths): (Arc<PeerStubs>, DeathWatchService),
         router: Recipient<SetIsolation>,
         control: Arc<OnceLock<IsolationControl>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
@@ -125,6 +127,7 @@ impl GatewayActor {
                 faults,
                 sessions,
                 stubs,
+                deaths,
                 isolation,
                 dead_letters,
                 observers,

@@ -17,6 +17,7 @@ mod large_messages;
 mod media;
 mod namesakes;
 mod node_start;
+mod outages;
 mod overload;
 mod panic_strategy;
 mod processes;

@@ -39,6 +39,7 @@ impl Handler<SessionReported> for GatewayActor {
             SessionReported::Unreachable { node } => {
                 let (peer, send_state) = self.meet(&node);
                 self.exchange.handle_unreachable(peer);
+                self.wiring.deaths.handle_opening(peer);
                 send_state.path_lost();
                 if !send_state.has_session() {
                     self.set(peer, PeerCondition::Unreachable);
@@ -72,6 +73,8 @@ impl GatewayActor {
         let (id, send_state) = self.meet(&node);
         self.begin_peer(id, session, incarnation);
         self.forget_past(id);
+        // Before the peer learns that it is connected.
+        self.wiring.deaths.handle_opening(id);
         self.exchange.handle_opened(id, incarnation, platform::now());
         send_state.begin();
         self.report_peer(&PeerStatusChanged::Opened { node, incarnation });
