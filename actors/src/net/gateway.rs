@@ -7,7 +7,7 @@ mod peer;
 mod subscriptions;
 mod undelivered;
 
-pub(super) use super::gateway_messages::{ForwardFault, SendToPeer};
+pub(super) use super::gateway_messages::{ForwardFault, SendToPeer, StartCompleted};
 
 use super::fault_reporter::FaultReporter;
 use super::gateway_messages::{FaultForwarded, LocalReply, TopicInterestChanged};

@@ -560,6 +560,11 @@ impl NetHandle {
         self.router.clone().recipient()
     }
 
+    /// The start of this node is over: peers learn that they are connected with it.
+    pub(crate) fn announce(&self) {
+        self.gateway.do_send(gateway::StartCompleted);
+    }
+
     /// This node begins to end in order: its objects are not started again.
     pub(crate) fn expect_end(&self) {
         self.deaths.handle_leaving();

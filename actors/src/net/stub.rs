@@ -48,7 +48,7 @@ pub(super) struct PeerSendState {
     full: Mutex<SortedSet<ObjectName>>,
     /// There are some; to be looked at without the lock.
     any_full: AtomicBool,
-    /// In this session the peer has told what it listens to, and which objects it has.
+    /// In this session the peer has told what it listens to, and that its objects answer.
     told: AtomicBool,
     changed: Arc<Notify>,
 }
@@ -90,7 +90,7 @@ impl PeerSendState {
         self.set(PeerCondition::Open);
     }
 
-    /// The peer has told its topics, and then its objects.
+    /// The peer has told its topics, and its objects answer.
     pub(super) fn handle_announced(&self) {
         self.told.store(true, Relaxed);
         self.changed.notify_waiters();

@@ -192,3 +192,26 @@ fn ends_in_an_outage_and_right_after_it_are_told_to_the_watcher_of_another_proce
         base.node.shutdown().await;
     });
 }
+
+#[test]
+fn a_process_that_is_started_again_is_connected_when_its_objects_answer() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let base = Base::start(|node| node).await;
+        let mut arm = base.arm(300);
+        for _ in 0..3 {
+            base.connected().await;
+            let grip = base.node.sender::<End>("arm:grip").unwrap();
+            let asked = (0..20).map(|_| grip.ask_within(End { after_ms: 0, times: 0 }, PATIENCE));
+            for asked in asked {
+                assert_eq!(asked.await.map_err(|error| error.kind), Ok(1));
+            }
+
+            base.told.lock().unwrap().clear();
+            arm.kill();
+            base.told(|told| told.iter().any(is_lost)).await;
+            arm = base.arm(300);
+        }
+        base.node.shutdown().await;
+    });
+}

@@ -3,7 +3,8 @@
 use super::peer::GatewayPeer;
 use super::{GatewayActor, LEAVE_TIMEOUT, topic};
 use crate::net::gateway_messages::{
-    FaultForwarded, ForwardFault, LocalEvent, LocalReply, SendToPeer, TopicInterestChanged,
+    FaultForwarded, ForwardFault, LocalEvent, LocalReply, SendToPeer, StartCompleted,
+    TopicInterestChanged,
 };
 use crate::net::isolation::IsolationChanged;
 use crate::net::stub::PeerCondition;
@@ -139,6 +140,15 @@ impl Handler<SendToPeer> for GatewayActor {
         let credit = Some(credit);
         let call = Call { node, object, contract, id, sent, until, payload, reply_as, credit };
         self.exchange.handle_call(call);
+        self.drive(context);
+    }
+}
+
+impl Handler<StartCompleted> for GatewayActor {
+    type Result = ();
+
+    fn handle(&mut self, _: StartCompleted, context: &mut Context<Self>) {
+        self.exchange.handle_started(platform::now());
         self.drive(context);
     }
 }
