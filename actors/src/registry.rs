@@ -13,7 +13,7 @@ pub(crate) mod remote;
 pub(crate) mod remote_watch;
 pub(crate) mod service_fn;
 
-use crate::messaging::death_watch::{Deaths, Down, DownReason, Watchable, Watcher};
+use crate::messaging::death_watch::{Deaths, Down, DownReason, NumberedEnd, Watchable, Watcher};
 use crate::messaging::sender::Sender;
 use access::AccessControl;
 #[cfg(feature = "network")]
@@ -429,20 +429,21 @@ impl Registry {
     }
 
     /// Tells `watcher` whenever an incarnation of this object ends, and at once if it does not
-    /// live.
-    pub(crate) fn watch(&self, object: ObjectName, watcher: Watcher) {
+    /// live. Returns its last end.
+    pub(crate) fn watch(&self, object: ObjectName, watcher: Watcher) -> Option<NumberedEnd> {
         let inner = self.lock();
         let watchable = inner.objects.get(&object).map(|entry| entry.watchable.clone());
         let deaths = inner.deaths.clone();
         drop(inner);
-        let unknown = match watchable {
+        let watched = match watchable {
             Some(watchable) => return watchable.watch(watcher),
             None => deaths.watch(&object, watcher),
         };
-        if let Some(watcher) = unknown {
+        watched.unwrap_or_else(|watcher| {
             let (incarnation, ending) = (Incarnation(0), DownReason::Unknown);
             (watcher.tell)(Down { object, node: None, incarnation, ending });
-        }
+            None
+        })
     }
 
     /// The same names, for what they own themselves.

@@ -19,7 +19,7 @@ use crate::liveness::activity::ActivitySlotRef;
 use crate::liveness::label;
 use crate::liveness::limits::SharedLimits;
 use crate::liveness::sampler::AliveSource;
-use crate::messaging::death_watch::Down;
+use crate::messaging::death_watch::{Down, DownReason};
 use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::message_log;
@@ -152,11 +152,10 @@ impl CellCore {
         self.cold_if_used().is_some_and(|cold| cold.injected.is_silent())
     }
 
-    /// Tells those who watch the component, where there is one.
-    pub(crate) fn tell_watchers(&self, down: impl FnOnce() -> Down) {
-        if let Some(cold) = self.cold_if_used() {
-            cold.watchers.tell(down);
-        }
+    /// Tells the watchers of the component that its incarnation has ended.
+    pub(crate) fn tell_watchers(&self, incarnation: Incarnation, ending: DownReason) {
+        let object = self.name.clone();
+        self.cold().watchers.tell(&Down { object, node: None, incarnation, ending });
     }
 
     /// Notifies a feature of what becomes of the component.

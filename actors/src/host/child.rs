@@ -7,7 +7,7 @@ use crate::component::Component;
 use crate::component::cell::ComponentCell;
 use crate::component::control::{CommandQueue, HostCommand};
 use crate::liveness::{label, sampler};
-use crate::messaging::death_watch::{Down, DownReason, Watchable, Watcher};
+use crate::messaging::death_watch::{Down, DownReason, NumberedEnd, Watchable, Watcher};
 use crate::messaging::injection::Injection;
 use actix::Recipient;
 use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
@@ -96,8 +96,7 @@ impl<C: Component> ComponentChild<C> {
             record.leave_work();
         }
         record.announce(|listener| listener.deactivated());
-        let (object, ending) = (record.name.clone(), DownReason::Abandoned);
-        record.tell_watchers(|| Down { object, node: None, incarnation, ending });
+        record.tell_watchers(incarnation, DownReason::Abandoned);
         keeps_thread
     }
 
@@ -278,9 +277,9 @@ impl<C: Component> Watchable for ComponentCell<C> {
         self.remove_subscription(topic);
     }
 
-    fn watch(&self, watcher: Watcher) {
+    fn watch(&self, watcher: Watcher) -> Option<NumberedEnd> {
         let watcher = Arc::new(watcher);
-        self.record.cold().watchers.join(watcher.clone());
+        let last = self.record.cold().watchers.join(watcher.clone());
         if self.queue.owner().is_none() {
             (watcher.tell)(Down {
                 object: self.record.name.clone(),
@@ -289,6 +288,7 @@ impl<C: Component> Watchable for ComponentCell<C> {
                 ending: DownReason::NotAlive,
             });
         }
+        last
     }
 }
 

@@ -8,6 +8,8 @@ use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, Incarnation, Lifecycle, NodeName, ObjectName};
 use blastema_macros::{Event, Structure};
 use std::any::Any;
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -88,28 +90,56 @@ pub(crate) struct Watcher {
     pub(crate) tell: Box<dyn Fn(Down) + Send + Sync>,
 }
 
-/// Those who watch one object: at most one entry for each object of the node.
+/// How many incarnations of all objects of this process have ended.
+static ENDS: AtomicU64 = AtomicU64::new(0);
+
+/// The number of the last end of all. Later ends have higher numbers.
+#[cfg(feature = "network")]
+pub(crate) fn last_end_number() -> u64 {
+    ENDS.load(SeqCst)
+}
+
+/// The last end of an object, with its number among the ends of all objects.
+#[derive(Clone, Debug)]
+#[cfg_attr(not(feature = "network"), expect(dead_code, reason = "only other nodes ask for it"))]
+pub(crate) struct NumberedEnd {
+    pub(crate) number: u64,
+    pub(crate) down: Down,
+}
+
+/// The watchers of one object, and its last end.
 #[derive(Default)]
-pub(crate) struct Watchers(Mutex<Vec<Arc<Watcher>>>);
+pub(crate) struct Watchers(Mutex<WatcherList>);
+
+#[derive(Default)]
+struct WatcherList {
+    /// At most one entry for each object of the node.
+    watchers: Vec<Arc<Watcher>>,
+    last: Option<NumberedEnd>,
+}
 
 impl Watchers {
-    pub(crate) fn join(&self, watcher: Arc<Watcher>) {
-        let mut watchers = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        watchers.retain(|known| known.who != watcher.who && !known.incarnation.has_ended());
-        watchers.push(watcher);
+    fn lock(&self) -> MutexGuard<'_, WatcherList> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Sends all of them what `down` returns, which is called only where there is one.
-    pub(crate) fn tell(&self, down: impl FnOnce() -> Down) {
+    /// Adds a watcher, and returns the last end, which the watcher is not told.
+    pub(crate) fn join(&self, watcher: Arc<Watcher>) -> Option<NumberedEnd> {
+        let mut list = self.lock();
+        list.watchers.retain(|known| known.who != watcher.who && !known.incarnation.has_ended());
+        list.watchers.push(watcher);
+        list.last.clone()
+    }
+
+    /// Keeps this end, and sends it to all of them.
+    pub(crate) fn tell(&self, down: &Down) {
         let watchers = {
-            let mut watchers = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            watchers.retain(|watcher| !watcher.incarnation.has_ended());
-            watchers.clone()
+            let mut list = self.lock();
+            let number = ENDS.fetch_add(1, SeqCst) + 1;
+            list.last = Some(NumberedEnd { number, down: down.clone() });
+            list.watchers.retain(|watcher| !watcher.incarnation.has_ended());
+            list.watchers.clone()
         };
-        if watchers.is_empty() {
-            return;
-        }
-        let down = down();
         // Outside of the lock: a watcher may be watched by the object that it watches.
         watchers.iter().for_each(|watcher| (watcher.tell)(down.clone()));
     }
@@ -117,7 +147,7 @@ impl Watchers {
     /// How many entries there are.
     #[cfg(test)]
     pub(crate) fn count(&self) -> usize {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).len()
+        self.lock().watchers.len()
     }
 }
 
@@ -163,7 +193,7 @@ impl Deaths {
         *is_alive = false;
         let (incarnation, watchers) = (*incarnation, watchers.clone());
         drop(objects);
-        watchers.tell(|| Down { object: object.clone(), node: None, incarnation, ending });
+        watchers.tell(&Down { object: object.clone(), node: None, incarnation, ending });
     }
 
     /// The object is no more: its name is that of none.
@@ -173,27 +203,32 @@ impl Deaths {
     }
 
     /// As [`Watchable::watch`]. A name that never was an object's gives the watcher back.
-    pub(crate) fn watch(&self, object: &ObjectName, watcher: Watcher) -> Option<Watcher> {
+    pub(crate) fn watch(
+        &self,
+        object: &ObjectName,
+        watcher: Watcher,
+    ) -> Result<Option<NumberedEnd>, Watcher> {
         let objects = self.lock();
         let Some(Watched { incarnation, is_alive, watchers }) = objects.get(object) else {
-            return Some(watcher);
+            return Err(watcher);
         };
         let (incarnation, is_alive, watchers) = (*incarnation, *is_alive, watchers.clone());
         drop(objects);
         let watcher = Arc::new(watcher);
-        watchers.join(watcher.clone());
+        let last = watchers.join(watcher.clone());
         if !is_alive {
             let (object, ending) = (object.clone(), DownReason::NotAlive);
             (watcher.tell)(Down { object, node: None, incarnation, ending });
         }
-        None
+        Ok(last)
     }
 }
 
 /// What can be watched.
 pub(crate) trait Watchable: Send + Sync {
-    /// Reports at once if it is not alive, and whenever an incarnation of it ends.
-    fn watch(&self, watcher: Watcher);
+    /// Reports at once if it is not alive, and whenever an incarnation of it ends. Returns its last
+    /// end.
+    fn watch(&self, watcher: Watcher) -> Option<NumberedEnd>;
     /// Its cell, where it is a component.
     fn cell(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {
         None

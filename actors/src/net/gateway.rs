@@ -7,7 +7,7 @@ mod peer;
 mod subscriptions;
 mod undelivered;
 
-pub(super) use super::gateway_messages::{ForwardFault, SendToPeer};
+pub(super) use super::gateway_messages::{ForwardFault, SendToPeer, StartCompleted};
 
 use super::fault_reporter::FaultReporter;
 use super::gateway_messages::{FaultForwarded, LocalReply, TopicInterestChanged};
@@ -16,6 +16,7 @@ use super::stub::{PeerCondition, PeerSendState, PeerStubs};
 use super::{NetEnvironment, fault_forwarding};
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
+use crate::registry::remote_watch::DeathWatchService;
 use crate::registry::{MessageMetadata, Registry, ReplyTo};
 use crate::runtime::guardian::answers_the_monitor;
 use crate::topic::{TopicKey, Topics};
@@ -62,6 +63,7 @@ struct GatewaySetup {
     faults: FaultReporter,
     sessions: SessionRecipients,
     stubs: Arc<PeerStubs>,
+    deaths: DeathWatchService,
     isolation: IsolationControl,
     dead_letters: DeadLetterLog,
     /// Who of this node talks to others like itself.
@@ -108,7 +110,7 @@ impl GatewayActor {
     pub(super) fn maker(
         environment: &NetEnvironment,
         sessions: SessionRecipients,
-        stubs: Arc<PeerStubs>,
+        (stubs, deaths): (Arc<PeerStubs>, DeathWatchService),
         router: Recipient<SetIsolation>,
         control: Arc<OnceLock<IsolationControl>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
@@ -132,6 +134,7 @@ impl GatewayActor {
                 faults,
                 sessions,
                 stubs,
+                deaths,
                 isolation,
                 dead_letters,
                 observers,

@@ -28,6 +28,11 @@ pub(in crate::net) struct SendToPeer {
     pub(in crate::net) credit: Credit,
 }
 
+/// The start of this node is over: its objects answer.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(in crate::net) struct StartCompleted;
+
 /// An object here has answered another node's request.
 #[derive(Message)]
 #[rtype(result = "()")]

@@ -49,8 +49,9 @@ use self::fault_reporter::FaultReporter;
 use self::own_incarnation::OwnIncarnation;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
+use crate::registry::Registry;
 use crate::registry::remote::StubFactory;
-use crate::registry::{Registry, remote_watch};
+use crate::registry::remote_watch::{self, DeathWatchService};
 use crate::runtime::guardian::Guardian;
 use crate::topic::Topics;
 use actix::prelude::*;
@@ -204,6 +205,7 @@ pub(crate) struct NetHandle {
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
     stubs: Arc<stub::PeerStubs>,
+    deaths: DeathWatchService,
     isolation: Arc<OnceLock<isolation::IsolationControl>>,
     carrier: Arc<carrier::CarrierMonitor>,
     roster: Option<Addr<RosterActor>>,
@@ -275,12 +277,13 @@ pub(crate) fn start(
         leave: sessions.clone().recipient(),
         begin_anew: sessions.clone().recipient(),
     };
+    let deaths = remote_watch::serve(&environment.registry);
     let isolation = Arc::new(OnceLock::new());
     let (set_isolation, control) = (router.clone().recipient(), isolation.clone());
     let make = gateway::GatewayActor::maker(
         &environment,
         to_sessions,
-        stubs.clone(),
+        (stubs.clone(), deaths.clone()),
         set_isolation,
         control,
     );
@@ -289,7 +292,6 @@ pub(crate) fn start(
     sessions.do_send(AddGateway(gateway.clone().recipient()));
     let remote: Arc<dyn StubFactory> = stubs.clone();
     environment.registry.connect(remote);
-    remote_watch::serve(&environment.registry);
 
     let (mut watched, mut domains) = (Vec::new(), Vec::new());
     let media = networks.iter().map(|spec| (spec.name.clone(), spec.transport.counters.clone()));
@@ -367,6 +369,7 @@ pub(crate) fn start(
         guardian,
         arbiter,
         stubs,
+        deaths,
         isolation,
         carrier,
         roster,
@@ -555,6 +558,16 @@ impl NetHandle {
     /// Takes requests for another way, from the recovery strategy.
     pub(crate) fn reroute(&self) -> Recipient<Reroute> {
         self.router.clone().recipient()
+    }
+
+    /// The start of this node is over: peers learn that they are connected with it.
+    pub(crate) fn announce(&self) {
+        self.gateway.do_send(gateway::StartCompleted);
+    }
+
+    /// This node begins to end in order: its objects are not started again.
+    pub(crate) fn expect_end(&self) {
+        self.deaths.handle_leaving();
     }
 
     /// Takes nothing for other nodes any more, and looks at no interface.

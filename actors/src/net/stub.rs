@@ -48,7 +48,7 @@ pub(super) struct PeerSendState {
     full: Mutex<SortedSet<ObjectName>>,
     /// There are some; to be looked at without the lock.
     any_full: AtomicBool,
-    /// In this session the peer has told what it listens to, and which objects it has.
+    /// In this session the peer has told what it listens to, and that its objects answer.
     told: AtomicBool,
     changed: Arc<Notify>,
 }
@@ -90,7 +90,7 @@ impl PeerSendState {
         self.set(PeerCondition::Open);
     }
 
-    /// The peer has told its topics, and then its objects.
+    /// The peer has told its topics, and its objects answer.
     pub(super) fn handle_announced(&self) {
         self.told.store(true, Relaxed);
         self.changed.notify_waiters();
@@ -331,6 +331,14 @@ impl StubFactory for PeerStubs {
 
     fn is_reachable(&self, node: &NodeName) -> bool {
         self.send_state(node).path.load(Relaxed)
+    }
+
+    fn opening(&self, node: &NodeName) -> Pin<Box<dyn Future<Output = ()> + Send>> {
+        let send_state = self.send_state(node);
+        if send_state.is_opened() {
+            return Box::pin(std::future::pending());
+        }
+        Box::pin(async move { send_state.opened().await })
     }
 }
 

@@ -218,6 +218,7 @@ impl Robot {
             keys: None,
         };
         let net = start(environment, specs).unwrap();
+        net.announce();
         let log = Log::default();
         let mut module =
             Module { host, net, log, child: None, exits, links, nodes, faults, declared, cleared };

@@ -605,6 +605,8 @@ impl StartingNode {
         };
         match started {
             Ok(Ok(())) => {
+                #[cfg(feature = "network")]
+                self.node.0.networks.iter().for_each(|networks| networks.handle.announce());
                 self.node.0.tell_systemd("READY=1");
                 Ok(self.node)
             }

@@ -427,6 +427,8 @@ impl Node {
         }
         let cut_short = || self.0.environment.cut_short.load(SeqCst);
         let before = cut_short();
+        #[cfg(feature = "network")]
+        self.0.networks.iter().for_each(|networks| networks.handle.expect_end());
         let stopped = self.0.chain.answer(self.0.shutdown.send(Shutdown)).await;
         if stopped.is_none() && self.state() != NodeState::Stopped {
             // The fault chain stands, and no component can be stopped.

@@ -1,22 +1,28 @@
 //! Death watch between nodes.
 //!
 //! ```text
-//!  watcher ── AwaitEnd(object, seen) ──► ServiceFn of the object's node ── Watcher ──► the object
-//!     ▲                                     │ at once, or when it ends
-//!     └────────── Watched(ends, ended) ◄────┘
+//!  watcher ── AwaitEnd(object, after) ──► ServiceFn of the object's node ── Watcher ──► the object
+//!     ▲                                      │ at once, or when it ends
+//!     └────────── Watched(seen, ended) ◄─────┘
 //! ```
 //!
 //! The watcher asks, and is answered when the object ends; then it asks for the next end. The task
-//! that asks belongs to the watcher's incarnation and ends with it. The object's node counts the
-//! ends of each watched object: of several between two questions the last is told. That the
-//! object's node is lost is seen by the session, which resolves the request; where no request was
-//! on its way, by the next answer, which another service gives.
+//! that asks belongs to the watcher's incarnation and ends with it.
+//!
+//! Every end of an object has a number on its node, and each object keeps its last end. A question
+//! names the number after which ends count, and an object that has ended since is answered at
+//! once. Neither an end between two questions nor one in an outage is lost: of several, the last is
+//! told. A watch that has no number yet and finds its node away has the one at which that node lost
+//! the path, or opened the next session.
+//!
+//! That the object's node is lost is seen by the session, which resolves the request; where no
+//! request was on its way, by the next answer, which another service gives.
 //!
 //! A node has at most as many questions waiting as it leaves free (a dynamic threshold, Choudhury
 //! and Hahne 1998): one alone half of the capacity, two a third each. However many a node asks,
 //! others find capacity. What goes beyond is refused, counted by node, and logged.
 
-use crate::messaging::death_watch::{Down, DownReason, Watcher};
+use crate::messaging::death_watch::{Down, DownReason, NumberedEnd, Watcher, last_end_number};
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
@@ -24,6 +30,7 @@ use crate::platform;
 use crate::registry::access::MessageOrigin;
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry, WeakRegistry};
+use blastema_core::net::NodeId;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, Incarnation, ObjectAddress, ObjectName};
 use blastema_macros::{Request, Structure};
@@ -46,28 +53,39 @@ const REFUSED_MAX: usize = 512;
 /// The most bytes of a panic's text that go to another node.
 const TEXT_MAX: usize = 4096;
 
-/// Asks for the next end of an incarnation of the object, after those that the asker knows of;
-/// without them, how the object stands now.
+/// Asks for the last of the ends of an object that count.
 #[derive(Clone, Debug, Request)]
-#[contract(crate = "crate", name = "blastema/await-end", version = 2, reply = Watched)]
+#[contract(crate = "crate", name = "blastema/await-end", version = 3, reply = Watched)]
 struct AwaitEnd {
     object: ObjectName,
-    seen: Option<SeenEnds>,
+    after: EndsAfter,
 }
 
-/// So many ends of an object were counted by this service: each start of a node has another one.
+/// Which ends of an object count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Structure)]
 #[contract(crate = "crate")]
-struct SeenEnds {
-    service: u64,
-    ends: u64,
+enum EndsAfter {
+    /// None yet: the answer comes at once, and says how the object stands.
+    Question,
+    /// Those since the session was opened, or lost its path. The answer comes at once, too.
+    Opening,
+    /// Those after the ones that the asker knows of.
+    Seen(SeenEnd),
 }
 
-/// How an object stands: how many ends were counted, and the last of them, or why it does not live.
+/// The number of an end, as this service counts: each start of a node has another one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Structure)]
+#[contract(crate = "crate")]
+struct SeenEnd {
+    service: u64,
+    number: u64,
+}
+
+/// How an object stands: the last end that counts, or why it does not live.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
 struct Watched {
-    seen: SeenEnds,
+    seen: SeenEnd,
     ended: Option<LastEnd>,
 }
 
@@ -105,29 +123,37 @@ pub(crate) fn follow(
         let lost = |reason: String| {
             down(LastEnd { incarnation, ending: DownReason::NodeLost { reason } });
         };
+        let after = match registry.is_reachable(&node) {
+            true => EndsAfter::Question,
+            false => EndsAfter::Opening,
+        };
+        let opening = || registry.opening(&node);
         match sender {
-            Ok(sender) => ask_on(&sender, &object, down, lost).await,
+            Ok(sender) => ask_on(&sender, (&object, after), down, lost, opening).await,
             // This node has no network.
             Err(why) => lost(why.to_string()),
         }
     }
 }
 
-async fn ask_on(
+async fn ask_on<O: Future<Output = ()>>(
     sender: &Sender<AwaitEnd>,
-    object: &ObjectName,
+    (object, mut after): (&ObjectName, EndsAfter),
     down: impl Fn(LastEnd),
     lost: impl Fn(String),
+    opening: impl Fn() -> O,
 ) {
-    let (mut seen, mut is_lost) = (None::<SeenEnds>, false);
+    let mut is_lost = false;
     loop {
-        let question = AwaitEnd { object: object.clone(), seen };
+        let question = AwaitEnd { object: object.clone(), after };
         let why = match sender.ask_within(question, WATCH_TIMEOUT).await {
-            Ok(Watched { seen: now, ended }) => {
-                if seen.is_some_and(|seen| seen.service != now.service) {
+            Ok(Watched { seen, ended }) => {
+                let is_other =
+                    matches!(after, EndsAfter::Seen(known) if known.service != seen.service);
+                if is_other && !is_lost {
                     lost("its node has started again".to_owned());
                 }
-                (seen, is_lost) = (Some(now), false);
+                (after, is_lost) = (EndsAfter::Seen(seen), false);
                 if let Some(ended) = ended {
                     let is_unknown = ended.ending == DownReason::Unknown;
                     down(ended);
@@ -143,130 +169,147 @@ async fn ask_on(
             DeliveryError::DeadlinePassed => continue, // No incarnation has ended.
             // Of no concern to the object: for want of room, or because the watcher itself is
             // fenced.
-            DeliveryError::Full
-            | DeliveryError::WayFull { .. }
-            | DeliveryError::Restarting
-            | DeliveryError::Fenced => {}
-            why if !is_lost => {
-                lost(why.to_string());
-                (seen, is_lost) = (None, true);
+            DeliveryError::Full | DeliveryError::WayFull { .. } | DeliveryError::Fenced => {}
+            why => {
+                if after == EndsAfter::Question {
+                    after = EndsAfter::Opening;
+                }
+                if !is_lost && why != DeliveryError::Restarting {
+                    lost(why.to_string());
+                    is_lost = true;
+                }
             }
-            _ => {}
         }
-        platform::sleep(RETRY_DELAY).await;
+        tokio::select! {
+            () = platform::sleep(RETRY_DELAY) => {}
+            () = opening() => {}
+        }
     }
 }
 
 /// Answers other nodes that watch objects of this one.
-pub(crate) fn serve(registry: &Registry) {
-    let service_fn = DeathWatchService::new(registry);
-    let serve = move |AwaitEnd { object, seen }, by, answer| {
-        service_fn.serve(object, seen, Waiting { by, answer });
+pub(crate) fn serve(registry: &Registry) -> DeathWatchService {
+    let service = DeathWatchService::new(registry);
+    let service_fn = service.clone();
+    let serve = move |AwaitEnd { object, after }, by, answer| {
+        service_fn.serve(object, after, (by, answer));
     };
     let object = ObjectName::new(OBJECT).expect("a name of letters");
     registry.register_hidden(
         object,
         ContractPort::of_service_fn(ServiceFn::<AwaitEnd>(Arc::new(serve))),
     );
+    service
 }
 
 /// The objects of this node that others watch. Clones share them.
 #[derive(Clone)]
-struct DeathWatchService {
+pub(crate) struct DeathWatchService {
     /// Of the random source: no service of another start has it.
     number: u64,
     registry: WeakRegistry,
-    objects: Arc<Mutex<SortedMap<ObjectName, Counted>>>,
-    /// How many questions of each node were refused.
-    refused: Arc<Mutex<SortedMap<MessageOrigin, u64>>>,
+    questions: Arc<Mutex<Questions>>,
 }
 
-/// One object. There are as many as the node has or had objects that others watched.
 #[derive(Default)]
-struct Counted {
-    ends: u64,
-    last: Option<LastEnd>,
-    waiting: Vec<Waiting>,
+struct Questions {
+    waiting: SortedMap<ObjectName, Vec<Waiting>>,
+    /// The last end when the session with a node was opened or lost its path, for each node that
+    /// this one has met.
+    openings: SortedMap<MessageOrigin, u64>,
+    /// How many questions of each node were refused.
+    refused: SortedMap<MessageOrigin, u64>,
+    /// The last end before this node began to end in order. Those that follow are told as its end.
+    last: Option<u64>,
 }
 
 /// One question that waits for its answer.
 struct Waiting {
     by: MessageOrigin,
+    /// Ends with a higher number count.
+    after: u64,
     answer: Responder<AwaitEnd>,
 }
 
 impl DeathWatchService {
     fn new(registry: &Registry) -> Self {
-        let (objects, refused) = (Arc::default(), Arc::default());
-        let number = platform::random_seed();
-        DeathWatchService { number, registry: registry.downgrade(), objects, refused }
+        let (number, questions) = (platform::random_seed(), Arc::default());
+        DeathWatchService { number, registry: registry.downgrade(), questions }
     }
 
-    fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, Counted>> {
-        self.objects.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Questions> {
+        self.questions.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn watched(&self, ends: u64, ended: Option<LastEnd>) -> Watched {
-        Watched { seen: SeenEnds { service: self.number, ends }, ended }
+    /// The session with this node is opened, or loses its path: its watches that begin before the
+    /// nodes are connected are told the ends from now on.
+    pub(crate) fn handle_opening(&self, peer: NodeId) {
+        self.lock().openings.insert(MessageOrigin { peer: Some(peer) }, last_end_number());
     }
 
-    fn serve(&self, object: ObjectName, seen: Option<SeenEnds>, question: Waiting) {
-        // What another start of this node has counted says nothing.
-        let seen = seen.filter(|seen| seen.service == self.number).map(|seen| seen.ends);
-        let before = self.lock().get(&object).map_or(0, |counted| counted.ends);
-        let absent = self.watch(&object);
-        let mut objects = self.lock();
-        let (mut waiting, mut of_asker) = (0, 0);
-        for counted in objects.values_mut() {
-            counted.waiting.retain(|waiting| waiting.answer.is_wanted());
-            waiting += counted.waiting.len();
-            of_asker += counted.waiting.iter().filter(|other| other.by == question.by).count();
-        }
-        if absent.as_ref().is_some_and(|absent| absent.ending == DownReason::Unknown) {
-            let counted = objects.remove(&object).unwrap_or_default();
-            drop(objects);
-            let watched = self.watched(counted.ends, absent);
-            let all = counted.waiting.into_iter().chain([question]);
-            return all.for_each(|waiting| waiting.answer.give(watched.clone()));
-        }
-        let counted = objects.entry(object).or_default();
-        let ended = match seen {
-            Some(seen) if seen == counted.ends && of_asker < WAITING_MAX - waiting => {
-                return counted.waiting.push(question);
-            }
-            Some(seen) if seen == counted.ends => {
-                drop(objects);
-                self.count_refused(question.by, of_asker);
-                return question.answer.refuse(DeliveryError::Full, None);
-            }
-            Some(_) => counted.last.clone(),
-            // It may have ended since the watch began.
-            None if absent.is_none() && counted.ends > before => counted.last.clone(),
-            None => absent,
+    /// This node begins to end in order.
+    pub(crate) fn handle_leaving(&self) {
+        self.lock().last.get_or_insert_with(last_end_number);
+    }
+
+    fn serve(
+        &self,
+        object: ObjectName,
+        after: EndsAfter,
+        (by, answer): (MessageOrigin, Responder<AwaitEnd>),
+    ) {
+        let questions = self.lock();
+        let opening = questions.openings.get(&by).copied();
+        let (after, waits) = match after {
+            EndsAfter::Question => (u64::MAX, false),
+            EndsAfter::Seen(seen) if seen.service == self.number => (seen.number, true),
+            // What another start of this node has counted says nothing.
+            EndsAfter::Seen(_) | EndsAfter::Opening => (opening.unwrap_or(u64::MAX), false),
         };
-        let watched = self.watched(counted.ends, ended);
-        drop(objects);
-        question.answer.give(watched);
+        let (last, absent) = self.watch(&object);
+        let number = last.as_ref().map_or(0, |last| last.number);
+        let ended = match last.filter(|last| last.number > after && questions.is_told(last)) {
+            Some(last) => Some(last.down.into()),
+            None if questions.last.is_some() => {
+                return self.wait(questions, object, Waiting { by, after, answer });
+            }
+            None if absent.as_ref().is_some_and(|end| end.ending == DownReason::Unknown) => absent,
+            None if !waits => absent,
+            None => return self.wait(questions, object, Waiting { by, after, answer }),
+        };
+        drop(questions);
+        answer.give(self.watched(number, ended));
     }
 
-    /// A question was refused. It is logged whenever the number of them has doubled.
-    fn count_refused(&self, by: MessageOrigin, waiting: usize) {
-        let mut refused = self.refused.lock().unwrap_or_else(PoisonError::into_inner);
-        if refused.len() >= REFUSED_MAX && !refused.contains_key(&by) {
-            return;
+    fn wait(
+        &self,
+        mut questions: MutexGuard<'_, Questions>,
+        object: ObjectName,
+        question: Waiting,
+    ) {
+        let (mut waiting, mut of_asker) = (0, 0);
+        questions.waiting.retain(|_, others| {
+            others.retain(|other| other.answer.is_wanted());
+            waiting += others.len();
+            of_asker += others.iter().filter(|other| other.by == question.by).count();
+            !others.is_empty()
+        });
+        if of_asker < WAITING_MAX - waiting {
+            return questions.waiting.entry(object).or_default().push(question);
         }
-        let times = refused.entry(by).or_default();
-        *times = times.saturating_add(1);
-        let times = *times;
-        drop(refused);
-        if let (true, Some(node)) = (times.is_power_of_two(), by.peer) {
-            warn!(%node, waiting, times, "refused: the node watches as many objects as it may");
-        }
+        questions.count_refused(question.by, of_asker);
+        drop(questions);
+        question.answer.refuse(DeliveryError::Full, None);
     }
 
-    /// Watches the object, unless it is watched already; says why it does not live now, if so.
-    fn watch(&self, object: &ObjectName) -> Option<LastEnd> {
-        let registry = self.registry.upgrade()?;
+    fn watched(&self, number: u64, ended: Option<LastEnd>) -> Watched {
+        Watched { seen: SeenEnd { service: self.number, number }, ended }
+    }
+
+    /// Watches the object, unless it is watched already. Returns its last end, and why it does not
+    /// live now, if so.
+    fn watch(&self, object: &ObjectName) -> (Option<NumberedEnd>, Option<LastEnd>) {
+        let Some(registry) = self.registry.upgrade() else { return (None, None) };
         let absent = Arc::new(Mutex::new(None));
         let (service_fn, reported) = (self.clone(), absent.clone());
         let tell = move |down: Down| match down.ending {
@@ -279,20 +322,47 @@ impl DeathWatchService {
         };
         let who = ObjectName::new(OBJECT).expect("a name of letters");
         let incarnation = Arc::new(IncarnationToken::default());
-        registry.watch(object.clone(), Watcher { who, incarnation, tell: Box::new(tell) });
-        absent.lock().unwrap_or_else(PoisonError::into_inner).take()
+        let watcher = Watcher { who, incarnation, tell: Box::new(tell) };
+        let last = registry.watch(object.clone(), watcher);
+        (last, absent.lock().unwrap_or_else(PoisonError::into_inner).take())
     }
 
+    /// Answers the questions that have not been answered with this end or a later one.
     fn end(&self, down: Down) {
-        let mut objects = self.lock();
-        let counted = objects.entry(down.object.clone()).or_default();
-        let ended = Some(LastEnd::from(down));
-        counted.ends += 1;
-        counted.last.clone_from(&ended);
-        let (ends, waiting) = (counted.ends, std::mem::take(&mut counted.waiting));
-        drop(objects);
-        let watched = self.watched(ends, ended);
-        waiting.into_iter().for_each(|waiting| waiting.answer.give(watched.clone()));
+        let mut questions = self.lock();
+        let Some(waiting) = questions.waiting.remove(&down.object) else { return };
+        let object = down.object.clone();
+        // Where the object has gone with its end, no later one can be.
+        let (last, _) = self.watch(&object);
+        let last = last.unwrap_or_else(|| NumberedEnd { number: last_end_number(), down });
+        let is_told = questions.is_told(&last);
+        let (due, rest): (Vec<_>, Vec<_>) =
+            waiting.into_iter().partition(|waiting| is_told && waiting.after < last.number);
+        if !rest.is_empty() {
+            questions.waiting.insert(object, rest);
+        }
+        drop(questions);
+        let watched = self.watched(last.number, Some(last.down.into()));
+        due.into_iter().for_each(|waiting| waiting.answer.give(watched.clone()));
+    }
+}
+
+impl Questions {
+    /// Whether this end is told by itself, and not as that of the node.
+    fn is_told(&self, end: &NumberedEnd) -> bool {
+        self.last.is_none_or(|last| end.number <= last)
+    }
+
+    /// A question was refused. It is logged whenever the number of them has doubled.
+    fn count_refused(&mut self, by: MessageOrigin, waiting: usize) {
+        if self.refused.len() >= REFUSED_MAX && !self.refused.contains_key(&by) {
+            return;
+        }
+        let times = self.refused.entry(by).or_default();
+        *times = times.saturating_add(1);
+        if let (true, Some(node)) = (times.is_power_of_two(), by.peer) {
+            warn!(%node, waiting, times, "refused: the node watches as many objects as it may");
+        }
     }
 }
 
@@ -301,7 +371,6 @@ mod tests {
     use super::*;
     use crate::messaging::death_watch::Deaths;
     use blastema_core::NodeName;
-    use blastema_core::net::NodeId;
     use blastema_doubles::{advance, paused};
 
     /// A question whose answer is kept.
@@ -309,14 +378,13 @@ mod tests {
         service: &DeathWatchService,
         by: &str,
     ) -> Arc<Mutex<Option<Result<Watched, DeliveryError>>>> {
-        ask_after(service, by, service.number)
+        ask_after(service, by, EndsAfter::Seen(SeenEnd { service: service.number, number: 0 }))
     }
 
-    /// The same after an answer of this service.
     fn ask_after(
         service: &DeathWatchService,
         by: &str,
-        seen_service: u64,
+        after: EndsAfter,
     ) -> Arc<Mutex<Option<Result<Watched, DeliveryError>>>> {
         let answered = Arc::new(Mutex::new(None));
         let keep = answered.clone();
@@ -326,8 +394,7 @@ mod tests {
         );
         let by = MessageOrigin { peer: Some(NodeId::of(&NodeName::new(by).unwrap())) };
         let arm = ObjectName::new("arm").unwrap();
-        let seen = SeenEnds { service: seen_service, ends: 0 };
-        service.serve(arm, Some(seen), Waiting { by, answer });
+        service.serve(arm, after, (by, answer));
         answered
     }
 
@@ -343,11 +410,11 @@ mod tests {
         paused(async {
             let asked = Arc::new(Mutex::new(Vec::new()));
             let questions = asked.clone();
-            let serve = move |AwaitEnd { seen, .. }, _, answer: Responder<AwaitEnd>| {
+            let serve = move |AwaitEnd { after, .. }, _, answer: Responder<AwaitEnd>| {
                 let mut asked = questions.lock().unwrap();
-                asked.push(seen);
+                asked.push(after);
                 let watched =
-                    |service| Watched { seen: SeenEnds { service, ends: 0 }, ended: None };
+                    |service| Watched { seen: SeenEnd { service, number: 0 }, ended: None };
                 match asked.len() {
                     1 => answer.give(watched(7)),
                     2 => answer.refuse(DeliveryError::Full, None),
@@ -361,13 +428,16 @@ mod tests {
             let arm = ObjectName::new("arm").unwrap();
             actix_rt::spawn(async move {
                 let lost = |reason| losses.lock().unwrap().push(reason);
-                ask_on(&sender, &arm, |end| panic!("{end:?}"), lost).await;
+                let down = |end| panic!("{end:?}");
+                let of = (&arm, EndsAfter::Question);
+                ask_on(&sender, of, down, lost, std::future::pending).await;
             });
             advance(5 * RETRY_DELAY).await;
 
             assert_eq!(*told.lock().unwrap(), ["its node has started again"]);
-            let seen = |service| Some(SeenEnds { service, ends: 0 });
-            assert_eq!(*asked.lock().unwrap(), [None, seen(7), seen(7), seen(8)]);
+            let seen = |service| EndsAfter::Seen(SeenEnd { service, number: 0 });
+            let expected = [EndsAfter::Question, seen(7), seen(7), seen(8)];
+            assert_eq!(*asked.lock().unwrap(), expected);
         });
     }
 
@@ -377,11 +447,53 @@ mod tests {
         deaths.begin(&ObjectName::new("arm").unwrap(), Incarnation(1));
         registry.watch_in(deaths);
         let service = DeathWatchService::new(&registry);
-        let answer = ask_after(&service, "honest", service.number.wrapping_add(1));
+        let other = SeenEnd { service: service.number.wrapping_add(1), number: 0 };
+        let answer = ask_after(&service, "honest", EndsAfter::Seen(other));
         let answered = answer.lock().unwrap().clone().expect("at once").expect("it is told");
-        assert_eq!(answered.seen, SeenEnds { service: service.number, ends: 0 });
+        assert_eq!(answered.seen, SeenEnd { service: service.number, number: 0 });
         assert!(answered.ended.is_none(), "it lives");
         assert!(ask(&service, "honest").lock().unwrap().is_none(), "it waits");
+    }
+
+    #[test]
+    fn ends_that_no_question_waited_for_are_told_to_the_next_but_for_those_of_a_node_that_ends() {
+        let (registry, deaths) = (Registry::default(), Deaths::default());
+        let arm = ObjectName::new("arm").unwrap();
+        let end = |incarnation| {
+            deaths.begin(&arm, Incarnation(incarnation));
+            deaths.end(&arm, DownReason::Stopped);
+            deaths.begin(&arm, Incarnation(incarnation + 1));
+        };
+        deaths.begin(&arm, Incarnation(1));
+        registry.watch_in(deaths.clone());
+        let service = DeathWatchService::new(&registry);
+        let left = NodeId::of(&NodeName::new("left").unwrap());
+        let told = |after| {
+            let answer = ask_after(&service, "left", after).lock().unwrap().clone();
+            answer.map(|answer| answer.expect("it is told"))
+        };
+        let incarnation = |told: &Watched| told.ended.as_ref().map(|ended| ended.incarnation.0);
+
+        service.handle_opening(left);
+        (1..=20).for_each(end);
+        let since = told(EndsAfter::Opening).expect("it is asked how the object stands");
+        assert_eq!(incarnation(&since), Some(20));
+        let now = told(EndsAfter::Question).expect("it is asked how the object stands");
+        assert_eq!((incarnation(&now), now.seen), (None, since.seen));
+        assert!(told(EndsAfter::Seen(since.seen)).is_none(), "it waits");
+        end(21);
+        assert_eq!(incarnation(&told(EndsAfter::Seen(since.seen)).expect("at once")), Some(21));
+
+        service.handle_opening(left);
+        assert_eq!(incarnation(&told(EndsAfter::Opening).expect("at once")), None);
+        end(22);
+        service.handle_leaving();
+        let last = told(EndsAfter::Opening).expect("that was before");
+        assert_eq!(incarnation(&last), Some(22));
+        let waits = ask_after(&service, "left", EndsAfter::Seen(last.seen));
+        deaths.end(&arm, DownReason::Stopped);
+        assert!(waits.lock().unwrap().is_none());
+        assert!(told(EndsAfter::Question).is_none());
     }
 
     #[test]
@@ -395,12 +507,12 @@ mod tests {
         assert_eq!(waiting(&service, "second", 2 * WAITING_MAX), WAITING_MAX / 4);
         assert_eq!(waiting(&service, "honest", 100), 100);
 
-        let refused: Vec<_> = service.refused.lock().unwrap().values().copied().collect();
+        let refused: Vec<_> = service.lock().refused.values().copied().collect();
         assert_eq!(refused.iter().sum::<u64>(), (WAITING_MAX * 3 / 2 + WAITING_MAX * 7 / 4) as u64);
         let answer = ask(&service, "honest");
         deaths.end(&ObjectName::new("arm").unwrap(), DownReason::Stopped);
         let answer = answer.lock().unwrap().clone();
-        assert_eq!(answer.expect("it ends").expect("it is told").seen.ends, 1);
+        assert!(answer.expect("it ends").expect("it is told").seen.number > 0);
         assert_eq!(waiting(&service, "greedy", 1), 1, "its share is free again");
     }
 }

@@ -8,7 +8,7 @@ use super::words::{
     Task, WhoServes,
 };
 use crate::component::environment::ComponentEnvironment;
-use crate::messaging::death_watch::{Down, DownReason, Watcher};
+use crate::messaging::death_watch::{Down, DownReason, NumberedEnd, Watcher};
 use crate::messaging::error::encode_kind;
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
@@ -66,7 +66,9 @@ pub(crate) struct Carried {
 struct Undying;
 
 impl crate::messaging::death_watch::Watchable for Undying {
-    fn watch(&self, _: Watcher) {}
+    fn watch(&self, _: Watcher) -> Option<NumberedEnd> {
+        None
+    }
 }
 
 /// The body.

@@ -20,6 +20,7 @@ mod media;
 mod mesh;
 mod namesakes;
 mod node_start;
+mod outages;
 mod overload;
 mod panic_strategy;
 mod processes;

@@ -7,7 +7,7 @@ use crate::component::incarnation::{DeferredCommands, IncarnationState};
 use crate::host::executor::outbox::DeferredReport;
 use crate::host::lifecycle::{EndReason, IncarnationLifecycle, StopOrder};
 use crate::liveness::label;
-use crate::messaging::death_watch::{Down, DownReason};
+use crate::messaging::death_watch::DownReason;
 use crate::messaging::message_log;
 use crate::platform;
 use crate::platform::panics;
@@ -131,10 +131,7 @@ impl<C: Component> ComponentExecutor<C> {
             Some(_) => listener.left_work(false),
             None => listener.deactivated(),
         });
-        record.tell_watchers(|| {
-            let (object, ending) = (record.name.clone(), DownReason::from(exit));
-            Down { object, node: None, incarnation, ending }
-        });
+        record.tell_watchers(incarnation, DownReason::from(exit));
         let mut supervisor = None;
         let starting = self.lifecycle.is_starting() && restarted_as.is_none();
         let event = match (exit, self.lifecycle.take_start_failure()) {

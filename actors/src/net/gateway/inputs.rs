@@ -3,7 +3,8 @@
 use super::peer::GatewayPeer;
 use super::{GatewayActor, LEAVE_TIMEOUT, topic};
 use crate::net::gateway_messages::{
-    FaultForwarded, ForwardFault, LocalEvent, LocalReply, SendToPeer, TopicInterestChanged,
+    FaultForwarded, ForwardFault, LocalEvent, LocalReply, SendToPeer, StartCompleted,
+    TopicInterestChanged,
 };
 use crate::net::isolation::IsolationChanged;
 use crate::net::stub::PeerCondition;
@@ -39,6 +40,7 @@ impl Handler<SessionReported> for GatewayActor {
             SessionReported::Unreachable { node } => {
                 let (peer, send_state) = self.meet(&node);
                 self.exchange.handle_unreachable(peer);
+                self.wiring.deaths.handle_opening(peer);
                 send_state.path_lost();
                 if !send_state.has_session() {
                     self.set(peer, PeerCondition::Unreachable);
@@ -72,6 +74,8 @@ impl GatewayActor {
         let (id, send_state) = self.meet(&node);
         self.begin_peer(id, session, incarnation);
         self.forget_past(id);
+        // Before the peer learns that it is connected.
+        self.wiring.deaths.handle_opening(id);
         self.exchange.handle_opened(id, incarnation, platform::now());
         send_state.begin();
         self.report_peer(&PeerStatusChanged::Opened { node, incarnation });
@@ -136,6 +140,15 @@ impl Handler<SendToPeer> for GatewayActor {
         let credit = Some(credit);
         let call = Call { node, object, contract, id, sent, until, payload, reply_as, credit };
         self.exchange.handle_call(call);
+        self.drive(context);
+    }
+}
+
+impl Handler<StartCompleted> for GatewayActor {
+    type Result = ();
+
+    fn handle(&mut self, _: StartCompleted, context: &mut Context<Self>) {
+        self.exchange.handle_started(platform::now());
         self.drive(context);
     }
 }

@@ -64,6 +64,8 @@ pub struct PeerProtocol {
     requests: ReplyCache,
     /// What peers may do here; without one, everything.
     access: Option<AccessPolicy>,
+    /// The objects of this node answer: peers are told that it is connected.
+    is_started: bool,
     refusals: Refusals,
     outputs: VecDeque<PeerProtocolOutput>,
 }
@@ -98,6 +100,7 @@ impl PeerProtocol {
             epochs: self.epochs,
             requests: self.requests.clone(),
             access: self.access.clone(),
+            is_started: self.is_started,
             refusals: self.refusals,
             ..PeerProtocol::default()
         };
@@ -128,6 +131,16 @@ impl PeerProtocol {
         self.refusals
     }
 
+    /// The start of this node is over: its objects answer.
+    pub fn handle_started(&mut self, now: Instant) {
+        self.is_started = true;
+        for (peer, state) in &self.peers {
+            let Some(session) = &state.session else { continue };
+            let timestamp_us = session.timestamp_us(now);
+            self.outputs.push_back(control(*peer, &PeerMessage::Announced { timestamp_us }));
+        }
+    }
+
     /// A path to this node is known.
     pub fn handle_reachable(&mut self, peer: NodeId) {
         self.peers.entry(peer).or_default().reachable = true;
@@ -152,7 +165,9 @@ impl PeerProtocol {
         let again = std::mem::take(&mut state.again);
         let topics: Vec<_> = self.interests.keys().cloned().collect();
         topics.iter().for_each(|topic| self.offer_interest(peer, topic));
-        self.outputs.push_back(control(peer, &PeerMessage::Announced { timestamp_us: 0 }));
+        if self.is_started {
+            self.outputs.push_back(control(peer, &PeerMessage::Announced { timestamp_us: 0 }));
+        }
         again.into_iter().for_each(|call| self.handle_call(call));
     }
 

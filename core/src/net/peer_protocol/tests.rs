@@ -67,7 +67,8 @@ struct Pair {
 impl Pair {
     fn new() -> Self {
         let ids = [NodeId::of(&node("left")), NodeId::of(&node("right"))];
-        let (ends, outputs) = Default::default();
+        let (mut ends, outputs): ([PeerProtocol; 2], _) = Default::default();
+        ends.iter_mut().for_each(|end| end.handle_started(at(0)));
         Pair { ends, ids, outputs, announced: [None; 2], now: 0 }
     }
 
@@ -325,6 +326,29 @@ fn commands_and_their_replies_are_control() {
     let Some(PeerProtocolOutput::Send { stream: TrafficClass::Control, .. }) = reply else {
         panic!("{reply:?}");
     };
+}
+
+#[test]
+fn a_peer_that_starts_is_announced_when_its_start_is_over_and_in_every_later_session_at_once() {
+    let mut pair = Pair::new();
+    pair.ends[1] = PeerProtocol::default();
+    let open = |pair: &mut Pair| {
+        for end in 0..2 {
+            pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
+        }
+        pair.run();
+    };
+    open(&mut pair);
+    assert_eq!(pair.announced, [None, Some(0)]);
+
+    pair.ends[1].handle_started(at(700));
+    pair.run();
+    assert_eq!(pair.announced, [Some(0), Some(0)]);
+
+    pair.announced = [None; 2];
+    pair.ends[1] = pair.ends[1].restarted(&DeliveryError::Restarting);
+    open(&mut pair);
+    assert_eq!(pair.announced, [Some(0), Some(0)]);
 }
 
 #[test]

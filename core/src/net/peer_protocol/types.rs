@@ -251,7 +251,7 @@ pub enum PeerProtocolOutput {
         /// It has arrived.
         arrived: bool,
     },
-    /// A peer has told all that it listens to.
+    /// A peer has told all that it listens to, and its objects answer.
     Announced {
         /// Who.
         peer: NodeId,

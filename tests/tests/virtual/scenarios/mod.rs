@@ -3,6 +3,7 @@
 //! Everything but the modules `real` runs in virtual time on one thread. Each scenario says what was
 //! done to the robot, and what its record of faults, its table and its tree show afterwards.
 
+mod away;
 mod chain;
 mod changes;
 mod chaos;

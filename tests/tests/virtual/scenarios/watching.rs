@@ -32,7 +32,8 @@ impl Robot {
         strings: &Strings,
     ) -> TestNode {
         let network = Network::memory("ethernet", medium, own).with_faults(7).peer(peer, peer);
-        TestNode::start(Node::builder(own).network(network).child(strings.spec(puppet))).await
+        let builder = Node::builder(own).network(network).intensity(100, SECOND);
+        TestNode::start(builder.child(strings.spec(puppet))).await
     }
 
     async fn watch(&self, name: &str) {
@@ -160,7 +161,99 @@ async fn who_watches_an_object_of_a_node_that_leaves_is_told_so_and_of_its_next_
     let of_node: Vec<_> = left.iter().filter(|line| line.contains("NodeLost")).collect();
     assert_eq!(of_node.len(), 1, "{left:?}");
     assert!(of_node[0].contains("module2"), "{left:?}");
-    assert!(left.len() <= 2, "its own end perhaps, and its node's: {left:?}");
+    assert_eq!(left.len(), 1, "its own end is its node's: {left:?}");
     assert_eq!(died.len(), 1, "{died:?}");
     assert!(died[0].starts_with("widow#1 mourns module2:laser#1: Panicked"), "{died:?}");
+}
+
+/// When the laser ends while the widow's node cannot be told, and then.
+#[derive(Clone, Copy, Debug)]
+enum Ends {
+    /// So often in the outage.
+    Within(u64),
+    /// When the cable is whole again, and no session is open.
+    BeforeTheSession,
+    /// When the watcher's node is connected.
+    OnceConnected,
+    /// When the other node is connected.
+    OnceConnectedThere,
+}
+
+#[blastema_testkit::test]
+async fn an_end_in_an_outage_or_right_after_it_is_told_and_its_incarnation_counts_all() {
+    for outage in [SECOND / 2, 3 * SECOND, 10 * SECOND] {
+        for (since, ends) in [true, false].into_iter().flat_map(|since| {
+            let once = [Ends::BeforeTheSession, Ends::OnceConnected, Ends::OnceConnectedThere];
+            [Ends::Within(1), Ends::Within(20)].into_iter().chain(once).map(move |e| (since, e))
+        }) {
+            let robot = Robot::start().await;
+            if since {
+                robot.watch("module2:laser").await;
+                assert_eq!(robot.mourned().await, [""; 0], "it lives");
+            }
+            robot.cut();
+            robot.module1.advance(outage).await;
+            if !since {
+                robot.watch("module2:laser").await;
+                robot.module1.settle().await;
+            }
+            let stop = async || ask(&robot.module2, "laser", Deed::Stop).await.unwrap();
+            let mut last = 0;
+            if let Ends::Within(times) = ends {
+                for _ in 0..times {
+                    last = stop().await;
+                    robot.module1.advance(SECOND / 50).await;
+                }
+            }
+            robot.clear();
+            match ends {
+                Ends::Within(_) => {}
+                Ends::BeforeTheSession => last = stop().await,
+                Ends::OnceConnected => {
+                    assert!(robot.module1.connected("module2", 20 * SECOND).await);
+                    last = stop().await;
+                }
+                Ends::OnceConnectedThere => {
+                    assert!(robot.module2.connected("module1", 20 * SECOND).await);
+                    last = stop().await;
+                }
+            }
+            robot.module1.advance(10 * SECOND).await;
+
+            let told = robot.strings.lines("mourns");
+            let case = format!("{outage:?}, watched before: {since}, {ends:?}: {told:?}");
+            // A watch that begins in the outage holds from the next session on, if there is another.
+            let once = matches!(ends, Ends::OnceConnected | Ends::OnceConnectedThere);
+            if since || once || outage < SECOND {
+                let expected = format!("widow#1 mourns module2:laser#{last}: Returned");
+                assert_eq!(told.iter().filter(|line| **line == expected).count(), 1, "{case}");
+                assert_eq!(told.last(), Some(&expected), "{case}");
+            }
+            assert!(told.iter().filter(|line| line.contains("NodeLost")).count() <= 1, "{case}");
+        }
+    }
+}
+
+#[blastema_testkit::test]
+async fn an_end_right_after_the_start_of_the_next_process_of_its_node_is_told() {
+    for watched in [true, false] {
+        let mut robot = Robot::start().await;
+        if watched {
+            robot.watch("module2:laser").await;
+            assert_eq!(robot.mourned().await, [""; 0]);
+        }
+        robot.module2.shutdown().await;
+        robot.module1.advance(5 * SECOND).await;
+        if !watched {
+            robot.watch("module2:laser").await;
+        }
+        robot.mourned().await;
+        let pair = ["module2", "module1"];
+        robot.module2 = Robot::node(&robot.medium, pair, "laser", &robot.strings).await;
+        assert!(robot.module1.connected("module2", 20 * SECOND).await);
+
+        ask(&robot.module2, "laser", Deed::Stop).await.unwrap();
+
+        assert_eq!(robot.mourned().await, ["widow#1 mourns module2:laser#1: Returned"]);
+    }
 }

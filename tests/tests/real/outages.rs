@@ -1,0 +1,267 @@
+//! Outages between two processes on real sockets: what watchers and callers learn once the nodes are
+//! connected again.
+
+use blastema::core::detection::Opinion;
+use blastema::prelude::*;
+use blastema::{Direction, Down, DownReason, FaultLocation, Link, Network, NodeBuilder};
+use blastema_tests::{Process, addresses, free_addresses, role};
+use std::net::SocketAddr;
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::SeqCst;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+const PATIENCE: Duration = Duration::from_secs(60);
+const MS: Duration = Duration::from_millis(1);
+
+/// Replies with the present incarnation, which ends so soon: at once, or never with 0 times; so many
+/// incarnations after it end, too.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "outage/end", reply = u64)]
+struct End {
+    after_ms: u64,
+    times: u64,
+}
+
+/// How many incarnations are still to end by themselves.
+static TO_END: AtomicU64 = AtomicU64::new(0);
+
+/// Takes so long to start.
+struct Grip(Duration);
+
+impl Component for Grip {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<End>();
+    }
+
+    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        blastema::sleep(self.0).await;
+        self.0 = Duration::ZERO;
+        Ok(())
+    }
+
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        if TO_END.fetch_update(SeqCst, SeqCst, |left| left.checked_sub(1)).is_ok() {
+            cx.after(MS, |_, cx| cx.stop());
+        }
+        Ok(())
+    }
+}
+
+impl Handle<End> for Grip {
+    async fn handle(&mut self, End { after_ms, times }: End, cx: &mut Context<Self>) -> u64 {
+        if times > 0 {
+            TO_END.store(times - 1, SeqCst);
+            cx.after(MS * after_ms as u32, |_, cx| cx.stop());
+        }
+        cx.incarnation().0
+    }
+}
+
+/// Remembers what it is told of the grip.
+struct Guard(Arc<Mutex<Vec<Down>>>);
+
+impl Component for Guard {
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        Ok(cx.watch("arm:grip")?)
+    }
+}
+
+impl Handle<Down> for Guard {
+    async fn handle(&mut self, down: Down, _: &mut Context<Self>) {
+        self.0.lock().unwrap().push(down);
+    }
+}
+
+fn node(own: usize, at: &[String]) -> NodeBuilder {
+    let (names, other) = (["base", "arm"], 1 - own);
+    let link = Link::new(names[other], at[other].parse().expect("an address"));
+    let network = Network::new("lan", &format!("udp://{}", at[own])).link(link).with_faults(7);
+    Node::builder(names[own]).network(network).intensity(1000, Duration::from_secs(1))
+}
+
+#[test]
+fn a_process_plays_its_role() {
+    let Some(role) = role() else { return };
+    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
+    let slow = MS * role.parse().expect("how long the grip takes to start");
+    blastema::run(async {
+        let first = AtomicU64::new(1);
+        let grip = ChildSpec::new("grip", move || Grip(slow * first.swap(0, SeqCst) as u32));
+        node(1, &addresses()).child(grip).run_until(std::future::pending()).await.unwrap();
+    });
+}
+
+/// The base, and where the process of the arm is to be.
+struct Base {
+    node: Node,
+    at: Vec<String>,
+    told: Arc<Mutex<Vec<Down>>>,
+}
+
+impl Base {
+    async fn start(describe: impl FnOnce(NodeBuilder) -> NodeBuilder) -> Self {
+        let at: Vec<String> = free_addresses(2).iter().map(SocketAddr::to_string).collect();
+        let told = Arc::<Mutex<Vec<Down>>>::default();
+        let kept = told.clone();
+        let guard = ChildSpec::new("guard", move || Guard(kept.clone()));
+        let node = describe(node(0, &at)).child(guard).start().await.unwrap();
+        Base { node, at, told }
+    }
+
+    fn arm(&self, slow_ms: u64) -> Process {
+        Process::start_with(module_path!(), &slow_ms.to_string(), &self.at, &[])
+    }
+
+    async fn connected(&self) {
+        assert!(self.node.connected("arm", PATIENCE).await);
+    }
+
+    async fn end(&self, after_ms: u64, times: u64) -> u64 {
+        let grip = self.node.sender::<End>("arm:grip").unwrap();
+        loop {
+            match grip.ask_within(End { after_ms, times }, PATIENCE).await {
+                Ok(incarnation) => return incarnation,
+                // It is between two incarnations.
+                Err(error) if error.kind == DeliveryError::Restarting => {}
+                Err(error) if matches!(error.kind, DeliveryError::PeerDied { .. }) => {}
+                Err(error) => panic!("{}", error.kind),
+            }
+            blastema::sleep(MS).await;
+        }
+    }
+
+    /// What the guard was told, once that is right.
+    async fn told(&self, is_right: impl Fn(&[Down]) -> bool) -> Vec<Down> {
+        let told = async {
+            while !is_right(&self.told.lock().unwrap()) {
+                blastema::sleep(MS).await;
+            }
+        };
+        let in_time = tokio::time::timeout(PATIENCE, told).await;
+        let told = std::mem::take(&mut *self.told.lock().unwrap());
+        assert!(in_time.is_ok(), "{told:?}");
+        told
+    }
+}
+
+fn is_lost(down: &Down) -> bool {
+    matches!(down.ending, DownReason::NodeLost { .. })
+}
+
+/// The incarnations whose end was told.
+fn ended(told: &[Down]) -> Vec<u64> {
+    let returned = told.iter().filter(|down| down.ending == DownReason::Returned);
+    returned.map(|down| down.incarnation.0).collect()
+}
+
+#[test]
+fn ends_in_an_outage_and_right_after_it_are_told_to_the_watcher_of_another_process() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let base = Base::start(|node| node).await;
+        let arm = base.arm(0);
+        base.connected().await;
+        let cable = base.node.cable("lan").unwrap();
+        for (is_stopped, times) in [(false, 1), (false, 20), (true, 1), (true, 20)] {
+            let first = base.end(300, times).await;
+            match is_stopped {
+                true => arm.signal("-STOP"),
+                false => cable.cut(Direction::Both, false),
+            }
+            base.told(|told| told.iter().any(is_lost)).await;
+            match is_stopped {
+                true => arm.signal("-CONT"),
+                false => cable.restore(),
+            }
+            base.connected().await;
+
+            let told =
+                base.told(|told| ended(told).last().is_some_and(|n| *n == first + times - 1));
+            let told = told.await;
+            assert!(ended(&told).is_sorted_by(|one, next| one < next), "{told:?}");
+
+            cable.cut(Direction::Both, false);
+            base.told(|told| told.iter().any(is_lost)).await;
+            cable.restore();
+            base.connected().await;
+            let last = base.end(0, 1).await;
+            assert_eq!(last, first + times);
+            let told = base.told(|told| ended(told) == [last]).await;
+            assert!(!told.iter().any(is_lost), "{told:?}");
+        }
+        base.node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_process_that_is_started_again_is_connected_when_its_objects_answer() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let base = Base::start(|node| node).await;
+        let mut arm = base.arm(300);
+        for _ in 0..3 {
+            base.connected().await;
+            let grip = base.node.sender::<End>("arm:grip").unwrap();
+            let asked = (0..20).map(|_| grip.ask_within(End { after_ms: 0, times: 0 }, PATIENCE));
+            for asked in asked {
+                assert_eq!(asked.await.map_err(|error| error.kind), Ok(1));
+            }
+
+            base.told.lock().unwrap().clear();
+            arm.kill();
+            base.told(|told| told.iter().any(is_lost)).await;
+            arm = base.arm(300);
+        }
+        base.node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_process_that_may_be_away_ends_and_dies_without_a_fault_and_each_is_told_once() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let base = Base::start(|node| node.may_be_away("arm")).await;
+        let row = async || {
+            let rows = base.node.table().await;
+            let arm = FaultLocation::Node("arm".parse().unwrap());
+            let row = rows.into_iter().find(|row| row.location == arm).expect("it has a row");
+            (row.opinion, row.note.unwrap_or_default())
+        };
+        let (opinion, note) = row().await;
+        assert_eq!(opinion, Opinion::Stopped, "{note}");
+        assert!(note.contains("it may be away, and is"), "{note}");
+        for in_order in [true, false, true] {
+            let mut arm = base.arm(0);
+            base.connected().await;
+            base.end(0, 0).await;
+            assert_eq!(row().await, (Opinion::Trusted, String::new()));
+            base.told.lock().unwrap().clear();
+
+            match in_order {
+                true => {
+                    arm.signal("-TERM");
+                    assert!(arm.succeeds());
+                }
+                false => arm.kill(),
+            }
+            let gone = async {
+                while row().await.0 != Opinion::Stopped || !base.node.routes().await.is_empty() {
+                    blastema::sleep(MS).await;
+                }
+            };
+            tokio::time::timeout(PATIENCE, gone).await.expect("it is away");
+            let told = base.told(|told| !told.is_empty()).await;
+            // Another one would follow when the session is over.
+            while base.node.sessions().await.iter().any(|row| row.status.incarnation.is_some()) {
+                blastema::sleep(MS).await;
+            }
+            blastema::sleep(100 * MS).await;
+            let more = std::mem::take(&mut *base.told.lock().unwrap());
+            assert_eq!((told.len(), more), (1, vec![]), "{in_order}: {told:?}");
+        }
+        let faults = base.node.faults().await.entries;
+        assert!(faults.is_empty(), "{faults:?}");
+        base.node.shutdown().await;
+    });
+}
