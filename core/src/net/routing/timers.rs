@@ -13,7 +13,7 @@ pub(crate) enum RouterTimer {
     RefreshOwn,
     /// Forgets an origin whose advertisement was not refreshed for 35 s (OSPF: MaxAge).
     AdvertisementExpiry,
-    /// Sends again what a neighbour has not confirmed for 40 ms, 80 ms and so on up to 1 s, ten
+    /// Sends again what a neighbour has not confirmed for 40 ms, 80 ms and so on up to 320 ms, ten
     /// times as long on a narrow link (OSPF: RxmtInterval).
     Retransmit,
     /// Sends the summary of the database, every second, every 10 s on a narrow link (IS-IS: CSNP

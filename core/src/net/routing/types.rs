@@ -25,7 +25,7 @@ pub struct RouterConfig {
     /// How often neighbours compare what they know; ten times as rarely over narrow media.
     pub compare: Duration,
     /// After how long an advertisement is repeated that a neighbour has not confirmed, then after
-    /// twice that and so on up to `compare`; ten times as long over narrow media.
+    /// twice that and so on up to eight times it; ten times as long over narrow media.
     pub resend: Duration,
     /// How many nodes may pass a packet on, at most 31.
     pub hops: u8,
