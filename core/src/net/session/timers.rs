@@ -9,8 +9,9 @@ use crate::{Instant, TrafficClass};
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum SessionTimer {
     /// Ends a session, or returns its messages, when the peer has owed an answer, or had no path,
-    /// for `idle_timeout`; with a path for three retransmission timeouts at least (QUIC: idle
-    /// timeout; TCP: user timeout, RFC 5482).
+    /// for `idle_timeout`, or four times as long while messages of the last session are not
+    /// settled; with a path for three retransmission timeouts at least (QUIC: idle timeout; TCP: user
+    /// timeout, RFC 5482).
     Idle,
     /// Sends again what is in flight of a stream: a retransmission timeout after its first chunk
     /// there (RFC 6298).
@@ -57,7 +58,7 @@ impl Timers for Session {
                 let longest = self.rtt.iter().map(RttEstimator::timeout).max();
                 let answers = longest.filter(|_| self.path.is_some()).unwrap_or_default() * 3;
                 let times = if self.unsettled.is_some() { Session::SETTLE_TIMES } else { 1 };
-                Some(self.waiting_since? + self.config.idle_timeout.max(answers) * times)
+                Some(self.waiting_since? + (self.config.idle_timeout * times).max(answers))
             }
             (SessionTimer::Loss(stream), _) => self.retransmit_at[stream as usize],
             (SessionTimer::LossDatagrams, _) => self.datagrams_lost_at,

@@ -35,7 +35,9 @@ impl World {
         for wire in &mut self.wires {
             (wire.cut, wire.mute, wire.rate) = (false, [false; 2], None);
         }
-        self.run(Duration::from_secs(12));
+        // A node that stays dead has ten seconds to tell what had arrived, and another one may be
+        // stopped for three.
+        self.run(Duration::from_secs(16));
     }
 }
 
