@@ -1,6 +1,7 @@
 //! Announcements: told to every neighbour until it confirms them, compared, outdone.
 
 use super::keys::SignatureCheck;
+use super::names::UnusedLink;
 use super::{DatabaseEntry, Router, RouterAlarm, RouterOutput};
 use crate::NodeName;
 use crate::net::wire::advertisement::{
@@ -27,7 +28,8 @@ impl Router {
                 *best = edge;
             }
         }
-        self.own.edges = edges.into_values().take(NEIGHBOURS_MAX).collect();
+        let challenges = self.unused.values().map(UnusedLink::challenge);
+        self.own.edges = edges.into_values().chain(challenges).take(NEIGHBOURS_MAX).collect();
         self.outdate();
         self.renew();
     }
@@ -119,7 +121,7 @@ impl Router {
             if held.is_some_and(|held| *held == advertisement) {
                 confirmed.push(id);
                 if let Some(adjacent) = self.links.get_mut(&link) {
-                    adjacent.confirm(id, self.id);
+                    adjacent.pending.remove(&id.origin);
                 }
                 continue;
             }
@@ -166,6 +168,7 @@ impl Router {
         let same = before.is_some_and(|before| {
             before.edges == advertisement.edges && before.incarnation == advertisement.incarnation
         });
+        self.answer_challenge(&advertisement);
         self.known.insert(origin, DatabaseEntry { advertisement, expires });
         if !same {
             self.outdate();
@@ -193,7 +196,7 @@ impl Router {
             } else if held < advertisement_id {
                 wanted.push(held);
             } else if let Some(adjacent) = self.links.get_mut(&link) {
-                adjacent.confirm(advertisement_id, self.id);
+                adjacent.pending.remove(&origin);
             }
         }
         if let Some((first, last)) = range
