@@ -6,7 +6,7 @@ use blastema::core::net::trust::key_file::KeyFile;
 use blastema::core::net::trust::policy::Role;
 use blastema::core::net::trust::roster::{NodeRoster, RosterNode};
 use blastema::{Component, Context, Handle, Ports, Request};
-use std::fs::{self, Permissions};
+use std::fs::{self, File, Permissions};
 use std::net::{SocketAddr, UdpSocket};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
@@ -35,6 +35,14 @@ impl Process {
     ) -> Self {
         let program = std::env::current_exe().expect("a running program has a path");
         Process::spawn(Command::new(program), module, role, addresses, more)
+    }
+
+    /// The same, with its standard error in a file.
+    pub fn start_into(errors: File, module: &str, role: &str, addresses: &[String]) -> Self {
+        let program = std::env::current_exe().expect("a running program has a path");
+        let mut program = Command::new(program);
+        program.stderr(errors);
+        Process::spawn(program, module, role, addresses, &[])
     }
 
     /// The same, as another user, who runs a copy of this program in `folder`. Needs root.
@@ -79,6 +87,11 @@ impl Process {
     /// Waits until it ends by itself, and returns whether it succeeded.
     pub fn succeeds(&mut self) -> bool {
         self.0.wait().expect("it was started here").success()
+    }
+
+    /// The status with which it has ended by itself; `None` while it runs.
+    pub fn exit_status(&mut self) -> Option<i32> {
+        self.0.try_wait().expect("it was started here").map(|status| status.code().unwrap_or(-1))
     }
 
     /// As `kill -9` does.

@@ -9,11 +9,11 @@ pub(super) use discovered::{
     AddDiscoveredLink, NeighbourChange, RemoveDiscoveredLink, ReportNeighbours,
 };
 
-use self::fault_reports::KeyInUse;
 use super::LinkSpec;
 use super::fault_reporter::FaultReporter;
 use super::keys::{NodeKeys, SealTerms};
 use super::own_incarnation::{IncarnationRaised, OwnIncarnation};
+use super::own_name::OwnName;
 use super::roster_watch::RosterChanged;
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
@@ -71,6 +71,7 @@ const REFUSAL_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 pub(super) struct LinksRecipients {
     pub(super) node: NodeName,
     pub(super) incarnation: OwnIncarnation,
+    pub(super) own_name: OwnName,
     pub(super) network: Arc<str>,
     pub(super) transport: Transport,
     pub(super) router_changes: Recipient<LinkChanged>,
@@ -95,6 +96,8 @@ pub(super) struct LinksActor {
     wake: WakeTimer,
     /// The largest frame; `None` while the medium is closed.
     mtu: Option<usize>,
+    /// Where this node is reached, for display.
+    local: String,
     /// How much the medium carries; `None` where it is plenty.
     bytes_per_second: Option<u64>,
     /// Where all are reached at once, if the medium is a bus.
@@ -108,9 +111,9 @@ pub(super) struct LinksActor {
     namesakes: SortedSet<LinkId>,
     /// Links to operators that came by themselves.
     dialed_in: SortedSet<LinkId>,
-    /// Links whose neighbour's key is in use twice, or was for a moment. What is declared outlives
-    /// the actor's incarnation, and ends when the other has been silent.
-    keys_in_use: SortedMap<LinkId, KeyInUse>,
+    /// Links whose neighbour's key is in use twice, and when the other node was there last. That
+    /// outlives the actor's incarnation, and ends when the other has been silent.
+    keys_in_use: SortedMap<LinkId, Instant>,
 }
 
 impl LinksActor {
@@ -122,6 +125,7 @@ impl LinksActor {
             rates: ByteRates::default(),
             wake: WakeTimer::default(),
             mtu: None,
+            local: String::new(),
             bytes_per_second: None,
             bus: None,
             reported: SortedMap::new(),
@@ -222,7 +226,13 @@ impl LinksActor {
         };
         let status = LinkStatus { neighbour, health, cost, mtu: self.mtu.unwrap_or(0) };
         self.reported.insert(number, status.clone());
-        self.wiring.router_changes.do_send(LinkChanged { link: number, status });
+        let remote = self.remote(number);
+        self.wiring.router_changes.do_send(LinkChanged { link: number, status, remote });
+    }
+
+    /// Where a link leads, for display.
+    fn remote(&self, number: LinkId) -> Arc<str> {
+        self.specs.get(&number).map(|spec| spec.remote.to_string()).unwrap_or_default().into()
     }
 
     fn tell_router_all(&mut self) {
@@ -306,7 +316,8 @@ impl LinksActor {
         self.forget_dialed_in();
         for (link, status) in std::mem::take(&mut self.reported) {
             let status = LinkStatus { health: LinkHealth::Down, ..status };
-            self.wiring.router_changes.do_send(LinkChanged { link, status });
+            let remote = self.remote(link);
+            self.wiring.router_changes.do_send(LinkChanged { link, status, remote });
         }
     }
 
@@ -393,8 +404,8 @@ impl MachineActor for LinksActor {
                     stalls.do_send(LivenessReported::Stalled { gap });
                 }
             }
-            LinkLayerOutput::KeyInUse { link, open, refused } => {
-                self.key_in_use(link, open, refused);
+            LinkLayerOutput::KeyInUse { link, open, refused, address } => {
+                self.key_in_use(link, (open, refused), &address);
             }
         }
     }
@@ -410,6 +421,7 @@ impl LinksActor {
             LinkOutput::Missing { hello_received } => self.missing(link, hello_received),
             LinkOutput::Quality(quality) => self.quality(link, quality),
             LinkOutput::Refused(refusal) => self.refused(link, &refusal),
+            LinkOutput::Taken(holder) => self.taken(link, &holder),
             LinkOutput::Transmit(_) => unreachable!("the layer transmits"),
         }
     }
@@ -444,6 +456,7 @@ impl Handler<TransportReport> for LinksActor {
                     );
                 }
                 self.mtu = Some(left);
+                self.local = local.to_string();
                 self.tell_port(&local);
                 self.bundle.handle_mtu(mtu);
                 self.tell_router_all();
@@ -533,6 +546,7 @@ impl Handler<TransmitOnLink> for LinksActor {
         self.bundle.with_link(link, platform::now(), |link| match load {
             LinkPayload::Routing(bytes) => link.handle_routing(bytes),
             LinkPayload::Packet(packet) => link.handle_packet(packet),
+            LinkPayload::Taken(holder) => link.handle_taken(holder),
         });
         self.drive_soon(context);
     }

@@ -29,7 +29,7 @@ pub(crate) mod keys;
 mod links;
 pub(crate) mod operator;
 mod own_incarnation;
-pub(crate) mod own_isolation;
+pub(crate) mod own_name;
 pub(crate) mod peer_messages;
 mod roster_exchange;
 mod roster_watch;
@@ -47,6 +47,7 @@ pub(crate) use roster_watch::RosterChanged;
 
 use self::fault_reporter::FaultReporter;
 use self::own_incarnation::OwnIncarnation;
+use self::own_name::OwnName;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
 use crate::registry::Registry;
@@ -210,6 +211,7 @@ pub(crate) struct NetHandle {
     carrier: Arc<carrier::CarrierMonitor>,
     roster: Option<Addr<RosterActor>>,
     own: OwnIncarnation,
+    own_name: OwnName,
     /// Ends with the last handle.
     _roster_watch: Option<Arc<RosterWatch>>,
 }
@@ -252,8 +254,8 @@ pub(crate) fn start(
     environment.observers.extend(roster.clone().map(Addr::recipient));
 
     let faults = environment.own_faults("router");
-    let own_isolation = own_isolation::OwnIsolation::new(node.clone());
-    let recipients = (environment.nodes.clone(), own_isolation.clone());
+    let own_name = OwnName::new();
+    let recipients = (environment.nodes.clone(), own_name.clone());
     let keys = environment.keys.clone();
     let make = router::RouterActor::maker(identity.clone(), recipients, faults, keys.clone());
     let router = guardian.start(named("router"), on_arbiter, make);
@@ -270,7 +272,7 @@ pub(crate) fn start(
         paths: sessions.clone().recipient(),
     });
 
-    let stubs = Arc::new(stub::PeerStubs::new(own_isolation));
+    let stubs = Arc::new(stub::PeerStubs::new());
     let to_sessions = gateway::SessionRecipients {
         send_reliable: sessions.clone().recipient(),
         send_latest: sessions.clone().recipient(),
@@ -309,6 +311,7 @@ pub(crate) fn start(
         let wiring = links::LinksRecipients {
             node: identity.0.clone(),
             incarnation: identity.1.clone(),
+            own_name: own_name.clone(),
             network: spec.name,
             transport: spec.transport,
             router_changes: router.clone().recipient(),
@@ -374,6 +377,7 @@ pub(crate) fn start(
         carrier,
         roster,
         own,
+        own_name,
         _roster_watch: roster_watch,
     })
 }
@@ -440,6 +444,11 @@ impl NetHandle {
             fault_forwarding::RemoteRecoverer::new(peer, gateway)
         };
         self.guardian.start(name, self.arbiter.as_ref(), make).recipient()
+    }
+
+    /// Whether another process has this node's name.
+    pub(crate) fn own_name(&self) -> &OwnName {
+        &self.own_name
     }
 
     /// Which incarnation of this node the others know.

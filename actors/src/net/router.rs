@@ -3,7 +3,7 @@
 use super::fault_reporter::FaultReporter;
 use super::keys::NodeKeys;
 use super::own_incarnation::{IncarnationRaised, OwnIncarnation};
-use super::own_isolation::OwnIsolation;
+use super::own_name::OwnName;
 use super::roster_watch::RosterChanged;
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
@@ -21,6 +21,7 @@ use blastema_contract::router::{
 use blastema_contract::strategy::Reroute;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::routing::RouterAlarm;
+use blastema_core::net::wire::frame::NameHolder;
 use blastema_core::net::{self, LinkId, NodeId, RouterConfig, RouterOutput};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
 use blastema_core::sorted::{SortedMap, SortedSet};
@@ -46,8 +47,9 @@ pub(super) struct RouterActor {
     inquirers: Vec<(NodeName, oneshot::Sender<Result<RecoveryDone, RecoveryFailed>>)>,
     /// The isolated nodes, which a restarted router is given.
     isolated: SortedSet<NodeName>,
-    /// Whether this node itself is, for want of a name of its own.
-    own_isolation: OwnIsolation,
+    /// Where the links lead, for display.
+    remotes: SortedMap<LinkId, Arc<str>>,
+    own_name: OwnName,
     /// Which incarnation of the node this is.
     own: OwnIncarnation,
     /// Each life of the machine agrees on keys of its own.
@@ -57,7 +59,7 @@ pub(super) struct RouterActor {
 impl RouterActor {
     pub(super) fn maker(
         (node, own): (NodeName, OwnIncarnation),
-        (monitor, own_isolation): (Option<Recipient<NodeReported>>, OwnIsolation),
+        (monitor, own_name): (Option<Recipient<NodeReported>>, OwnName),
         faults: FaultReporter,
         keys: Option<Arc<NodeKeys>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
@@ -79,7 +81,8 @@ impl RouterActor {
                 reached: SortedMap::new(),
                 inquirers: Vec::new(),
                 isolated: SortedSet::new(),
-                own_isolation,
+                remotes: SortedMap::new(),
+                own_name,
             }
         }
     }
@@ -88,6 +91,11 @@ impl RouterActor {
     fn declare(&self, kind: FaultKind, detail: String) {
         error!("{detail}");
         self.faults.declare(kind, detail);
+    }
+
+    /// Where a link leads.
+    fn remote(&self, link: LinkId) -> Arc<str> {
+        self.remotes.get(&link).cloned().unwrap_or_default()
     }
 
     /// What a user does about two nodes of one name.
@@ -243,12 +251,7 @@ impl MachineActor for RouterActor {
                 self.report_path(PathReported::Changed { node, mtu });
             }
             RouterOutput::Lost { node, incarnation } => self.lost(node, incarnation),
-            RouterOutput::Over(trouble) => {
-                if trouble == RouterAlarm::NameTaken {
-                    self.own_isolation.clear();
-                }
-                self.clear(trouble);
-            }
+            RouterOutput::Over(trouble) => self.clear(trouble),
             RouterOutput::NumberTaken { node, refused } => {
                 self.declare(FaultKind::NameTaken, format!(
                     "the names {node} and {refused} give one node number: {refused} is kept out; \
@@ -268,25 +271,23 @@ impl MachineActor for RouterActor {
                      give this node a key file of that robot"
                 ),
             },
-            RouterOutput::KeptOut { node, incarnation, by } => {
-                let cure = self.cure_of_namesakes();
+            RouterOutput::KeptOut { node, incarnation, by, link, over } => {
+                let (cure, [at, first]) =
+                    (self.cure_of_namesakes(), [link, over].map(|l| self.remote(l)));
                 self.declare(FaultKind::NameTaken, format!(
-                    "a node called {node} has come up as {incarnation}, and {node} is reached as {by} \
-                     by another way: the new one is kept out; {cure}"
+                    "another process called {node} has come up at {at} as {incarnation}, and {node} is \
+                     reached at {first} as {by}, and answers: the new one is told to stop; {cure}"
                 ));
             }
-            RouterOutput::NameTaken { incarnation, first: true } => {
-                let (name, cure) = (&self.config.node, self.cure_of_namesakes());
-                self.declare(FaultKind::NameTaken, format!(
-                    "another node called {name} has come up as {incarnation}: it is kept out; {cure}"
-                ));
+            RouterOutput::Refuse { link, by, over } => {
+                carry(link, LinkPayload::Taken(NameHolder::new(by, self.remote(over))));
             }
-            RouterOutput::NameTaken { incarnation, first: false } => {
-                self.own_isolation.set_name_taken(incarnation);
+            RouterOutput::NameTaken { by } => {
                 let (name, cure) = (&self.config.node, self.cure_of_namesakes());
-                self.declare(FaultKind::NameTaken, format!(
-                    "another node called {name} was there before, as {incarnation}: this one is \
-                     refused by all; {cure}"
+                self.own_name.set_taken(format!(
+                    "this process, {name} as {}, stops: another process called {name} was there before, \
+                     as {by}, and answers; {cure}",
+                    self.config.incarnation
                 ));
             }
         }
@@ -316,7 +317,8 @@ impl Handler<LinkChanged> for RouterActor {
     type Result = ();
 
     fn handle(&mut self, message: LinkChanged, context: &mut Context<Self>) {
-        let LinkChanged { link, status } = message;
+        let LinkChanged { link, status, remote } = message;
+        self.remotes.insert(link, remote);
         self.machine.handle_link(link, status, platform::now());
         self.drive(context);
         self.answer_inquirers(context);
@@ -334,6 +336,7 @@ impl Handler<ReceivedOnLink> for RouterActor {
             LinkPayload::Packet(packet) => {
                 self.machine.handle_packet(link, packet.into_bytes(), now)
             }
+            LinkPayload::Taken(_) => unreachable!("the links act on it"),
         }
         self.drive_soon(context);
     }

@@ -2,7 +2,6 @@
 
 use super::credit::{SendCredits, SenderCredit};
 use super::gateway::SendToPeer;
-use super::own_isolation::OwnIsolation;
 use crate::platform;
 use crate::registry::remote::{OutgoingRequest, RemoteStub, StubFactory};
 use actix::Recipient;
@@ -24,7 +23,6 @@ use tokio::sync::Notify;
 pub(super) struct PeerStubs {
     gateway: OnceLock<Recipient<SendToPeer>>,
     send_states: Mutex<SortedMap<NodeName, Arc<PeerSendState>>>,
-    own_isolation: OwnIsolation,
     ended: EndedFlag,
 }
 
@@ -35,7 +33,6 @@ type EndedFlag = Arc<AtomicBool>;
 /// What all stubs to one peer share.
 pub(super) struct PeerSendState {
     node: NodeName,
-    own_isolation: OwnIsolation,
     ended: EndedFlag,
     condition: AtomicU8,
     /// A path leads there, or perhaps the session waits for one.
@@ -84,7 +81,6 @@ impl PeerSendState {
 
     /// A session has begun: it takes messages, and knows of no binding.
     pub(super) fn begin(&self) {
-        self.own_isolation.clear();
         self.met.store(true, Relaxed);
         self.told.store(false, Relaxed);
         self.set(PeerCondition::Open);
@@ -171,7 +167,7 @@ impl PeerSendState {
             PeerCondition::Unreachable => {
                 Err(DeliveryError::Unreachable { node: self.node.to_string() })
             }
-            PeerCondition::Opening => Err(self.own_isolation.why()),
+            PeerCondition::Opening => Err(DeliveryError::Restarting),
             PeerCondition::Left => Err(DeliveryError::Left { node: self.node.to_string() }),
             PeerCondition::Open if self.is_full(object) => Err(DeliveryError::Full),
             PeerCondition::Open => Ok(()),
@@ -239,11 +235,10 @@ impl PeerSendState {
 }
 
 impl PeerStubs {
-    pub(super) fn new(own_isolation: OwnIsolation) -> Self {
+    pub(super) fn new() -> Self {
         PeerStubs {
             gateway: OnceLock::new(),
             send_states: Mutex::default(),
-            own_isolation,
             ended: EndedFlag::default(),
         }
     }
@@ -301,7 +296,6 @@ impl PeerStubs {
             let changed = Arc::new(Notify::new());
             Arc::new(PeerSendState {
                 node: node.clone(),
-                own_isolation: self.own_isolation.clone(),
                 ended: self.ended.clone(),
                 condition: AtomicU8::new(PeerCondition::Unreachable as u8),
                 path: AtomicBool::new(false),
@@ -401,8 +395,7 @@ mod tests {
 
     fn send_state() -> (Arc<PeerSendState>, ObjectName) {
         let name = |name| NodeName::new(name).unwrap();
-        let send_state =
-            PeerStubs::new(OwnIsolation::new(name("module1"))).send_state(&name("module2"));
+        let send_state = PeerStubs::new().send_state(&name("module2"));
         send_state.begin();
         (send_state, ObjectName::new("arm").unwrap())
     }

@@ -22,7 +22,7 @@ use super::inspection::StartInspection;
 use super::lost_communication::{KeptPolicy, LostCommunicationPolicy};
 #[cfg(feature = "network")]
 use super::network::hosts::Hosts;
-use super::safety::{EndCause, SignalWait};
+use super::safety::{EndCause, SignalWait, is_waited_for};
 use super::tree::{ComponentFacts, PreparedTree, SupervisorSpec, TreeEnvironment};
 use super::watchdogs::ProcessWatchdogs;
 use super::{Node, Shared};
@@ -134,6 +134,7 @@ impl NodeBuilder {
         tokio::select! {
             () = node.run_to(cause) => Ok(node.state()),
             state = node.ended() => {
+                node.end_if_displaced().await;
                 node.shutdown().await;
                 Ok(state)
             }
@@ -567,7 +568,10 @@ impl NodeAssembly {
         let node = Node(Arc::new(shared));
         node.0.policies.iter().for_each(|policy| policy.attach(&node));
         #[cfg(feature = "network")]
-        node.serve_operators();
+        {
+            node.serve_operators();
+            node.stop_if_displaced();
+        }
         StartingNode { node, controller }
     }
 }
@@ -603,6 +607,9 @@ impl StartingNode {
             }
             started = started => started,
         };
+        if !matches!(started, Ok(Ok(()))) && is_waited_for() {
+            self.node.end_if_displaced().await;
+        }
         match started {
             Ok(Ok(())) => {
                 #[cfg(feature = "network")]

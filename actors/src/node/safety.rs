@@ -32,6 +32,10 @@ const LAST_STEPS: Duration = Duration::from_millis(250);
 /// The callers of [`Node::run_until_signal`] and [`NodeBuilder::run_until`](super::NodeBuilder::run_until).
 static WAITING: AtomicUsize = AtomicUsize::new(0);
 
+/// The exit status of a process whose node has stopped because another process has its name.
+#[cfg(feature = "network")]
+const NAME_TAKEN: i32 = 3;
+
 fn nodes() -> MutexGuard<'static, Vec<Weak<Shared>>> {
     // Each change is one insertion or removal.
     NODES.lock().unwrap_or_else(PoisonError::into_inner)
@@ -138,6 +142,11 @@ fn handle_signal(signal: Termination, is_first: bool) {
     }
 }
 
+/// Whether a caller runs a node of this process until it ends, so that the process ends with it.
+pub(super) fn is_waited_for() -> bool {
+    WAITING.load(SeqCst) > 0
+}
+
 fn alive() -> Vec<Arc<Shared>> {
     nodes().iter().filter_map(Weak::upgrade).collect()
 }
@@ -234,6 +243,8 @@ impl Node {
     /// and ends the process at once. Where not every hook of a stop has run, because a component
     /// hangs, the safe outputs are applied, and the process ends here with the status 128 + signal,
     /// at the latest a second after the longest [`shutdown_within`](crate::ChildSpec::shutdown_within).
+    /// Where another process with this node's name is reached by a neighbour, and answers, this node
+    /// stops in order, and the process ends here with the status 3.
     /// Returns too when the node was shut down otherwise; a node in
     /// the safe state waits on, so that a person can look at it.
     ///
@@ -266,6 +277,37 @@ impl Node {
             cause = cause => self.end_for(cause).await,
             // Also if the sender of the state was dropped.
             _ = state.wait_for(|state| *state == NodeState::Stopped) => {}
+        }
+        self.end_if_displaced().await;
+    }
+
+    /// Shuts this node down once another process has its name, and answers.
+    #[cfg(feature = "network")]
+    pub(super) fn stop_if_displaced(&self) {
+        let Some(networks) = &self.0.networks else { return };
+        let (name, mut state) = (networks.handle.own_name().clone(), self.0.state.clone());
+        let node = Arc::downgrade(&self.0);
+        actix_rt::spawn(async move {
+            let why = tokio::select! {
+                why = name.until_taken() => why,
+                // Also if the sender of the state was dropped.
+                _ = state.wait_for(|state| *state == NodeState::Stopped) => return,
+            };
+            platform::tell_person(&why);
+            if let Some(node) = node.upgrade().map(Node) {
+                node.shut_down_because(&why).await;
+            }
+        });
+    }
+
+    /// Ends the process if its node has stopped for that reason.
+    pub(super) async fn end_if_displaced(&self) {
+        #[cfg(feature = "network")]
+        if let Some(networks) = &self.0.networks
+            && let Some(why) = networks.handle.own_name().taken()
+        {
+            self.shut_down_because(&why).await;
+            platform::end_process(NAME_TAKEN);
         }
     }
 

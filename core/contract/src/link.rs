@@ -8,6 +8,7 @@
 use actix::{Message, Recipient};
 use blastema_core::GatherBuffer;
 use blastema_core::net::routing::LinkStatus;
+use blastema_core::net::wire::frame::NameHolder;
 use blastema_core::net::{ByteRate, LinkId, LinkState, LinkTraffic, Neighbour, Quality, Refusals};
 use bytes::Bytes;
 use std::sync::Arc;
@@ -20,6 +21,8 @@ pub enum LinkPayload {
     Routing(Bytes),
     /// A packet on its way.
     Packet(GatherBuffer),
+    /// Another node has the neighbour's name. The neighbour's links act on it.
+    Taken(NameHolder),
 }
 
 /// The router wants a link to carry this. Dropped and counted where the link is not up.
@@ -50,6 +53,8 @@ pub struct LinkChanged {
     pub link: LinkId,
     /// How.
     pub status: LinkStatus,
+    /// Where it leads, for display.
+    pub remote: Arc<str>,
 }
 
 /// The router restarts: every link is to report its state.

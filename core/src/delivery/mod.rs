@@ -187,18 +187,6 @@ pub enum DeliveryError {
         /// The name.
         name: String,
     },
-    /// Another node had this node's name before: this one is kept out by all. Give it another name,
-    /// or end the other.
-    #[error(
-        "the name {name} of this node is taken: another node has it, in its incarnation {by}, and this one is \
-         kept out by all; give it another name, or end the other"
-    )]
-    NameTaken {
-        /// The name of both.
-        name: String,
-        /// The incarnation of the one that has it.
-        by: String,
-    },
     /// The message is larger than what a session carries to another node, whatever its contract
     /// allows. It was not sent: send it in parts.
     #[error(
@@ -396,7 +384,6 @@ impl DeliveryError {
             | DeliveryError::Superseded { .. }
             | DeliveryError::Unclaimed { .. }
             | DeliveryError::Unconnected { .. }
-            | DeliveryError::NameTaken { .. }
             | DeliveryError::AgeUnknown { .. }
             | DeliveryError::Forbidden { .. } => Outcome::NotTaken,
             // The callee may have been stopped while it served; and what cannot be decoded may be the

@@ -31,18 +31,19 @@ use super::seal::{
     SealerOutput,
 };
 use super::wire::Refusals;
-use super::wire::frame::{is_hello, is_urgent};
+use super::wire::frame::{Frame, NameHolder, is_hello, is_urgent};
 use super::wire::link_id::LinkId;
 use super::wire::node_id::NodeId;
 use crate::sorted::SortedMap;
 use crate::{GatherBuffer, Incarnation, Instant, Machine};
 use bytes::Bytes;
 use std::collections::VecDeque;
+use std::fmt;
 use std::hash::Hash;
 use std::time::Duration;
 
 /// An address of a medium.
-pub trait LinkAddress: Clone + Ord + Hash {
+pub trait LinkAddress: Clone + Ord + Hash + fmt::Display {
     /// Whether it is that of a connection whose other end has made it, and has not proved who it
     /// is.
     fn is_connection(&self) -> bool;
@@ -111,15 +112,17 @@ pub enum LinkLayerOutput<A> {
         /// Which.
         known: Incarnation,
     },
-    /// A node with the neighbour's key shakes hands in another incarnation while the neighbour is
-    /// heard.
+    /// A node with the neighbour's key is there in another incarnation, and the neighbour has
+    /// answered a hello that was sent after that one came. The other one is told so, each time.
     KeyInUse {
         /// The neighbour's link.
         link: LinkId,
-        /// The incarnation that is heard.
+        /// The incarnation that has answered.
         open: Incarnation,
         /// The other one, which is refused.
         refused: Incarnation,
+        /// Where the other one is.
+        address: A,
     },
 }
 
@@ -149,6 +152,8 @@ pub struct LinkLayer<C: SealCrypto, A> {
     may_dial_in: SortedMap<NodeId, [u8; PUBLIC_KEY]>,
     /// Where all nodes are reached at once, on a bus whose frames are not sealed.
     bus: Option<A>,
+    /// The last other node with a neighbour's key, and since when it is there.
+    others: SortedMap<LinkId, (Incarnation, Instant)>,
     /// What came from addresses that no link leads to.
     strangers: Refusals,
     outputs: VecDeque<LinkLayerOutput<A>>,
@@ -166,6 +171,7 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
             by_peer: SortedMap::new(),
             may_dial_in: SortedMap::new(),
             bus: None,
+            others: SortedMap::new(),
             strangers: Refusals::default(),
             outputs: VecDeque::new(),
         }
@@ -258,6 +264,7 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
     /// Takes a link out, and forgets its keys, unless its neighbour may dial in.
     pub fn remove(&mut self, number: LinkId) {
         self.links.remove(number);
+        self.others.remove(&number);
         let Some(LinkEnd { address, peer, .. }) = self.ends.remove(&number) else { return };
         self.by_address.remove(&address);
         if let (Some(sealer), Some(peer)) = (&mut self.sealer, peer) {
@@ -517,9 +524,8 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
                         link.handle_authenticated(payload.incarnation, now);
                     }
                 }
-                SealerOutput::KeyInUse { peer, open, refused } => {
-                    let Some(link) = self.by_peer.get(&peer).copied() else { continue };
-                    self.outputs.push_back(LinkLayerOutput::KeyInUse { link, open, refused });
+                SealerOutput::KeyInUse { peer, address, open, refused } => {
+                    self.refuse_other((peer, address), (open, refused), now);
                 }
                 SealerOutput::Outnumbered { peer, known } => {
                     self.outputs.push_back(LinkLayerOutput::Outnumbered { peer, known });
@@ -532,6 +538,29 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
                 }
             }
         }
+    }
+
+    /// Another node with a neighbour's key is there. It waits until the neighbour has answered a
+    /// hello, and is told so then; only the neighbour reads hellos, so the answer is no earlier one.
+    fn refuse_other(
+        &mut self,
+        (peer, address): (NodeId, A),
+        (open, refused): (Incarnation, Incarnation),
+        now: Instant,
+    ) {
+        let Some(link) = self.by_peer.get(&peer).copied() else { return };
+        let before = self.others.get(&link).filter(|(other, _)| *other == refused);
+        let since = before.map_or(now, |(_, since)| *since);
+        self.others.insert(link, (refused, since));
+        let has_answered = self.links.get(link).is_some_and(|link| link.has_answered(since));
+        let Some(end) = self.ends.get(&link).filter(|_| has_answered) else { return };
+        let taken = Frame::Taken(NameHolder::new(open, &end.address)).encode();
+        let sealed = self.sealer.as_mut().and_then(|sealer| sealer.seal_for_other(peer, &taken));
+        if let Some(sealed) = sealed {
+            let (to, frame, lane) = (address.clone(), sealed.into(), FrameLane::Hello);
+            self.outputs.push_back(LinkLayerOutput::Transmit { to, frame, lane });
+        }
+        self.outputs.push_back(LinkLayerOutput::KeyInUse { link, open, refused, address });
     }
 
     /// A node that has dialed in is where it comes from, which may be another place than before. No

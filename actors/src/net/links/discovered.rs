@@ -49,7 +49,8 @@ impl LinksActor {
     pub(super) fn remove(&mut self, number: LinkId) {
         if let Some(status) = self.reported.remove(&number) {
             let status = LinkStatus { health: LinkHealth::Down, ..status };
-            self.wiring.router_changes.do_send(LinkChanged { link: number, status });
+            let remote = self.remote(number);
+            self.wiring.router_changes.do_send(LinkChanged { link: number, status, remote });
         }
         self.tell_monitor(number, LinkCondition::Forgotten);
         self.bundle.remove(number);

@@ -4,30 +4,17 @@
 use super::LinksActor;
 use crate::net::LinkSpec;
 use crate::platform;
+use blastema_contract::transport::MediumAddress;
 use blastema_core::detection::LinkCondition;
 use blastema_core::net::link::PeerRefusal;
 use blastema_core::net::seal::SealRefusals;
-use blastema_core::net::{LinkId, Refusals};
-use blastema_core::{FaultKind, Incarnation, Instant};
+use blastema_core::net::wire::frame::NameHolder;
+use blastema_core::net::{Link, LinkId, Refusals};
+use blastema_core::{FaultKind, Incarnation};
 use std::time::Duration;
 use tracing::{error, warn};
 
-/// When another node shook hands with a neighbour's key while the neighbour was heard.
-#[derive(Clone, Copy)]
-pub(super) struct KeyInUse {
-    /// The incarnation of the other one, which was refused. A process that is restarted again and
-    /// again has another each time.
-    refused: Incarnation,
-    first: Instant,
-    last: Instant,
-    /// That is a fault, which stands.
-    declared: bool,
-}
-
-/// A process that was restarted within tenths of a second shakes hands while its former
-/// incarnation counts as heard, for less than this.
-const RESTART_SPAN: Duration = Duration::from_secs(1);
-/// A second computer with the key tries again every second.
+/// A process that is told to stop may be started again by a service manager.
 const KEY_FREE_AFTER: Duration = Duration::from_secs(10);
 
 impl LinksActor {
@@ -116,35 +103,54 @@ impl LinksActor {
         self.tell_monitor(number, LinkCondition::Down { reason });
     }
 
-    /// A node with the neighbour's key shakes hands in another incarnation while the neighbour is
-    /// heard. It was restarted just now, or two computers have one key.
-    pub(super) fn key_in_use(&mut self, number: LinkId, open: Incarnation, refused: Incarnation) {
-        let now = platform::now();
-        let seen = KeyInUse { refused, first: now, last: now, declared: false };
-        let before = self.keys_in_use.get(&number).filter(|before| before.refused == refused);
-        let seen = before.map_or(seen, |before| KeyInUse { last: now, ..*before });
-        let declares = !seen.declared && now - seen.first >= RESTART_SPAN;
-        let declared = seen.declared || declares;
-        self.keys_in_use.insert(number, KeyInUse { declared, ..seen });
-        if !declares {
+    /// Another process with the neighbour's key is there, at this address, and the neighbour has
+    /// answered.
+    pub(super) fn key_in_use(
+        &mut self,
+        number: LinkId,
+        (open, refused): (Incarnation, Incarnation),
+        address: &MediumAddress,
+    ) {
+        if self.keys_in_use.insert(number, platform::now()).is_some() {
             return;
         }
         let Some(spec) = self.specs.get(&number) else { return };
         let neighbour = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
         let detail = format!(
-            "the key of {neighbour} is in use twice, as incarnation {open} and as {refused}: two \
-             processes, perhaps of two computers, have one key file; give one of them a key of its own"
+            "the key of {neighbour} is in use twice, as incarnation {open} at {}, which answers, and as \
+             {refused} at {address}, which is told to stop: two processes, perhaps of two computers, have \
+             one key file; give one of them a key of its own",
+            spec.remote
         );
         error!(network = %self.wiring.network, link = %spec.name, "{detail}");
         self.wiring.faults.declare(FaultKind::NameTaken, detail);
     }
 
+    /// The neighbour reaches another process with this node's name, which answers.
+    pub(super) fn taken(&self, number: LinkId, holder: &NameHolder) {
+        let NameHolder { incarnation, address } = holder;
+        let (node, own) = (&self.wiring.node, self.wiring.incarnation.present());
+        let local = &self.local;
+        let neighbour = self.bundle.get(number).and_then(Link::neighbour);
+        let neighbour = neighbour.map(|neighbour| neighbour.node.clone());
+        let neighbour =
+            neighbour.or(self.specs.get(&number).and_then(|spec| spec.neighbour.clone()));
+        let neighbour = neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
+        let cure = match self.wiring.seal {
+            Some(_) => "end one of them, or give it a key file of its own",
+            None => "end one of them, or give it another name",
+        };
+        self.wiring.own_name.set_taken(format!(
+            "this process, {node} as {own} at {local}, stops: {neighbour} reaches another process called \
+             {node} at {address}, as {incarnation}, which answers; {cure}"
+        ));
+    }
+
     /// Forgets keys that no other node has used for a while.
     pub(super) fn forget_keys_in_use(&mut self) {
         let now = platform::now();
-        let free = |seen: &KeyInUse| now - seen.last >= KEY_FREE_AFTER;
-        let free: Vec<_> =
-            self.keys_in_use.iter().filter(|(_, seen)| free(seen)).map(|(n, _)| *n).collect();
+        let free = self.keys_in_use.iter().filter(|(_, last)| now - **last >= KEY_FREE_AFTER);
+        let free: Vec<_> = free.map(|(number, _)| *number).collect();
         for number in free {
             self.forget_key_in_use(number);
         }
@@ -152,7 +158,7 @@ impl LinksActor {
 
     /// The neighbour's key is in use once, or the link is no more.
     pub(super) fn forget_key_in_use(&mut self, number: LinkId) {
-        if self.keys_in_use.remove(&number).is_some_and(|seen| seen.declared) {
+        if self.keys_in_use.remove(&number).is_some() {
             self.clear_names();
         }
     }
@@ -166,7 +172,7 @@ impl LinksActor {
 
     /// The fault is over when no name and no key is taken twice.
     fn clear_names(&self) {
-        if self.namesakes.is_empty() && !self.keys_in_use.values().any(|seen| seen.declared) {
+        if self.namesakes.is_empty() && self.keys_in_use.is_empty() {
             self.wiring.faults.clear(FaultKind::NameTaken);
         }
     }

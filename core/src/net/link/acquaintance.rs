@@ -154,6 +154,7 @@ impl Link {
             loss_there: 0,
             turn: 1,
             echoed: None,
+            answered: Instant::ORIGIN,
             excused_until: Instant::ORIGIN,
             excuses: 0,
             stalled: Duration::ZERO,

@@ -40,7 +40,7 @@ use self::acquaintance::Contradiction;
 use self::quality::{QualityEstimator, QualityLimits};
 use self::reassembly::RoutingReassembly;
 
-use super::wire::frame::{Echo, Frame, Hello};
+use super::wire::frame::{Echo, Frame, Hello, NameHolder};
 use super::wire::hello_state::HelloState;
 use super::wire::{Refusals, WireError};
 use crate::timer::Timers;
@@ -112,6 +112,8 @@ struct NeighbourRecord {
     turn: u32,
     /// The latest of our hellos that it has echoed, and when that echo was received.
     echoed: Option<(u32, Instant)>,
+    /// When the latest one that it has ever echoed was sent.
+    answered: Instant,
     /// Silence before this does not count: this node was not run.
     excused_until: Instant,
     /// How often that was extended since its last hello.
@@ -210,6 +212,16 @@ impl Link {
         self.carry(Frame::Data(packet.into()));
     }
 
+    /// Tells the neighbour that another node has its name.
+    pub fn handle_taken(&mut self, holder: NameHolder) {
+        self.carry(Frame::Taken(holder));
+    }
+
+    /// Whether the neighbour has answered a hello that was sent after this.
+    pub(super) fn has_answered(&self, since: Instant) -> bool {
+        self.neighbour.as_ref().is_some_and(|record| record.answered > since)
+    }
+
     fn carry(&mut self, frame: Frame) {
         if self.carries() {
             self.outputs.push_back(LinkOutput::Transmit(frame.parcel()));
@@ -227,6 +239,8 @@ impl Link {
             Frame::Data(_) => self.carries() || self.has_proved(),
             // Routers know no link that is not up; the neighbour's router retransmits.
             Frame::Routing(_) | Frame::RoutingPart(_) => self.carries(),
+            // Where the neighbour has proved itself, it says so instead of taking this node's hellos.
+            Frame::Taken(_) => self.carries() || self.authenticated.is_some(),
         }
     }
 
@@ -263,6 +277,7 @@ impl Link {
                 Err(error) => self.refusals.count(&error),
             },
             Frame::Data(packet) => self.outputs.push_back(LinkOutput::Packet(packet.into_bytes())),
+            Frame::Taken(holder) => self.outputs.push_back(LinkOutput::Taken(holder)),
         }
     }
 
@@ -374,6 +389,7 @@ impl Link {
             let sent = self.sent.iter().find(|(sequence, _)| *sequence == echo.sequence);
             if let (true, Some((_, sent))) = (newest, sent) {
                 record.echoed = Some((echo.sequence, now));
+                record.answered = *sent;
                 let held = Duration::from_micros(echo.held_us.into());
                 self.gauge.handle_round_trip((now - *sent).saturating_sub(held));
             }

@@ -1,6 +1,7 @@
 //! What a link is configured with, is known for, and wants done.
 
 use super::quality::Quality;
+use crate::net::wire::frame::NameHolder;
 use crate::net::wire::node_id::NodeId;
 use crate::{GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
@@ -158,4 +159,6 @@ pub enum LinkOutput {
     Routing(Bytes),
     /// For the router: a packet.
     Packet(Bytes),
+    /// The neighbour reaches another node of this one's name, which has answered a challenge.
+    Taken(NameHolder),
 }

@@ -396,32 +396,71 @@ fn on_a_sealed_bus_each_neighbour_has_hellos_of_its_own_at_a_rate_that_the_bus_b
     assert!(world.sent.iter().all(|(_, to, _)| *to < 10), "nothing goes to all");
 }
 
-#[test]
-fn two_nodes_with_one_key_are_reported_while_the_first_is_heard() {
-    let mut world = World::up();
-    // A third computer says what the left node's restarted process would.
-    let mut copy = end(0, 2, world.now);
-    for _ in 0..1_000 {
+/// A third computer with the key of one of both is there for a while. Returns what it is told.
+fn with_a_copy(world: &mut World, of: usize, incarnation: u64, millis: u64) -> Vec<NameHolder> {
+    let (peer, mut told) = (1 - of, Vec::new());
+    let mut copy = end(of, incarnation, world.now);
+    for _ in 0..millis {
+        let before = world.sent.len();
         world.run(1);
         let now = at(world.now);
         if copy.poll_timeout().is_some_and(|due| due <= now) {
             copy.handle_timeout(now);
         }
+        for (_, to, frame) in &world.sent[before..] {
+            if *to == COPY {
+                copy.handle_frame(peer as Address, frame.clone(), now);
+            }
+        }
         while let Some(output) = copy.poll_output() {
-            if let LinkLayerOutput::Transmit { frame, .. } = output {
-                world.ends[1].handle_frame(0, frame.into_bytes(), now);
+            match output {
+                LinkLayerOutput::Transmit { frame, .. } => {
+                    world.ends[peer].handle_frame(COPY, frame.into_bytes(), now);
+                }
+                LinkLayerOutput::Of(_, LinkOutput::Taken(holder)) => told.push(holder),
+                _ => {}
             }
         }
     }
+    told
+}
 
-    let in_use = world.outputs.iter().any(|(_, node, output)| {
-        let expected =
-            LinkLayerOutput::KeyInUse { link: LINK, open: Incarnation(1), refused: Incarnation(2) };
-        (*node, output) == (1, &expected)
-    });
-    assert!(in_use);
-    assert_eq!(world.states(), [LinkState::Up; 2]);
-    assert_eq!(world.changes(1), []);
+/// Where the third computer is.
+const COPY: Address = 7;
+
+#[test]
+fn a_second_node_with_a_key_is_told_where_the_first_is_once_that_has_answered() {
+    // As initiator of handshakes and as responder, before the first in numbers and behind it.
+    for (of, incarnation) in [(0, 2), (1, 2)] {
+        let mut world = World::up();
+
+        let told = with_a_copy(&mut world, of, incarnation, 3_000);
+
+        assert_eq!(told[0], NameHolder::new(Incarnation(1), of));
+        let in_use = world.outputs.iter().any(|(_, node, output)| {
+            let (open, refused) = (Incarnation(1), Incarnation(incarnation));
+            let expected = LinkLayerOutput::KeyInUse { link: LINK, open, refused, address: COPY };
+            (*node, output) == (1 - of, &expected)
+        });
+        assert!(in_use);
+        assert_eq!(world.states(), [LinkState::Up; 2]);
+        assert_eq!(world.changes(1 - of), []);
+    }
+}
+
+#[test]
+fn a_node_that_was_restarted_at_once_is_not_told_of_the_one_before_it() {
+    for of in [0, 1] {
+        let mut world = World::up();
+        // It has ended, and its last frames are on their way.
+        world.ends[of] = LinkLayer::new(None);
+
+        let told = with_a_copy(&mut world, of, 2, 3_000);
+
+        assert_eq!(told, []);
+        let link = world.ends[1 - of].get(LINK).unwrap();
+        assert_eq!(link.neighbour().unwrap().incarnation, Incarnation(2));
+    }
 }
 
 #[test]

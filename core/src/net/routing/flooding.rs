@@ -1,6 +1,7 @@
 //! Announcements: told to every neighbour until it confirms them, compared, outdone.
 
 use super::keys::SignatureCheck;
+use super::names::UnusedLink;
 use super::topology::Adjacency;
 use super::{DatabaseEntry, Router, RouterAlarm, RouterOutput};
 use crate::Instant;
@@ -51,7 +52,8 @@ impl Router {
                 *best = edge;
             }
         }
-        self.own.edges = edges.into_values().take(NEIGHBOURS_MAX).collect();
+        let challenges = self.unused.values().map(UnusedLink::challenge);
+        self.own.edges = edges.into_values().chain(challenges).take(NEIGHBOURS_MAX).collect();
         self.own.id.sequence = self.own.id.sequence.saturating_add(1);
         self.sign();
         (self.announced_at, self.has_news) = (self.now, false);
@@ -74,8 +76,8 @@ impl Router {
     /// is passed on. If the origin fails, neighbours that compare what they know find the rest.
     pub(super) fn flood(&mut self, origin: NodeId, except: Option<LinkId>) {
         let Some(advertisement) = self.advertisement(origin) else { return };
-        let told: SortedSet<_> =
-            advertisement.edges.iter().map(|edge| (edge.to, edge.incarnation)).collect();
+        let links = advertisement.edges.iter().filter(|edge| edge.mtu != Edge::CHALLENGE);
+        let told: SortedSet<_> = links.map(|edge| (edge.to, edge.incarnation)).collect();
         let lacks = |(link, adjacent): (&LinkId, &Adjacency)| {
             let incarnation = Edge::incarnation_tag(adjacent.neighbour.incarnation);
             let has_it = origin != self.id && told.contains(&(adjacent.id, incarnation));
@@ -158,7 +160,7 @@ impl Router {
             if held.is_some_and(|held| *held == advertisement) {
                 confirmed.push(id);
                 if let Some(adjacent) = self.links.get_mut(&link) {
-                    adjacent.confirm(id, self.id);
+                    adjacent.pending.remove(&id.origin);
                 }
                 continue;
             }
@@ -205,6 +207,7 @@ impl Router {
         let same = before.is_some_and(|before| {
             before.edges == advertisement.edges && before.incarnation == advertisement.incarnation
         });
+        self.answer_challenge(&advertisement);
         self.known.insert(origin, DatabaseEntry { advertisement, expires });
         if !same {
             self.outdate();
@@ -243,7 +246,7 @@ impl Router {
             } else if held < advertisement_id {
                 wanted.push(held);
             } else if let Some(adjacent) = self.links.get_mut(&link) {
-                adjacent.confirm(advertisement_id, self.id);
+                adjacent.pending.remove(&origin);
             }
         }
         if let Some((first, last)) = range

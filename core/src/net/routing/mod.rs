@@ -22,7 +22,7 @@ pub mod topology;
 pub use self::keys::RouterKeys;
 pub use self::types::{LinkHealth, LinkStatus, RouterAlarm, RouterConfig, RouterOutput};
 
-use self::names::{Namesakes, UnusedLink};
+use self::names::UnusedLink;
 use super::active_alarms::ActiveAlarms;
 use super::wire::Refusals;
 use super::wire::advertisement::{Advertisement, AdvertisementId, RoutingMessage};
@@ -57,7 +57,9 @@ pub struct Router {
     has_news: bool,
     /// The last reported pair, so that a collision is reported once and not with every flood.
     reported_conflict: Option<(NodeName, NodeName)>,
-    namesakes: Namesakes,
+    /// Which other incarnation advertises links in this node's name, how often it was outdone, and
+    /// when last.
+    outdone: Option<(Incarnation, u8, Instant)>,
     /// Links to another node of a name, which are not used.
     unused: SortedMap<LinkId, UnusedLink>,
     /// Signatures and seals, where nodes have keys.
@@ -113,7 +115,7 @@ impl Router {
             announced_at: now,
             has_news: false,
             reported_conflict: None,
-            namesakes: Namesakes::default(),
+            outdone: None,
             unused: SortedMap::new(),
             keys: None,
             troubles: ActiveAlarms::default(),
@@ -203,9 +205,9 @@ impl Router {
         if health != LinkHealth::Down && self.is_kept_out(link, &neighbour) {
             return self.set_aside(link, LinkStatus { neighbour, health, cost, mtu });
         }
-        self.unused.remove(&link);
+        let was_unused = self.unused.remove(&link).is_some();
         if health == LinkHealth::Down || mtu < MTU_MIN {
-            if self.links.remove(&link).is_some() {
+            if self.links.remove(&link).is_some() || was_unused {
                 self.choose_anew();
                 self.announce_links();
             }
@@ -234,7 +236,6 @@ impl Router {
                         pending,
                         confirmed: 0,
                         compare_at: now,
-                        differs_since: None,
                         keys_differ: false,
                         checks: Default::default(),
                     },
@@ -294,7 +295,6 @@ impl Router {
                 self.handle_announce(link, advertisements)
             }
             Ok(RoutingMessage::Have { range, ids }) => self.handle_have(link, range, &ids),
-            Ok(RoutingMessage::Taken { by }) => self.handle_taken(by),
             Err(error) => self.refusals.count(&error),
         }
     }
@@ -327,7 +327,6 @@ impl Router {
     fn compute(&mut self) {
         self.compute_at = None;
         self.computed_at = self.now;
-        self.look_for_namesakes();
         let routes = self.topology().routes();
         let mut before = std::mem::replace(&mut self.routes, routes);
         let mut found = Vec::new();

@@ -1,85 +1,92 @@
-//! Two nodes of one name: the one that is reached keeps it.
+//! Two nodes of one name: the one that is reached, and answers, stays.
 //!
 //! ```text
 //!  A ─── B ─── C ─── A'      C reaches A over B when A' comes up beside it
-//!              C ──taken──► A'   the link with A' is not used while A is reached
+//!  ◄─challenge─┤             an edge to A in C's advertisement, with an MTU of 0, as no link has
+//!  ───answer──►├──taken──►   A's next advertisement, with a far greater sequence
 //! ```
 //!
-//! A restarted node has its name as soon as no path leads to its old incarnation: the links that
-//! led there have told of its end. Where two links of this node lead to two incarnations of another
-//! one, on two networks, this node challenges the first by a new advertisement. If the first
-//! confirms it within a second, ten on a narrow link, it keeps the name; if not, the second has it.
+//! A link with another incarnation of a node that is reached is not used: that incarnation waits. If
+//! the reached one answers a challenge, the other is told so, and stops. If no path leads there any
+//! more, or no answer has come within a second, ten on a narrow link, the other has the name. Only
+//! a node that is there can answer: what an ended incarnation has said was said before.
 //!
 //! Where two halves of a network meet that have each a node of one name, both hear that another
-//! incarnation advertises links in their name. Each outdoes the other (RFC 2328, 13.4). What an
-//! earlier incarnation has said is outdone once; a node that outdoes in return is there. Then the
-//! later incarnation uses no link for ten seconds, and its neighbours keep it out from then on.
+//! incarnation advertises links in their name. Each answers by a greater sequence (RFC 2328, 13.4).
+//! What an earlier incarnation has said is outdone so; a node that outdoes in return is there, and
+//! the later incarnation of both stops.
 
-use super::topology::Adjacency;
+use super::topology::{Adjacency, patience};
 use super::{LinkStatus, Router, RouterAlarm, RouterOutput};
 use crate::net::active_alarms::QUIET;
 use crate::net::link::Neighbour;
-use crate::net::wire::advertisement::{Advertisement, RoutingMessage};
+use crate::net::wire::advertisement::{Advertisement, Edge};
 use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::sorted::SortedMap;
 use crate::{Incarnation, Instant};
 use std::time::Duration;
 
-/// How far what another incarnation has said is outdone: beyond all that it said elsewhere.
-const OUTDONE_BY: u64 = 1 << 20;
+/// How far an answer is ahead: beyond all that the incarnation has said before, and elsewhere.
+const AHEAD: u64 = 1 << 20;
 /// So many times another incarnation is outdone before it must be there: what has been said before
 /// may be heard from several parts of a network, one after the other.
 const OUTDONE_TIMES: u8 = 3;
-/// A restarted node is kept out for less: until its neighbours know of the restart.
-const RESTARTED_WITHIN: Duration = Duration::from_secs(1);
-/// Who is kept out hears of it so often, and a node that is there is outdone so often.
+/// An answer takes no longer on fast links.
+const ANSWER_WITHIN: Duration = Duration::from_secs(1);
+/// A node that is refused is told so at this interval, and one that is there is outdone so often.
 const TELL_INTERVAL: Duration = Duration::from_millis(100);
-/// How long the later of two nodes uses no link: what both have said has spread by then.
-const YIELDS_FOR: Duration = Duration::from_secs(10);
 
 /// A link that is not used.
 #[derive(Clone, Debug)]
 pub(super) struct UnusedLink {
     status: LinkStatus,
-    since: Instant,
-    /// The sequence of this node's advertisement that the other incarnation must confirm, and by
-    /// when; `None` once that is decided, and where no link leads to the other one.
-    challenge: u64,
+    /// Which incarnation is challenged, and from which sequence on it has answered.
+    challenged: Option<(Incarnation, u64)>,
+    /// By when it must answer; `None` once that is over.
     decide_at: Option<Instant>,
     told_at: Instant,
     is_reported: bool,
 }
 
-/// What is known of other nodes with this one's name.
-#[derive(Debug, Default)]
-pub(super) struct Namesakes {
-    /// Which advertises links in this node's name, how often it was outdone, and when last.
-    outdone: Option<(Incarnation, u8, Instant)>,
-    /// Which is reached by the neighbours, since when they say so, and when they did last.
-    taken: Option<(Incarnation, Instant, Instant)>,
-    /// The last fault that was reported, so that it is reported once.
-    reported: Option<Incarnation>,
-    /// Until when this node uses no link.
-    pub(super) yields_until: Option<Instant>,
+/// The incarnation that has a name.
+#[derive(Clone, Copy)]
+struct Holder {
+    incarnation: Incarnation,
+    /// The link by which it is reached.
+    over: LinkId,
+    /// How long its answer may take.
+    patience: Duration,
+}
+
+impl UnusedLink {
+    /// The challenge, as this node's advertisement has it.
+    pub(super) fn challenge(&self) -> Edge {
+        let Neighbour { node, incarnation } = &self.status.neighbour;
+        let incarnation = Edge::incarnation_tag(*incarnation);
+        Edge { to: NodeId::of(node), incarnation, cost: 1, mtu: Edge::CHALLENGE }
+    }
 }
 
 impl Router {
     /// The incarnation that has the neighbour's name, if it is another one and is reached by
     /// another link to it, or without any link of this node to that name.
-    fn name_holder(&self, link: LinkId, neighbour: &Neighbour) -> Option<Incarnation> {
-        if let Some(direct) = self.direct_holder(link, neighbour) {
-            return Some(direct);
+    fn name_holder(&self, link: LinkId, neighbour: &Neighbour) -> Option<Holder> {
+        if let Some((over, near)) = self.links_to_others(link, neighbour).next() {
+            let patience = near.patience(ANSWER_WITHIN);
+            return Some(Holder { incarnation: near.neighbour.incarnation, over, patience });
         }
         let id = NodeId::of(&neighbour.node);
-        let held = self.known.get(&id)?.advertisement.incarnation;
-        if held == neighbour.incarnation {
+        let incarnation = self.known.get(&id)?.advertisement.incarnation;
+        if incarnation == neighbour.incarnation {
             return None;
         }
         let others = self.links.iter().filter(|(_, adjacent)| adjacent.id != id);
         let others: SortedMap<_, _> = others.map(|(link, other)| (*link, other.clone())).collect();
-        let is_reached = self.topology_over(&others).routes().contains_key(&id);
-        is_reached.then_some(held)
+        let routes = self.topology_over(&others).routes();
+        let route = routes.get(&id)?;
+        let patience = patience(route.mtu, ANSWER_WITHIN);
+        Some(Holder { incarnation, over: route.next, patience })
     }
 
     /// Links to other incarnations of a link's neighbour.
@@ -95,20 +102,6 @@ impl Router {
         })
     }
 
-    /// The other incarnation of a link's neighbour to which another link leads, unless it has left
-    /// a challenge unanswered.
-    fn direct_holder(&self, link: LinkId, neighbour: &Neighbour) -> Option<Incarnation> {
-        let unused = self.unused.get(&link).filter(|unused| unused.status.neighbour == *neighbour);
-        let counts = |near: &Adjacency| {
-            unused.is_none_or(|unused| {
-                unused.decide_at.is_some() || near.confirmed >= unused.challenge
-            })
-        };
-        let mut others = self.links_to_others(link, neighbour);
-        let holder = others.find(|(_, near)| counts(near))?;
-        Some(holder.1.neighbour.incarnation)
-    }
-
     /// A link is used from now on: those to other incarnations of its neighbour, which have left a
     /// challenge unanswered, are not.
     pub(super) fn set_silent_aside(&mut self, link: LinkId) {
@@ -118,144 +111,130 @@ impl Router {
         silent.into_iter().for_each(|(other, status)| self.set_aside(other, status));
     }
 
-    /// The time of a challenge is over.
-    pub(super) fn decide_challenges(&mut self) {
-        let now = self.now;
-        for unused in self.unused.values_mut() {
-            unused.decide_at = unused.decide_at.filter(|at| *at > now);
-        }
-        self.use_links_again();
-    }
-
     /// Does not use a link.
     pub(super) fn set_aside(&mut self, link: LinkId, status: LinkStatus) {
-        if self.links.remove(&link).is_some() {
-            self.announce_links();
-        }
+        self.links.remove(&link);
         match self.unused.get_mut(&link) {
             Some(unused) if unused.status.neighbour == status.neighbour => unused.status = status,
             _ => {
-                let (since, told_at, is_reported) = (self.now, Instant::ORIGIN, false);
-                let others = self.links_to_others(link, &status.neighbour);
-                let wait = others.map(|(_, near)| near.patience(RESTARTED_WITHIN)).max();
-                let decide_at = wait.map(|wait| since + wait);
-                if let Some(at) = decide_at {
-                    self.renew();
-                    self.wake_at = self.wake_at.min(at);
-                }
-                let challenge = self.own.id.sequence;
+                let holder = self.name_holder(link, &status.neighbour);
+                let decide_at = holder.map(|holder| self.now + holder.patience);
+                self.wake_at = self.wake_at.min(decide_at.unwrap_or(self.now));
+                let (told_at, is_reported) = (Instant::ORIGIN, false);
                 let unused =
-                    UnusedLink { status, since, challenge, decide_at, told_at, is_reported };
+                    UnusedLink { status, challenged: None, decide_at, told_at, is_reported };
                 self.unused.insert(link, unused);
+                self.challenge(link);
+                self.announce_links();
             }
         }
     }
 
-    /// Notes which links lead to another incarnation than their node is announced in.
-    pub(super) fn look_for_namesakes(&mut self) {
-        for adjacent in self.links.values_mut() {
-            let known = self.known.get(&adjacent.id).map(|known| known.advertisement.incarnation);
-            if known.is_none_or(|known| known == adjacent.neighbour.incarnation) {
-                adjacent.differs_since = None;
-            } else {
-                let since = *adjacent.differs_since.get_or_insert(self.now);
-                self.wake_at = self.wake_at.min(since + RESTARTED_WITHIN);
-            }
+    /// Challenges the incarnation that has the name of a link's neighbour, once it is known what it
+    /// has said. Returns whether that is another one than was challenged before.
+    fn challenge(&mut self, link: LinkId) -> bool {
+        let Some(unused) = self.unused.get(&link) else { return false };
+        let neighbour = &unused.status.neighbour;
+        let holder = self.name_holder(link, neighbour);
+        let known = self.known.get(&NodeId::of(&neighbour.node)).map(|known| &known.advertisement);
+        let Some((holder, known)) = holder.zip(known) else { return false };
+        let incarnation = holder.incarnation;
+        let same = unused.challenged.is_some_and(|(of, _)| of == incarnation);
+        if same || known.incarnation != incarnation {
+            return false;
         }
+        let answer = known.id.sequence.saturating_add(AHEAD);
+        let decide_at = self.now + holder.patience;
+        let Some(unused) = self.unused.get_mut(&link) else { return false };
+        unused.challenged = Some((incarnation, answer));
+        unused.decide_at = Some(decide_at);
+        self.wake_at = self.wake_at.min(decide_at);
+        true
     }
 
-    pub(super) fn set_aside_due(&self) -> Option<Instant> {
-        let since = self.links.values().filter_map(|adjacent| adjacent.differs_since);
-        since.min().map(|since| since + RESTARTED_WITHIN)
+    /// Whether the incarnation that has a name has answered the challenge.
+    fn has_answered(&self, unused: &UnusedLink, holder: Incarnation) -> bool {
+        let known = self.known.get(&NodeId::of(&unused.status.neighbour.node));
+        unused.challenged.zip(known).is_some_and(|((of, answer), known)| {
+            let newest = &known.advertisement;
+            of == holder && newest.incarnation == holder && newest.id.sequence >= answer
+        })
+    }
+
+    /// A node that advertises a challenge waits for an answer.
+    pub(super) fn answer_challenge(&mut self, advertisement: &Advertisement) {
+        let mut edges = advertisement.edges.iter();
+        if edges.any(|edge| edge.to == self.own.id.origin && edge.mtu == Edge::CHALLENGE) {
+            self.own.id.sequence = self.own.id.sequence.saturating_add(AHEAD);
+            self.renew();
+        }
     }
 
     pub(super) fn challenge_due(&self) -> Option<Instant> {
         self.unused.values().filter_map(|unused| unused.decide_at).min()
     }
 
-    /// Sets aside the links that have led to another incarnation for so long, where the announced
-    /// one is reached.
-    pub(super) fn set_namesakes_aside(&mut self) {
-        let now = self.now;
-        let mut others = Vec::new();
-        for (link, adjacent) in self.links.iter_mut() {
-            if adjacent.differs_since.is_some_and(|since| since + RESTARTED_WITHIN <= now) {
-                adjacent.differs_since = Some(now);
-                others.push((*link, status_of(adjacent)));
+    /// The time of a challenge is over.
+    pub(super) fn decide_challenges(&mut self) {
+        let mut late = Vec::new();
+        for (link, unused) in self.unused.iter_mut() {
+            if unused.decide_at.take_if(|at| *at <= self.now).is_some() {
+                late.push(*link);
             }
         }
-        for (link, status) in others {
-            if self.name_holder(link, &status.neighbour).is_some() {
-                self.set_aside(link, status);
+        late.into_iter().for_each(|link| self.use_again(link));
+    }
+
+    /// Routes have changed: which links can be used again, and what is to be challenged?
+    pub(super) fn use_links_again(&mut self) {
+        let links: Vec<_> = self.unused.keys().copied().collect();
+        for link in links {
+            if self.challenge(link) {
+                self.renew();
             }
+            self.use_again(link);
         }
     }
 
-    /// Routes have changed: which links can be used again?
-    pub(super) fn use_links_again(&mut self) {
-        let unused = &self.unused;
-        let is_free = |link, unused: &UnusedLink| !self.is_kept_out(link, &unused.status.neighbour);
-        let free = unused.iter().filter(|(link, unused)| is_free(**link, unused));
-        let free: Vec<_> = free.map(|(link, unused)| (*link, unused.status.clone())).collect();
-        for (link, status) in free {
+    fn use_again(&mut self, link: LinkId) {
+        let Some(unused) = self.unused.get(&link) else { return };
+        let status = unused.status.clone();
+        if !self.is_kept_out(link, &status.neighbour) {
             self.handle_link(link, status, self.now);
         }
     }
 
-    /// Whether a link with this neighbour is not used, for its name's sake or our own's.
-    ///
-    /// With keys the neighbour has proved who it is, and an advertisement may be a replay: the link
-    /// is used until it has led for a second to another incarnation than the one that outdoes it,
-    /// unless another link leads to the other one.
+    /// Whether a link with this neighbour is not used, for its name's sake.
     pub(super) fn is_kept_out(&self, link: LinkId, neighbour: &Neighbour) -> bool {
-        let is_judged = self.keys.is_none() || self.unused.contains_key(&link);
-        self.namesakes.yields_until.is_some()
-            || self.direct_holder(link, neighbour).is_some()
-            || is_judged && self.name_holder(link, neighbour).is_some()
+        let Some(holder) = self.name_holder(link, neighbour) else { return false };
+        let unused = self.unused.get(&link).filter(|unused| unused.status.neighbour == *neighbour);
+        unused.is_none_or(|unused| {
+            unused.decide_at.is_some() || self.has_answered(unused, holder.incarnation)
+        })
     }
 
-    /// A neighbour whose link is not used announces itself over and over: it is told why, and after
-    /// a while the user is.
+    /// A neighbour whose link is not used announces itself over and over. Once the challenge is
+    /// answered, it is told so, and the user is.
     pub(super) fn handle_kept_out(&mut self, link: LinkId) {
         let now = self.now;
-        // Only an answered challenge is a reason to tell it.
-        let is_decided = |unused: &&UnusedLink| unused.decide_at.is_none_or(|at| at <= now);
         let due = |unused: &&UnusedLink| unused.told_at + TELL_INTERVAL <= now;
-        let Some(unused) = self.unused.get(&link).filter(is_decided).filter(due) else { return };
+        let Some(unused) = self.unused.get(&link).filter(due) else { return };
         let Neighbour { node, incarnation } = unused.status.neighbour.clone();
-        let is_lasting = unused.since + RESTARTED_WITHIN <= now;
-        let Some(by) = self.name_holder(link, &unused.status.neighbour) else { return };
-        let bytes = RoutingMessage::Taken { by }.encode();
-        self.outputs.push_back(RouterOutput::Routing { link, bytes });
+        let holder = self.name_holder(link, &unused.status.neighbour);
+        let answered = |holder: &Holder| self.has_answered(unused, holder.incarnation);
+        let Some(Holder { incarnation: by, over, .. }) = holder.filter(answered) else { return };
+        self.outputs.push_back(RouterOutput::Refuse { link, by, over });
         self.go_on(RouterAlarm::NameTaken);
         let Some(unused) = self.unused.get_mut(&link) else { return };
         unused.told_at = now;
-        if is_lasting && !std::mem::replace(&mut unused.is_reported, true) {
+        if !std::mem::replace(&mut unused.is_reported, true) {
             self.begin_trouble(RouterAlarm::NameTaken);
-            self.outputs.push_back(RouterOutput::KeptOut { node, incarnation, by });
-        }
-    }
-
-    /// A neighbour does not use its link with this node, since it reaches another of its name.
-    pub(super) fn handle_taken(&mut self, by: Incarnation) {
-        if by == self.incarnation() {
-            self.refusals.unexpected += 1;
-            return;
-        }
-        let now = self.now;
-        let goes_on = |&(other, _, last): &(Incarnation, Instant, Instant)| {
-            other == by && now < last + RESTARTED_WITHIN / 2
-        };
-        let since = self.namesakes.taken.filter(goes_on).map_or(now, |(_, since, _)| since);
-        self.namesakes.taken = Some((by, since, now));
-        if since + RESTARTED_WITHIN <= now {
-            self.report_namesake(by, false);
+            self.outputs.push_back(RouterOutput::KeptOut { node, incarnation, by, link, over });
         }
     }
 
     /// An advertisement in this node's name that is as new as its own, and differs: of a router
-    /// before this one, of an earlier incarnation, or of another node. Returns whether ours is
-    /// newer now.
+    /// before this one, of an earlier incarnation, or of another node.
     pub(super) fn outdo(&mut self, theirs: &Advertisement) {
         let sequence = theirs.id.sequence;
         if theirs.incarnation == self.incarnation() {
@@ -263,7 +242,7 @@ impl Router {
             self.own.id.sequence = sequence;
             return self.renew();
         }
-        let times = match self.namesakes.outdone {
+        let times = match self.outdone {
             Some((other, times, at)) if other == theirs.incarnation && self.now < at + QUIET => {
                 if times >= OUTDONE_TIMES && self.now < at + TELL_INTERVAL {
                     // It is said again in a moment, since it is not confirmed.
@@ -273,48 +252,16 @@ impl Router {
             }
             _ => 1,
         };
-        self.namesakes.outdone = Some((theirs.incarnation, times, self.now));
-        if times > OUTDONE_TIMES {
-            let is_first = self.incarnation() < theirs.incarnation;
-            self.report_namesake(theirs.incarnation, is_first);
-            if !is_first {
-                return self.yield_name();
-            }
+        self.outdone = Some((theirs.incarnation, times, self.now));
+        if times > OUTDONE_TIMES && self.incarnation() > theirs.incarnation {
+            return self.outputs.push_back(RouterOutput::NameTaken { by: theirs.incarnation });
         }
-        self.own.id.sequence = sequence.saturating_add(OUTDONE_BY);
+        self.own.id.sequence = sequence.saturating_add(AHEAD);
         self.renew();
-    }
-
-    fn report_namesake(&mut self, incarnation: Incarnation, first: bool) {
-        self.go_on(RouterAlarm::NameTaken);
-        if self.namesakes.reported != Some(incarnation) {
-            self.namesakes.reported = Some(incarnation);
-            self.begin_trouble(RouterAlarm::NameTaken);
-            self.outputs.push_back(RouterOutput::NameTaken { incarnation, first });
-        }
-    }
-
-    fn yield_name(&mut self) {
-        let until = self.now + YIELDS_FOR;
-        self.wake_at = self.wake_at.min(until);
-        (self.namesakes.yields_until, self.namesakes.outdone) = (Some(until), None);
-        let links: Vec<_> = self.links.iter().map(|(link, a)| (*link, status_of(a))).collect();
-        for (link, status) in links {
-            self.links.remove(&link);
-            self.set_aside(link, status);
-        }
-        self.announce_links();
-    }
-
-    pub(super) fn end_yield(&mut self) {
-        self.namesakes.yields_until = None;
-        self.use_links_again();
     }
 
     /// Nothing was heard of it for a minute: what begins again is told of again.
     pub(super) fn forget_namesakes(&mut self) {
-        let yields_until = self.namesakes.yields_until;
-        self.namesakes = Namesakes { yields_until, ..Namesakes::default() };
         self.unused.values_mut().for_each(|unused| unused.is_reported = false);
     }
 }

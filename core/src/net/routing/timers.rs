@@ -22,13 +22,9 @@ pub(crate) enum RouterTimer {
     /// Computes the paths after a change of the topology: at once, but 5 ms after the last time at
     /// the earliest (SPF delay, RFC 8405).
     ComputeRoutes,
-    /// Uses no link whose node has been announced in another incarnation for 1 s.
-    SetAside,
-    /// Decides between two incarnations of a node to which two links lead: 1 s after the second has
-    /// come, 10 s where the first has a narrow link.
+    /// Uses the link with another incarnation of a node that was reached, 1 s after it has come, if
+    /// the reached one has not answered; 10 s where a narrow link leads there.
     Challenge,
-    /// Uses the links again, 10 s after another node was found that had this one's name before.
-    YieldEnd,
     /// Reports the nodes that a restarted router has not found again after a second (OSPF: grace
     /// period, RFC 3623).
     RestartGrace,
@@ -49,9 +45,7 @@ impl Timers for Router {
             Retransmit,
             CompareDatabase,
             ComputeRoutes,
-            SetAside,
             Challenge,
-            YieldEnd,
             RestartGrace,
             AlarmClear,
             Handshake,
@@ -68,9 +62,7 @@ impl Timers for Router {
             }
             RouterTimer::CompareDatabase => links.map(|link| link.compare_at).min(),
             RouterTimer::ComputeRoutes => self.compute_at,
-            RouterTimer::SetAside => self.set_aside_due(),
             RouterTimer::Challenge => self.challenge_due(),
-            RouterTimer::YieldEnd => self.namesakes.yields_until,
             RouterTimer::RestartGrace => self.remembered.as_ref().map(|(until, _)| *until),
             RouterTimer::AlarmClear => self.troubles.due(),
             RouterTimer::Handshake => self.keys.as_ref().and_then(RouterKeys::due),
@@ -83,9 +75,7 @@ impl Timers for Router {
             RouterTimer::AdvertisementExpiry => self.forget_the_old(),
             RouterTimer::Retransmit | RouterTimer::CompareDatabase => self.synchronise(now),
             RouterTimer::ComputeRoutes => self.compute(),
-            RouterTimer::SetAside => self.set_namesakes_aside(),
             RouterTimer::Challenge => self.decide_challenges(),
-            RouterTimer::YieldEnd => self.end_yield(),
             RouterTimer::RestartGrace => self.report_not_found_again(),
             RouterTimer::AlarmClear => self.end_troubles(),
             RouterTimer::Handshake => self.handle_handshakes(),

@@ -5,7 +5,7 @@ use super::{LinkHealth, MTU_MIN};
 use crate::net::is_narrow;
 use crate::net::link::Neighbour;
 use crate::net::seal::INIT_LENGTH;
-use crate::net::wire::advertisement::{Advertisement, AdvertisementId, Edge};
+use crate::net::wire::advertisement::{Advertisement, Edge};
 use crate::net::wire::frame::FRAME_HEADER;
 use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
@@ -54,8 +54,6 @@ pub(crate) struct Adjacency {
     /// The sequence of this node's newest advertisement that the neighbour has confirmed.
     pub(crate) confirmed: u64,
     pub(crate) compare_at: Instant,
-    /// Since when its node is announced in another incarnation.
-    pub(crate) differs_since: Option<Instant>,
     /// One end has keys, and the other has not, which was told.
     pub(crate) keys_differ: bool,
     /// The signatures that were checked for it.
@@ -63,18 +61,15 @@ pub(crate) struct Adjacency {
 }
 
 impl Adjacency {
-    /// The neighbour has the newest advertisement of an origin. Some are of this node, `here`.
-    pub(crate) fn confirm(&mut self, newest: AdvertisementId, here: NodeId) {
-        self.pending.remove(&newest.origin);
-        if newest.origin == here {
-            self.confirmed = newest.sequence;
-        }
-    }
-
     /// How long an answer of the neighbour's may take, where it takes so long on a fast medium.
     pub(crate) fn patience(&self, fast: Duration) -> Duration {
-        fast * if is_narrow(segment_limit(self.mtu)) { 10 } else { 1 }
+        patience(self.mtu, fast)
     }
+}
+
+/// How long an answer over links with this MTU may take, where it takes so long on fast ones.
+pub(crate) fn patience(mtu: u16, fast: Duration) -> Duration {
+    fast * if is_narrow(segment_limit(mtu)) { 10 } else { 1 }
 }
 
 /// A path whose segments are smaller carries nothing: too many nodes pass on what fits into too

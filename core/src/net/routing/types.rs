@@ -148,12 +148,20 @@ pub enum RouterOutput {
         /// Who is ignored.
         refused: NodeName,
     },
-    /// Another node of our name is in the network.
+    /// An earlier node of our name is there, and answers: this one must stop.
     NameTaken {
         /// The other's incarnation.
-        incarnation: Incarnation,
-        /// Ours is the older incarnation, and keeps the name. The other is kept out by all.
-        first: bool,
+        by: Incarnation,
+    },
+    /// Tell the neighbour at the other end of a link that another node has its name, and has
+    /// answered a challenge.
+    Refuse {
+        /// The link.
+        link: LinkId,
+        /// The other node's incarnation.
+        by: Incarnation,
+        /// The link by which the other one is reached.
+        over: LinkId,
     },
     /// A node that is reached over relays knows a later incarnation of this one.
     Outnumbered {
@@ -168,7 +176,8 @@ pub enum RouterOutput {
         /// Which.
         neighbour: NodeName,
     },
-    /// A link to this node is not used: another incarnation of it is reached by other ways.
+    /// A link to this node is not used: another incarnation of it is reached by other ways, and has
+    /// answered a challenge.
     KeptOut {
         /// Its name.
         node: NodeName,
@@ -176,5 +185,9 @@ pub enum RouterOutput {
         incarnation: Incarnation,
         /// The incarnation that is reached.
         by: Incarnation,
+        /// The link with the one that is kept out.
+        link: LinkId,
+        /// The link by which the other one is reached.
+        over: LinkId,
     },
 }

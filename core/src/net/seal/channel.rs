@@ -264,6 +264,9 @@ pub(super) enum Opening {
     Confirmed,
     /// It is the first under the offered channel, which is now the present one.
     Accepted,
+    /// It came under the offered channel, and the peer is heard in this other incarnation. The
+    /// present channel stays.
+    InUse(Incarnation),
 }
 
 /// The channels of one peer.
@@ -286,6 +289,9 @@ impl<F> Default for PeerChannels<F> {
 impl<F: FrameCipher> PeerChannels<F> {
     /// How long an offer waits for its first frame. The initiator asks again after a second.
     pub(super) const OFFER_MAX: Duration = Duration::from_secs(5);
+    /// A peer whose frames were opened within this time is there, in that incarnation. Links know
+    /// after 175 ms of silence that a neighbour is gone.
+    const HEARD_WITHIN: Duration = Duration::from_millis(200);
 
     pub(super) fn present(&self) -> Option<&Channel<F>> {
         self.present.as_ref()
@@ -303,11 +309,16 @@ impl<F: FrameCipher> PeerChannels<F> {
         all.into_iter().flatten().map(|channel| channel.terms.local)
     }
 
-    /// The peer's incarnation, if one of its frames was opened within this time.
-    pub(super) fn in_use(&self, within: Duration, now: Instant) -> Option<Incarnation> {
+    /// The peer's incarnation, if it is another one than this, and is heard.
+    pub(super) fn in_use_by_other(
+        &self,
+        incarnation: Incarnation,
+        now: Instant,
+    ) -> Option<Incarnation> {
         let present = self.present.as_ref().filter(|channel| channel.confirmed)?;
-        let opened_at = self.opened_at.filter(|at| now - *at < within);
-        opened_at.map(|_| present.terms.peer.incarnation)
+        let open = present.terms.peer.incarnation;
+        let is_heard = self.opened_at.is_some_and(|at| now - at < Self::HEARD_WITHIN);
+        (is_heard && open != incarnation).then_some(open)
     }
 
     /// Whether new keys are due by use of the present ones.
@@ -324,6 +335,11 @@ impl<F: FrameCipher> PeerChannels<F> {
     ) -> Option<Bytes> {
         let present = self.present.as_mut().filter(|channel| !channel.is_worn_out(limits))?;
         Some(present.seal(lane, pieces))
+    }
+
+    /// Seals under the offered channel.
+    pub(super) fn seal_offered(&mut self, lane: FrameLane, pieces: &[&[u8]]) -> Option<Bytes> {
+        Some(self.offered.as_mut()?.channel.seal(lane, pieces))
     }
 
     /// Opens a frame under the channel that its header names. Returns the peer, as it named itself
@@ -348,10 +364,14 @@ impl<F: FrameCipher> PeerChannels<F> {
             return Ok((Opening::Continued, former.terms.peer));
         }
         let offered = self.offered.as_mut().filter(|offer| usable(&offer.channel));
-        offered.ok_or(OpenError::Unknown)?.channel.open(header, frame)?;
+        let offered = &mut offered.ok_or(OpenError::Unknown)?.channel;
+        offered.open(header, frame)?;
+        let peer = offered.terms.peer;
+        if let Some(open) = self.in_use_by_other(peer.incarnation, now) {
+            return Ok((Opening::InUse(open), peer));
+        }
         let mut channel = self.offered.take().expect("it was opened under it").channel;
         channel.confirmed = true;
-        let peer = channel.terms.peer;
         self.replace(channel, limits, now);
         self.opened_at = Some(now);
         Ok((Opening::Accepted, peer))

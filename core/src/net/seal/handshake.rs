@@ -21,9 +21,6 @@ pub(super) const ASKING_MAX: usize = 16;
 pub(super) const OFFERS_MAX: usize = 16;
 /// Messages that wait for their turn: a turn takes 0.2 ms, and an init is repeated after 50 ms.
 const STEPS_MAX: usize = 32;
-/// A peer whose frames were opened within this time is there, in that incarnation. Links know after
-/// 175 ms of silence that a neighbour is gone.
-const HEARD_WITHIN: Duration = Duration::from_millis(200);
 /// A knock is answered by an init once in this time.
 const KNOCK_INTERVAL: Duration = Duration::from_millis(500);
 /// An init with a cookie is taken once in this time, whatever the budget says.
@@ -400,9 +397,6 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         };
         self.repeats.insert(node, init.ephemeral());
         let payload = HandshakePayload::decode(&payload);
-        if self.is_in_use(node, payload.incarnation, now) {
-            return;
-        }
         if self.is_outnumbered(node, payload.known) {
             return;
         }
@@ -439,21 +433,27 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if init.channel != answer.answered {
             return;
         }
-        let (suite, number) = (init.suite, init.channel);
+        let (suite, number, ephemeral) = (init.suite, init.channel, init.ephemeral());
         let Some((payload, keys)) = self.crypto.read_answer(handshake, &answer.noise) else {
             peer.refused += 1;
             return;
         };
         peer.approach = Approach::Waiting;
         let payload = HandshakePayload::decode(&payload);
-        if self.is_in_use(node, payload.incarnation, now) {
-            return self.index(node);
-        }
         if self.is_outnumbered(node, payload.known) {
             return self.index(node);
         }
         let channel = self.new_channel(suite, number, answer.channel, payload, &keys, now);
         let Some(peer) = self.peers.get_mut(&node) else { return };
+        if let Some(open) = peer.channels.in_use_by_other(payload.incarnation, now) {
+            // For what the other one is told.
+            let offer = OfferedChannel { channel, ephemeral, answer: Bytes::new() };
+            peer.channels.offer(offer);
+            let refused = payload.incarnation;
+            let in_use = SealerOutput::KeyInUse { peer: node, address: to, open, refused };
+            self.outputs.push_back(in_use);
+            return self.index(node);
+        }
         // Its answer is fresh, since it depends on our ephemeral key: no confirmation is needed.
         peer.channels.replace(channel, &self.config.limits, now);
         peer.address = Some(to.clone());
@@ -480,21 +480,6 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             self.outputs.push_back(SealerOutput::Outnumbered { peer, known });
         }
         is_news
-    }
-
-    /// Whether the peer is heard in another incarnation. A lower one is that of a recorded init; a
-    /// higher one is reported.
-    fn is_in_use(&mut self, node: NodeId, incarnation: Incarnation, now: Instant) -> bool {
-        let heard = |peer: &SealedPeer<C, A>| peer.channels.in_use(HEARD_WITHIN, now);
-        let open = self.peers.get(&node).and_then(heard);
-        let Some(open) = open.filter(|open| *open != incarnation) else { return false };
-        if incarnation > open {
-            let refused = incarnation;
-            self.outputs.push_back(SealerOutput::KeyInUse { peer: node, open, refused });
-        } else {
-            self.refusals.count(&OpenError::Repeated);
-        }
-        true
     }
 
     fn new_channel(

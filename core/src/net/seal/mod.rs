@@ -199,11 +199,14 @@ pub enum SealerOutput<A> {
         /// It had a channel in the same incarnation: these are new keys.
         renewed: bool,
     },
-    /// A node with the peer's key, in another incarnation, shakes hands while the peer is heard:
-    /// the peer was restarted within some tenths of a second, or two nodes have one key.
+    /// A node with the peer's key, in another incarnation, is there while the peer is heard: the
+    /// peer was restarted within some tenths of a second, or two nodes have one key. The other one
+    /// reads what is [sealed for it](Sealer::seal_for_other).
     KeyInUse {
         /// The peer.
         peer: NodeId,
+        /// Where the other one is.
+        address: A,
         /// The incarnation that is heard.
         open: Incarnation,
         /// The other one, which is refused.
@@ -420,6 +423,12 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         frame
     }
 
+    /// Seals a frame for another node with the peer's key, of which
+    /// [`KeyInUse`](SealerOutput::KeyInUse) was reported just now.
+    pub fn seal_for_other(&mut self, peer: NodeId, frame: &[u8]) -> Option<Bytes> {
+        self.peers.get_mut(&peer)?.channels.seal_offered(FrameLane::Hello, &[frame])
+    }
+
     /// The medium has received a frame. Returns what was sealed in it, or `None` if it was the
     /// handshakes' own.
     ///
@@ -453,6 +462,11 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         let limits = &self.config.limits;
         let (opening, payload) = known.channels.open(&header, &mut frame, limits, now)?;
         let incarnation = payload.incarnation;
+        if let Opening::InUse(open) = opening {
+            let (address, refused) = (from.clone(), incarnation);
+            self.outputs.push_back(SealerOutput::KeyInUse { peer, address, open, refused });
+            return Ok(None);
+        }
         if opening != Opening::Continued {
             let renewed = known.handle_open(incarnation, from.clone());
             let address = from.clone();

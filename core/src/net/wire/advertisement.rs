@@ -3,7 +3,6 @@
 //! ```text
 //! announce:  0 │ advertisement … to the frame's end
 //! have:      1 │ range 0 or 1 │ first 4 │ last 4 │ id … to the frame's end
-//! taken:     2 │ incarnation 8
 //!
 //! advertisement: id 12 │ incarnation 8 │ n 1 │ name n │ s 1 bit, count 7 bits
 //!                │ count × (neighbour 4, incarnation 1, cost 2, mtu 2) │ s: signature 64
@@ -41,7 +40,6 @@ pub(crate) const HAVE_HEADER: usize = 10;
 const ANNOUNCE: u8 = 0;
 const HAVE: u8 = 1;
 const SIGNED: u8 = 128;
-const TAKEN: u8 = 2;
 
 /// Which advertisement: of two of one origin, the greater is the newer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -80,6 +78,7 @@ pub struct Edge {
     /// How dear it is to use; at least 1.
     pub cost: u16,
     /// The largest frame that it carries, in bytes; saturates.
+    /// [`CHALLENGE`](Edge::CHALLENGE) is no link.
     pub mtu: u16,
 }
 
@@ -95,15 +94,13 @@ pub enum RoutingMessage {
         /// Which. A sequence of 0 asks for the origin's advertisement.
         ids: Vec<AdvertisementId>,
     },
-    /// Another node with the receiver's name is reached by other ways: the sender does not use
-    /// this link while it is.
-    Taken {
-        /// The other node's incarnation.
-        by: Incarnation,
-    },
 }
 
 impl Edge {
+    /// The MTU of an edge by which the origin challenges a node: is it there? The node answers by its
+    /// next advertisement. No path leads over it.
+    pub const CHALLENGE: u16 = 0;
+
     /// What an edge says of an incarnation: its last eight bits, which two incarnations that follow
     /// each other share by chance at most.
     pub fn incarnation_tag(incarnation: Incarnation) -> u8 {
@@ -214,10 +211,6 @@ impl RoutingMessage {
                     advertisement_id.put(&mut bytes);
                 }
             }
-            RoutingMessage::Taken { by } => {
-                bytes.put_u8(TAKEN);
-                bytes.put_u64(by.0);
-            }
         }
         bytes.freeze()
     }
@@ -248,11 +241,6 @@ impl RoutingMessage {
                     ids.push(AdvertisementId::read(&mut reader)?);
                 }
                 Ok(RoutingMessage::Have { range: ranged.then_some(range), ids })
-            }
-            TAKEN => {
-                let by = Incarnation(reader.u64()?);
-                reader.end("a name that is taken")?;
-                Ok(RoutingMessage::Taken { by })
             }
             _ => Err(WireError::Malformed { what: "a routing message's kind" }),
         }
@@ -301,8 +289,6 @@ mod tests {
             let have = RoutingMessage::Have { range, ids: vec![advertisement().id; 3] };
             assert_eq!(RoutingMessage::decode(have.encode()), Ok(have));
         }
-        let taken = RoutingMessage::Taken { by: Incarnation(9) };
-        assert_eq!(RoutingMessage::decode(taken.encode()), Ok(taken));
         for advertisement in [advertisement(), signed] {
             let one = RoutingMessage::Announce(vec![advertisement.clone()]).encode();
             assert_eq!(one.len(), 1 + advertisement.length());

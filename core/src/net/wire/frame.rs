@@ -4,7 +4,7 @@
 //!      0        1
 //! ┌────────┬────────┬──────────────────────────────┐
 //! │ 1011 v │  kind  │ hello, routing, data         │   v = version of the protocol, 1
-//! │        │        │ greeting, or routing part    │
+//! │        │        │ greeting, routing part, taken│
 //! └────────┴────────┴──────────────────────────────┘
 //!
 //! hello, kind 0, 38 bytes and the name:
@@ -23,6 +23,9 @@
 //! What a router says and no frame of the medium carries whole goes in parts, kind 4: one byte,
 //! which part it is from 0, with 128 added to the last, then the bytes.
 //!
+//! A node whose name another one has is told so by a frame of kind 5: the incarnation of the other
+//! one, 8 bytes, and where that is reached, as text.
+//!
 //! A frame ends where the transport says that it ends; integrity is the transport's business.
 
 use super::bus_hello::BusHello;
@@ -30,6 +33,7 @@ use super::hello_state::HelloState;
 use super::{Reader, WireError, Write, packet};
 use crate::{GatherBuffer, Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
+use std::fmt;
 
 /// The protocol's version: the low half of the first byte.
 pub const VERSION: u8 = 1;
@@ -43,6 +47,7 @@ const ROUTING: u8 = 1;
 const DATA: u8 = 2;
 const GREETING: u8 = 3;
 const ROUTING_PART: u8 = 4;
+const TAKEN: u8 = 5;
 
 /// What one link says to the link at the other end.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -57,6 +62,31 @@ pub enum Frame {
     Greeting(BusHello),
     /// A part of what the neighbour's router should know, where no frame carries it whole.
     RoutingPart(RoutingFragment),
+    /// Another node has the receiver's name.
+    Taken(NameHolder),
+}
+
+/// The node that has a name, as its neighbour tells another one of that name.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NameHolder {
+    /// Its incarnation.
+    pub incarnation: Incarnation,
+    /// Where the neighbour reaches it, in [`ADDRESS_MAX`](NameHolder::ADDRESS_MAX) bytes.
+    pub address: String,
+}
+
+impl NameHolder {
+    /// The longest address, in bytes: with it, the frame fits into the smallest one of a medium.
+    pub const ADDRESS_MAX: usize = 80;
+
+    /// An address that is too long loses its end.
+    pub fn new(incarnation: Incarnation, address: impl fmt::Display) -> Self {
+        let mut address = address.to_string();
+        while address.len() > Self::ADDRESS_MAX {
+            address.pop();
+        }
+        NameHolder { incarnation, address }
+    }
 }
 
 /// A part of something of the router's.
@@ -128,6 +158,14 @@ impl Frame {
                 bytes.put_slice(&part.bytes);
                 bytes.freeze().into()
             }
+            Frame::Taken(NameHolder { incarnation, address }) => {
+                let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 8 + address.len());
+                bytes.put_u8(MAGIC | VERSION);
+                bytes.put_u8(TAKEN);
+                bytes.put_u64(incarnation.0);
+                bytes.put_slice(address.as_bytes());
+                bytes.freeze().into()
+            }
         }
     }
 
@@ -155,6 +193,13 @@ impl Frame {
                 let (index, last) =
                     (first & RoutingFragment::INDEX_MAX, first & RoutingFragment::LAST != 0);
                 Ok(Frame::RoutingPart(RoutingFragment { index, last, bytes: reader.rest() }))
+            }
+            TAKEN => {
+                let incarnation = Incarnation(reader.u64()?);
+                let address = reader.rest();
+                let malformed = WireError::Malformed { what: "a node's address" };
+                let address = std::str::from_utf8(&address).map_err(|_| malformed)?;
+                Ok(Frame::Taken(NameHolder::new(incarnation, address)))
             }
             _ => Err(WireError::Malformed { what: "a frame's kind" }),
         }
@@ -280,6 +325,7 @@ mod tests {
             Frame::Data(Bytes::new().into()),
             Frame::RoutingPart(part(false)),
             Frame::RoutingPart(part(true)),
+            Frame::Taken(NameHolder::new(Incarnation(7), "udp 127.0.0.1:7400")),
         ] {
             assert_eq!(Frame::decode(frame.encode()), Ok(frame));
         }

@@ -319,7 +319,7 @@ impl World {
                     }
                     LinkOutput::Routing(bytes) => router.handle_routing(number, bytes, self.now),
                     LinkOutput::Packet(packet) => router.handle_packet(number, packet, self.now),
-                    LinkOutput::Missing { .. } => {}
+                    LinkOutput::Missing { .. } | LinkOutput::Taken(_) => {}
                     LinkOutput::Refused(refusal) => panic!("{refusal}"),
                 }
             }
@@ -421,6 +421,7 @@ impl World {
                 // A node that goes on with its number is found all the same.
                 RouterOutput::NameTaken { .. }
                 | RouterOutput::KeptOut { .. }
+                | RouterOutput::Refuse { .. }
                 | RouterOutput::Outnumbered { .. } => {}
                 other => panic!("{other:?}"),
             }

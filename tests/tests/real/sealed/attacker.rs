@@ -251,6 +251,7 @@ fn a_key_that_two_computers_have_is_a_fault_and_the_first_keeps_its_link() {
         // A copy of the right node's disk.
         let copy = node(&keys, "right", network(2, 0)).start().await.expect("it starts");
 
+        until(async || copy.state() == NodeState::Stopped, "the copy stops").await;
         let told = async || {
             let mut entries = left.faults().await.entries.into_iter();
             entries.any(|entry| entry.stands() && entry.fault.kind == FaultKind::NameTaken)
@@ -258,7 +259,6 @@ fn a_key_that_two_computers_have_is_a_fault_and_the_first_keeps_its_link() {
         until(told, "the left node tells it").await;
         assert_eq!(ask(&left, "right").await, 1);
         assert_eq!(left.links().await[0].neighbour, Some(known));
-        copy.shutdown().await;
         until(async || !told().await, "it is over when the copy is gone").await;
         left.shutdown().await;
         right.shutdown().await;

@@ -27,8 +27,8 @@ fn a_process_plays_its_role() {
     blastema::run(async {
         let counter = ChildSpec::new("right-counter", || super::Counter(0));
         let builder = Node::builder("right").work_threads(1).keys(file).child(counter);
-        let _node = builder.network(network(&scheme, 1, &at)).start().await.expect("it starts");
-        std::future::pending::<()>().await;
+        let node = builder.network(network(&scheme, 1, &at)).start().await.expect("it starts");
+        node.run_until_signal().await.expect("the system tells of signals");
     });
 }
 
@@ -97,7 +97,7 @@ impl Pair {
 fn a_killed_process_is_found_again_with_new_keys_and_serves_no_request_of_the_past() {
     let _turn = blastema_doubles::turn();
     blastema::run(async {
-        let rounds = if blastema_doubles::long() { 334 } else { 10 };
+        let rounds = if blastema_doubles::long() { 1_000 } else { 20 };
         for scheme in ["udp", "tcp", "unix"] {
             let mut pair = Pair::start(scheme).await;
             for round in 0..rounds {
@@ -105,9 +105,10 @@ fn a_killed_process_is_found_again_with_new_keys_and_serves_no_request_of_the_pa
                 // A request to the process that was killed is told to be lost, and is not served.
                 let first = pair.first_answer().await;
                 assert_eq!(first, 1, "{scheme}, {round}");
-                for number in 2..=10 {
+                for number in 2..=4 {
                     assert_eq!(ask(&pair.left, "right").await, number, "{scheme}, {round}");
                 }
+                assert_eq!(pair.right.exit_status(), None, "{scheme}, {round}: it was not refused");
                 pair.right.kill();
                 pair.right = Process::start_with(module_path!(), scheme, &pair.at, &[]);
                 until(async || pair.is_up().await && pair.incarnation().await > before, "again")
@@ -117,6 +118,55 @@ fn a_killed_process_is_found_again_with_new_keys_and_serves_no_request_of_the_pa
             // A restart within tenths of a second is no second computer with the key.
             let mut faults = pair.left.faults().await.entries.into_iter();
             assert!(!faults.any(|entry| entry.fault.kind == FaultKind::NameTaken), "{scheme}");
+            pair.left.shutdown().await;
+        }
+    });
+}
+
+/// Starts a second right node at an address of its own, with the key of the first. Returns the
+/// address, and where its standard error goes.
+fn start_twin(pair: &Pair, scheme: &str) -> (Process, String, std::path::PathBuf) {
+    let folder = Path::new(&pair.at[2]);
+    let address = match scheme {
+        "unix" => folder.join("twin").display().to_string(),
+        _ => free_addresses(1)[0].to_string(),
+    };
+    let errors = folder.join("twin.errors");
+    let at = [pair.at[0].clone(), address.clone(), pair.at[2].clone()];
+    let file = std::fs::File::create(&errors).expect("a folder");
+    (Process::start_into(file, module_path!(), scheme, &at), address, errors)
+}
+
+#[test]
+fn a_twin_stops_with_a_text_and_a_status_of_its_own_while_the_first_serves_every_request() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        for scheme in ["udp", "tcp", "unix"] {
+            let mut pair = Pair::start(scheme).await;
+            let (incarnation, mut served) = (pair.incarnation().await, 0);
+            let (mut twin, address, errors) = start_twin(&pair, scheme);
+
+            let ends = async || {
+                served += 1;
+                assert_eq!(ask(&pair.left, "right").await, served, "{scheme}");
+                twin.exit_status().is_some()
+            };
+            until(ends, "the twin stops").await;
+
+            for number in served + 1..=served + 20 {
+                assert_eq!(ask(&pair.left, "right").await, number, "{scheme}");
+            }
+            assert_eq!(pair.incarnation().await, incarnation, "{scheme}");
+            let text = std::fs::read_to_string(errors).expect("it was made");
+            assert_eq!(twin.exit_status(), Some(3), "{scheme}: {text}");
+            for part in [&pair.at[1], &address, "left reaches another process called right"] {
+                assert!(text.contains(part), "{scheme}: {part} is not in {text}");
+            }
+            let entries = pair.left.faults().await.entries;
+            let taken = entries.iter().find(|entry| entry.fault.kind == FaultKind::NameTaken);
+            let detail = &taken.expect("it is a fault of the left node").fault.detail;
+            assert!(detail.contains(&pair.at[1]) && detail.contains("told to stop"), "{detail}");
+            assert_eq!(pair.right.exit_status(), None, "{scheme}");
             pair.left.shutdown().await;
         }
     });

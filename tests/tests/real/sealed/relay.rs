@@ -76,6 +76,12 @@ enum Attack {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 struct End(usize);
 
+impl std::fmt::Display for End {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(ENDS[self.0])
+    }
+}
+
 impl LinkAddress for End {
     fn is_connection(&self) -> bool {
         false

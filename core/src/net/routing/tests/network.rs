@@ -116,12 +116,16 @@ impl Net {
         far.into_iter().for_each(|far| self.unplug(who, far));
     }
 
-    /// The cable from one node to another of this name.
-    pub(super) fn carry(&mut self, who: Who, link: LinkId, load: Load) {
+    /// The node at the other end of the cable from one node to another of this name.
+    fn far(&self, who: Who, link: LinkId) -> Option<Who> {
         let far = self.numbers.iter().find(|((own, _), number)| *own == who && **number == link);
         let far = far.map(|((_, far), _)| *far).unwrap();
-        let cable = self.cables.iter().find(|(a, b)| *a == who && b.0 == far).copied();
-        if let Some((_, far)) = cable {
+        let cable = self.cables.iter().find(|(a, b)| *a == who && b.0 == far);
+        cable.map(|(_, far)| *far)
+    }
+
+    pub(super) fn carry(&mut self, who: Who, link: LinkId, load: Load) {
+        if let Some(far) = self.far(who, link) {
             let number = self.number(far, who.0);
             self.wire.push((who, far, number, load));
         }
@@ -139,7 +143,7 @@ impl Net {
                 RouterOutput::Segment { source, segment, .. } => {
                     self.segments.push((who, source, segment));
                 }
-                RouterOutput::KeptOut { node, incarnation, by } => {
+                RouterOutput::KeptOut { node, incarnation, by, .. } => {
                     self.outputs.push(format!("{who:?} keeps {node}{incarnation} out for {by}"));
                 }
                 RouterOutput::Reachable { node, incarnation, .. } => {
@@ -148,8 +152,14 @@ impl Net {
                 RouterOutput::Lost { node, incarnation } => {
                     self.outputs.push(format!("{who:?} lost {node}{incarnation}"));
                 }
-                RouterOutput::NameTaken { incarnation, first } => {
-                    self.outputs.push(format!("{who:?} taken by {incarnation}, first: {first}"));
+                RouterOutput::NameTaken { by } => {
+                    self.outputs.push(format!("{who:?} stops for {by}"));
+                    return self.kill(who);
+                }
+                RouterOutput::Refuse { link, by, .. } => {
+                    let far = self.far(who, link).expect("its neighbour has said something");
+                    self.outputs.push(format!("{far:?} stops for {by}"));
+                    self.kill(far);
                 }
                 RouterOutput::Over(trouble) => {
                     self.outputs.push(format!("{who:?} is rid of {trouble:?}"));
