@@ -51,7 +51,7 @@ pub(super) struct UnusedLink {
 
 /// The incarnation that has a name.
 #[derive(Clone, Copy)]
-struct Holder {
+struct ReachedHolder {
     incarnation: Incarnation,
     /// The link by which it is reached.
     over: LinkId,
@@ -71,10 +71,10 @@ impl UnusedLink {
 impl Router {
     /// The incarnation that has the neighbour's name, if it is another one and is reached by
     /// another link to it, or without any link of this node to that name.
-    fn name_holder(&self, link: LinkId, neighbour: &Neighbour) -> Option<Holder> {
+    fn name_holder(&self, link: LinkId, neighbour: &Neighbour) -> Option<ReachedHolder> {
         if let Some((over, near)) = self.links_to_others(link, neighbour).next() {
             let patience = near.patience(ANSWER_WITHIN);
-            return Some(Holder { incarnation: near.neighbour.incarnation, over, patience });
+            return Some(ReachedHolder { incarnation: near.neighbour.incarnation, over, patience });
         }
         let id = NodeId::of(&neighbour.node);
         let incarnation = self.known.get(&id)?.advertisement.incarnation;
@@ -86,7 +86,7 @@ impl Router {
         let routes = self.topology_over(&others).routes();
         let route = routes.get(&id)?;
         let patience = patience(route.mtu, ANSWER_WITHIN);
-        Some(Holder { incarnation, over: route.next, patience })
+        Some(ReachedHolder { incarnation, over: route.next, patience })
     }
 
     /// Links to other incarnations of a link's neighbour.
@@ -221,8 +221,10 @@ impl Router {
         let Some(unused) = self.unused.get(&link).filter(due) else { return };
         let Neighbour { node, incarnation } = unused.status.neighbour.clone();
         let holder = self.name_holder(link, &unused.status.neighbour);
-        let answered = |holder: &Holder| self.has_answered(unused, holder.incarnation);
-        let Some(Holder { incarnation: by, over, .. }) = holder.filter(answered) else { return };
+        let answered = |holder: &ReachedHolder| self.has_answered(unused, holder.incarnation);
+        let Some(ReachedHolder { incarnation: by, over, .. }) = holder.filter(answered) else {
+            return;
+        };
         self.outputs.push_back(RouterOutput::Refuse { link, by, over });
         self.go_on(RouterAlarm::NameTaken);
         let Some(unused) = self.unused.get_mut(&link) else { return };
