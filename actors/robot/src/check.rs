@@ -169,6 +169,12 @@ impl<'a> RobotChecker<'a> {
             let help = format!("make it by `blastema keys add {name}`, and copy it there");
             self.find("robot::keys", sentence, (node.origin, "name"), help, "without a key");
         }
+        if node.may_be_away && node.endpoints.is_empty() {
+            let sentence = format!("node {} may be away, and is on no network", node.name);
+            let help = "give it an `endpoint`, or delete `may-be-away`".to_owned();
+            let at = (node.origin, "may-be-away");
+            self.find("robot::network", sentence, at, help, "no other node sees it");
+        }
         if let Some(name) = node.safe_outputs.as_deref().filter(|name| !safe_outputs.contains(name))
         {
             let sentence = format!("no safe outputs `{name}` are registered");

@@ -108,6 +108,9 @@ pub struct NodeDescription {
     pub safe_outputs: Option<String>,
     /// See [`NodeBuilder::work_threads`](blastema::NodeBuilder::work_threads).
     pub work_threads: Option<usize>,
+    /// Its absence is no fault for the other nodes. See
+    /// [`NodeBuilder::may_be_away`](blastema::NodeBuilder::may_be_away).
+    pub may_be_away: bool,
     /// See [`NodeBuilder::grace`](blastema::NodeBuilder::grace).
     pub grace: Option<Duration>,
     /// See [`NodeBuilder::inspection_socket`](blastema::NodeBuilder::inspection_socket).

@@ -221,6 +221,7 @@ impl RobotReader<'_> {
             keys: element.path("keys"),
             safe_outputs: element.take("safe-outputs", value::text),
             work_threads: element.take("work-threads", value::count),
+            may_be_away: element.take("may-be-away", value::flag).unwrap_or_default(),
             grace: element.take("grace", value::duration),
             shown_at: element.path("shown-at"),
             keep_variables: element.path("keep-variables"),

@@ -287,6 +287,10 @@ impl Types {
         for endpoint in &node.endpoints {
             builder = builder.network(network_of(robot, node, endpoint)?);
         }
+        if !node.endpoints.is_empty() {
+            let away = robot.nodes.iter().filter(|other| other.may_be_away && other.name != name);
+            builder = away.fold(builder, |builder, other| builder.may_be_away(&other.name));
+        }
         if let Some(keys) = robot.keys_of(node) {
             builder = builder.keys(keys);
         }

@@ -232,4 +232,6 @@ pub enum NodeCondition {
     Removed,
     /// The roster lists the node again.
     Listed,
+    /// The description of this node says so: that the other one cannot be reached is no fault.
+    MayBeAway,
 }

@@ -37,6 +37,8 @@ struct NodeSeen {
     isolated: Option<String>,
     /// Why it is in the safe state, as it says itself.
     rest: Option<String>,
+    /// Its absence is no fault.
+    may_be_away: bool,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -60,6 +62,7 @@ impl NodeSeen {
             restarts: 0,
             isolated: None,
             rest: None,
+            may_be_away: false,
         }
     }
 }
@@ -113,7 +116,9 @@ impl PeerTable {
         // A node that leaves takes its ends of the cables along.
         let left = neighbour.as_ref().is_some_and(|node| self.has_left(node));
         let is_change = !known && (carries || !left);
-        let finding = Finding::Link(condition.clone());
+        let away = !carries && neighbour.as_ref().is_some_and(|node| self.may_be_away(node));
+        let finding =
+            Finding::Link(if away { LinkCondition::Forgotten } else { condition.clone() });
         self.links.insert((node, link), LinkSeen { neighbour, condition, last_sign });
         is_change.then_some(PeerChange { location, incarnation: Incarnation::default(), finding })
     }
@@ -121,6 +126,10 @@ impl PeerTable {
     fn has_left(&self, node: &NodeName) -> bool {
         let status = self.nodes.get(node).map(|seen| &seen.status);
         matches!(status, Some(PeerStatus::Left | PeerStatus::Removed))
+    }
+
+    fn may_be_away(&self, node: &NodeName) -> bool {
+        self.nodes.get(node).is_some_and(|seen| seen.may_be_away)
     }
 
     /// The router reports how a node is. The same condition again is no change, a newer incarnation
@@ -147,6 +156,10 @@ impl PeerTable {
             self.handle_listed(&node);
             return Ok(None);
         }
+        if let NodeCondition::MayBeAway = condition {
+            self.nodes.entry(node).or_insert_with(NodeSeen::unmet).may_be_away = true;
+            return Ok(None);
+        }
         let before = self.nodes.get(&node);
         // Which incarnation is there, those say who can reach it, whatever its number: the clock
         // that numbers incarnations may have been set back. That another one has ended is no
@@ -171,22 +184,26 @@ impl PeerTable {
         }
         // The first report of a node is no restart, whatever its number is; nor is an
         // incarnation of which nothing but the loss was ever known, nor one after another that had
-        // left or was not listed.
+        // left or was not listed, nor one of a node that may be away.
+        let may_be_away = self.may_be_away(&node);
         let restarted = before.is_some_and(|seen| {
             let is_other = incarnation != seen.incarnation;
-            is_other && seen.incarnation != Incarnation::default() && !left && !removed
+            let was_met = seen.incarnation != Incarnation::default();
+            is_other && was_met && !left && !removed && !may_be_away
         });
+        let status = match &condition {
+            NodeCondition::Lost { reason } => PeerStatus::Lost(reason.clone()),
+            NodeCondition::Left => PeerStatus::Left,
+            _ => PeerStatus::Here,
+        };
         let condition = match condition {
             NodeCondition::Reachable | NodeCondition::Restarted if restarted => {
                 NodeCondition::Restarted
             }
             NodeCondition::Reachable | NodeCondition::Restarted => NodeCondition::Reachable,
+            // It goes as one that leaves in order.
+            NodeCondition::Lost { .. } if may_be_away => NodeCondition::Left,
             gone => gone,
-        };
-        let status = match &condition {
-            NodeCondition::Lost { reason } => PeerStatus::Lost(reason.clone()),
-            NodeCondition::Left => PeerStatus::Left,
-            _ => PeerStatus::Here,
         };
         let known = before.map(|seen| discriminant(&seen.status));
         let isolated = before.and_then(|seen| seen.isolated.clone());
@@ -199,7 +216,8 @@ impl PeerTable {
         let same = before.is_some_and(|seen| seen.incarnation == incarnation);
         let rest = before.filter(|_| same && !matches!(status, PeerStatus::Left));
         let rest = rest.and_then(|seen| seen.rest.clone());
-        let seen = NodeSeen { incarnation, status, last_sign, restarts, isolated, rest };
+        let seen =
+            NodeSeen { incarnation, status, last_sign, restarts, isolated, rest, may_be_away };
         self.nodes.insert(node.clone(), seen);
         let finding = Finding::Node(condition);
         Ok(is_change.then_some(PeerChange {
@@ -296,7 +314,10 @@ impl PeerTable {
                 LinkCondition::Up | LinkCondition::Forgotten => (Opinion::Trusted, None),
                 LinkCondition::Degraded { reason } => (Opinion::Suspect, Some(reason)),
                 LinkCondition::Down { reason } => {
-                    let left = seen.neighbour.as_ref().is_some_and(|node| self.has_left(node));
+                    let left = seen
+                        .neighbour
+                        .as_ref()
+                        .is_some_and(|node| self.has_left(node) || self.may_be_away(node));
                     (if left { Opinion::Stopped } else { Opinion::Failed }, Some(reason))
                 }
             };
@@ -311,6 +332,9 @@ impl PeerTable {
         let nodes = self.nodes.iter().map(move |(node, seen)| {
             let (opinion, note) = match &seen.status {
                 PeerStatus::Here => (Opinion::Trusted, None),
+                PeerStatus::Lost(reason) if seen.may_be_away => {
+                    (Opinion::Stopped, Some(format!("it may be away, and is: {reason}")))
+                }
                 PeerStatus::Lost(reason) => (Opinion::Failed, Some(reason.clone())),
                 // It is not watched any more.
                 PeerStatus::Left => (Opinion::Stopped, Some("it has left in order".to_owned())),
@@ -385,6 +409,45 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_node_that_may_be_away_goes_and_comes_as_one_that_leaves_and_has_a_row_from_the_start() {
+        use NodeCondition::{MayBeAway, Reachable, Restarted};
+        let mut around = PeerTable::default();
+        let row = |around: &PeerTable| {
+            let row = around.rows(at(9)).last().expect("a row");
+            (row.opinion, row.note)
+        };
+        let away = |why: &str| (Opinion::Stopped, Some(format!("it may be away, and is: {why}")));
+        let mut report = |incarnation, condition| {
+            let told = around.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
+            let finding = told.expect("it is of now").map(|change| change.finding);
+            (finding, row(&around))
+        };
+        assert_eq!(report(0, MayBeAway), (None, away("it was not met yet")));
+        let lost = || NodeCondition::Lost { reason: "gone".into() };
+        for incarnation in [3, 3, 4] {
+            let (came, _) = report(incarnation, Reachable);
+            assert_eq!(came, Some(Finding::Node(Reachable)));
+            let (went, row) = report(incarnation, lost());
+            assert_eq!((went, row), (Some(Finding::Node(NodeCondition::Left)), away("gone")));
+            assert_eq!(report(incarnation, lost()).0, None);
+        }
+        report(4, Reachable);
+        assert_eq!(report(5, Restarted).0, None, "it was started again, as it may be");
+
+        let mut link = |condition| {
+            let told =
+                around.handle_link(node("a"), "air".into(), Some(node("b")), condition, at(2));
+            told.map(|change| change.finding)
+        };
+        let down = || LinkCondition::Down { reason: "silent".into() };
+        assert_eq!(link(LinkCondition::Up), Some(Finding::Link(LinkCondition::Up)));
+        assert_eq!(link(down()), Some(Finding::Link(LinkCondition::Forgotten)));
+        assert_eq!(link(down()), None);
+        let opinions: Vec<_> = around.rows(at(9)).map(|row| row.opinion).collect();
+        assert_eq!(opinions, [Opinion::Stopped, Opinion::Trusted], "the link, then the node");
     }
 
     #[test]

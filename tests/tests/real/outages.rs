@@ -1,8 +1,9 @@
 //! Outages between two processes on real sockets: what watchers and callers learn once the nodes are
 //! connected again.
 
+use blastema::core::detection::Opinion;
 use blastema::prelude::*;
-use blastema::{Direction, Down, DownReason, Link, Network, NodeBuilder};
+use blastema::{Direction, Down, DownReason, FaultLocation, Link, Network, NodeBuilder};
 use blastema_tests::{Process, addresses, free_addresses, role};
 use std::net::SocketAddr;
 use std::sync::atomic::AtomicU64;
@@ -212,6 +213,55 @@ fn a_process_that_is_started_again_is_connected_when_its_objects_answer() {
             base.told(|told| told.iter().any(is_lost)).await;
             arm = base.arm(300);
         }
+        base.node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_process_that_may_be_away_ends_and_dies_without_a_fault_and_each_is_told_once() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let base = Base::start(|node| node.may_be_away("arm")).await;
+        let row = async || {
+            let rows = base.node.table().await;
+            let arm = FaultLocation::Node("arm".parse().unwrap());
+            let row = rows.into_iter().find(|row| row.location == arm).expect("it has a row");
+            (row.opinion, row.note.unwrap_or_default())
+        };
+        let (opinion, note) = row().await;
+        assert_eq!(opinion, Opinion::Stopped, "{note}");
+        assert!(note.contains("it may be away, and is"), "{note}");
+        for in_order in [true, false, true] {
+            let mut arm = base.arm(0);
+            base.connected().await;
+            base.end(0, 0).await;
+            assert_eq!(row().await, (Opinion::Trusted, String::new()));
+            base.told.lock().unwrap().clear();
+
+            match in_order {
+                true => {
+                    arm.signal("-TERM");
+                    assert!(arm.succeeds());
+                }
+                false => arm.kill(),
+            }
+            let gone = async {
+                while row().await.0 != Opinion::Stopped || !base.node.routes().await.is_empty() {
+                    blastema::sleep(MS).await;
+                }
+            };
+            tokio::time::timeout(PATIENCE, gone).await.expect("it is away");
+            let told = base.told(|told| !told.is_empty()).await;
+            // Another one would follow when the session is over.
+            while base.node.sessions().await.iter().any(|row| row.status.incarnation.is_some()) {
+                blastema::sleep(MS).await;
+            }
+            blastema::sleep(100 * MS).await;
+            let more = std::mem::take(&mut *base.told.lock().unwrap());
+            assert_eq!((told.len(), more), (1, vec![]), "{in_order}: {told:?}");
+        }
+        let faults = base.node.faults().await.entries;
+        assert!(faults.is_empty(), "{faults:?}");
         base.node.shutdown().await;
     });
 }

@@ -254,6 +254,7 @@ fn whole() -> RobotDescription {
             endpoint("cable", "unix:///tmp/arm.cable"),
             endpoint("ether", "udp://192.168.0.2:7400?interface=eth0"),
         ],
+        may_be_away: true,
         ..Default::default()
     };
     let eye = NodeDescription {

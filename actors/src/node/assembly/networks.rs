@@ -16,11 +16,11 @@ use crate::node::network_row::NetworkRow;
 use crate::platform::own_arbiter;
 use crate::service::{Carried, ReplicaBody, ServiceSpecError};
 use actix::prelude::*;
-use blastema_contract::monitor::Register;
+use blastema_contract::monitor::{NodeReported, Register};
 use blastema_contract::notifier::AddPort;
 use blastema_contract::reports::FaultDeclared;
 use blastema_contract::transport::Close;
-use blastema_core::detection::RecovererPort;
+use blastema_core::detection::{NodeCondition, RecovererPort};
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultKind, Incarnation, NodeName};
 use std::time::Duration;
@@ -158,6 +158,10 @@ fn make_networks(
     environment: &ComponentEnvironment,
 ) -> Result<(Networks, Vec<Register>), StartError> {
     let FaultChainParts { guardian, chain, monitor, .. } = parts;
+    for node in description.may_be_away.iter().filter_map(|node| NodeName::new(node).ok()) {
+        let (incarnation, condition) = (Incarnation::default(), NodeCondition::MayBeAway);
+        monitor.do_send(NodeReported { node, incarnation, condition });
+    }
     let described = description.named_nodes();
     let networks = std::mem::take(&mut description.networks);
     let (keys, session_timeout) = (description.keys.take(), description.session_timeout);

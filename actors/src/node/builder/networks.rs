@@ -77,6 +77,18 @@ impl NodeBuilder {
         self.child(component)
     }
 
+    /// Declares that another node may be away, such as an operator's laptop: that it is not there
+    /// yet, ends, or cannot be reached is [a state of its row](crate::Node::table) and no fault, and
+    /// its links are [not expected](crate::Link::expected_within) to come up. What depends on it
+    /// knows by a [condition](crate::Connected::node), and watchers by [`Down`](crate::Down).
+    ///
+    /// This node itself, a node that its roster does not list, and any on a node without networks are
+    /// [`StartError::Network`](crate::StartError::Network) when the node starts.
+    pub fn may_be_away(mut self, node: &str) -> Self {
+        self.networks.may_be_away.push(node.to_owned());
+        self
+    }
+
     /// Sets how long another node may leave segments unacknowledged, or be without a path, before
     /// the session with it ends and unacknowledged messages are returned: 2 s by default, 200 ms to
     /// 1 h. Longer rides out longer outages; shorter resolves requests sooner. Where answers take

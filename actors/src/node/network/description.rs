@@ -26,6 +26,8 @@ pub(in crate::node) struct NetworkDescription {
     pub(in crate::node) hosts: Hosts,
     pub(in crate::node) services: Vec<Result<Carried, ServiceSpecError>>,
     pub(in crate::node) session_timeout: Duration,
+    /// Nodes whose absence is no fault.
+    pub(in crate::node) may_be_away: Vec<String>,
     /// The file of the node's key.
     pub(in crate::node) key_file: Option<PathBuf>,
     pub(in crate::node) keys_permissions: KeysPermissions,
@@ -44,6 +46,7 @@ impl Default for NetworkDescription {
             hosts: Hosts::LookedUp,
             services: Vec::new(),
             session_timeout: SESSION_TIMEOUT.default,
+            may_be_away: Vec::new(),
             key_file: None,
             keys_permissions: KeysPermissions::Checked,
             keys: None,
@@ -58,6 +61,7 @@ impl NetworkDescription {
         self.read_file()?;
         self.networks.iter_mut().try_for_each(|network| self.hosts.resolve(network))?;
         self.read_keys(node)?;
+        self.check_away(node)?;
         let services = self.services.iter().map(|service| service.as_ref().map_err(Clone::clone));
         let services: Result<Vec<&Carried>, _> = services.collect();
         let services = services.map_err(StartError::from)?;
@@ -87,17 +91,51 @@ impl NetworkDescription {
                 "its commander {node} cannot reach this node, which has no networks: add one"
             ));
         }
-        let listed = self.keys.as_ref().map(|keys| keys.listed());
-        let (has_roster, known) = (listed.is_some(), listed.unwrap_or_else(|| self.named_nodes()));
-        if known.contains(node) {
-            return Ok(());
-        }
-        let near = nearest(node.as_str(), known.iter().map(NodeName::as_str));
-        let hint = near.map(|near| format!(": did you mean {near}?")).unwrap_or_default();
+        let Some((has_roster, hint)) = self.unknown(node) else { return Ok(()) };
+        let hint = hint.unwrap_or_default();
         if has_roster {
             return Err(format!("its commander {node} is not in the roster{hint}"));
         }
         warn!(%node, "the commander of a policy is no neighbour of this node{hint}");
+        Ok(())
+    }
+
+    /// Whether there is a roster that does not list the node, or else nothing that describes it; and
+    /// which node is meant, perhaps. `None` for a node that is known.
+    fn unknown(&self, node: &NodeName) -> Option<(bool, Option<String>)> {
+        let listed = self.keys.as_ref().map(|keys| keys.listed());
+        let (has_roster, known) = (listed.is_some(), listed.unwrap_or_else(|| self.named_nodes()));
+        let near = nearest(node.as_str(), known.iter().map(NodeName::as_str));
+        let hint = near.map(|near| format!(": did you mean {near}?"));
+        (!known.contains(node)).then_some((has_roster, hint))
+    }
+
+    /// Finds nodes that cannot be away, and expects no hello of the others. Without keys, a node that
+    /// is not described may be further away.
+    fn check_away(&mut self, own: &NodeName) -> Result<(), StartError> {
+        for name in &self.may_be_away {
+            let of = "the name of a node that may be away";
+            let node = NodeName::new(name).map_err(StartError::name_of(of))?;
+            let why = match self.unknown(&node) {
+                _ if node == *own => "it is this node: leave it out".to_owned(),
+                _ if self.networks.is_empty() => {
+                    "this node has no networks: add one, or leave it out".to_owned()
+                }
+                Some((true, hint)) => {
+                    format!("the roster does not list it{}", hint.unwrap_or_default())
+                }
+                Some((false, Some(hint))) => {
+                    warn!(%node, "a node that may be away is no neighbour of this node{hint}");
+                    continue;
+                }
+                Some((false, None)) | None => continue,
+            };
+            return Err(StartError::Network(format!("{name} may be away, as is described: {why}")));
+        }
+        let links = self.networks.iter_mut().flat_map(|network| &mut network.links);
+        for link in links.filter(|link| self.may_be_away.contains(&link.neighbour)) {
+            link.expected_within = Duration::MAX;
+        }
         Ok(())
     }
 
@@ -112,6 +150,7 @@ impl NetworkDescription {
         let Some(mut described) = self.file.read()? else { return Ok(()) };
         self.key_file = self.key_file.take().or(described.keys.take());
         self.keys_permissions = described.keys_permissions.unwrap_or(self.keys_permissions);
+        self.may_be_away.append(&mut described.may_be_away);
         self.networks.extend(described.into_networks());
         Ok(())
     }

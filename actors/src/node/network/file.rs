@@ -46,6 +46,9 @@ pub(super) struct DescribedNetworks {
     pub(super) keys: Option<PathBuf>,
     /// Whether the permissions of that file, its folder and the roster are checked.
     pub(super) keys_permissions: Option<KeysPermissions>,
+    /// Nodes whose absence is no fault.
+    #[serde(default)]
+    pub(super) may_be_away: Vec<String>,
     #[serde(default)]
     networks: BTreeMap<String, DescribedNetwork>,
 }

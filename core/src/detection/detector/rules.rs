@@ -366,8 +366,8 @@ impl Detector {
                 self.find(&scene, FaultKind::NodeInSafeState, detail, Cause::Itself);
             }
             NodeCondition::AtWork => self.end_kind(&scene, &FaultKind::NodeInSafeState),
-            // It is no finding.
-            NodeCondition::Listed => {}
+            // They are no findings.
+            NodeCondition::Listed | NodeCondition::MayBeAway => {}
             NodeCondition::Lost { reason } => {
                 self.crash_loops.handle_lost(&node);
                 let cause = self.crash_loop_of(&scene);
