@@ -234,7 +234,6 @@ impl Router {
                         mtu,
                         health,
                         pending,
-                        confirmed: 0,
                         compare_at: now,
                         keys_differ: false,
                         checks: Default::default(),

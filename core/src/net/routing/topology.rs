@@ -51,8 +51,6 @@ pub(crate) struct Adjacency {
     /// Origins whose advertisement the neighbour has not confirmed, when to repeat it, and how long
     /// to wait after that.
     pub(crate) pending: SortedMap<NodeId, (Instant, Duration)>,
-    /// The sequence of this node's newest advertisement that the neighbour has confirmed.
-    pub(crate) confirmed: u64,
     pub(crate) compare_at: Instant,
     /// One end has keys, and the other has not, which was told.
     pub(crate) keys_differ: bool,
