@@ -115,6 +115,7 @@ fn the_schema_has_the_defaults_of_the_code() {
         ("supervisor essential", SupervisorDescription::default().essential.to_string()),
         ("network insecure", network.insecure.to_string()),
         ("node grace", span(NodeBuilder::GRACE)),
+        ("node may-be-away", "false".to_owned()),
         ("argument type", "text".to_owned()),
     ];
     assert_eq!(of_schema, of_code.map(|(name, value)| (name.to_owned(), value)).into());
