@@ -217,14 +217,27 @@ async fn publish_to_a_slow_listener(scheme: &'static str) {
         }
     }
 
-    let (arrived, lost) = observer.settled().await;
-    assert_eq!(handed_over, arrived + lost, "{scheme}: {arrived} arrived, {lost} are lost");
-    assert!(arrived > 0 && lost > arrived, "{scheme}: {arrived} arrived, {lost} are lost");
-    let entries = node.faults().await.entries;
-    let is_told = |entry: &&FaultEntry| {
-        entry.fault.kind == FaultKind::Overload && entry.fault.detail.contains(News::NAME)
+    let (arrived, missing) = observer.settled().await;
+    let result = format!("{scheme}: {arrived} arrived, {missing} are lost");
+    assert_eq!(handed_over, arrived + missing, "{result}");
+    assert!(arrived > 0 && missing > arrived, "{result}");
+    let told = async || {
+        let entries = node.faults().await.entries;
+        let is_told = |entry: &&FaultEntry| {
+            entry.fault.kind == FaultKind::Overload && entry.fault.detail.contains(News::NAME)
+        };
+        entries.iter().filter(is_told).count()
     };
-    assert_eq!(entries.iter().filter(is_told).count(), 1, "{scheme}: {entries:#?}");
+    // The other node loses what this one is fast enough to send, and tells of it there.
+    if lost(node.dead_letters()) * 10 >= handed_over {
+        let tell = async {
+            while told().await == 0 {
+                sleep(50 * MS).await;
+            }
+        };
+        tokio::time::timeout(PATIENCE, tell).await.expect("a tenth is lost here");
+    }
+    assert!(told().await <= 1, "{scheme}: it is told once");
     node.shutdown().await;
 }
 

@@ -472,7 +472,10 @@ fn a_process_plays_its_role() {
         loop {
             if add(&node, "a", 1).await.is_ok() {
                 calls += 1;
-                std::fs::write(&counted, calls.to_string()).expect("a file");
+                // Whole, or not at all: the process may be killed meanwhile.
+                let next = format!("{counted}.next");
+                std::fs::write(&next, calls.to_string()).expect("a file");
+                std::fs::rename(&next, &counted).expect("it is there");
             }
         }
     });
