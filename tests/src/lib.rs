@@ -5,7 +5,7 @@ use blastema::core::net::trust::crypto::Seed;
 use blastema::core::net::trust::key_file::KeyFile;
 use blastema::core::net::trust::policy::Role;
 use blastema::core::net::trust::roster::{NodeRoster, RosterNode};
-use blastema::{Component, Context, Handle, Ports, Request};
+use blastema::{Component, Context, Handle, Link, Network, Ports, Request};
 use std::fs::{self, File, Permissions};
 use std::net::{SocketAddr, UdpSocket};
 use std::os::unix::fs::PermissionsExt;
@@ -222,4 +222,11 @@ pub fn free_addresses(count: usize) -> Vec<SocketAddr> {
         .map(|_| UdpSocket::bind("127.0.0.1:0").expect("the loopback interface has free ports"))
         .collect();
     held.iter().map(|socket| socket.local_addr().expect("it is bound")).collect()
+}
+
+/// The network of `left` (0) and `right` (1), as the one of them describes it whose number is `own`.
+pub fn pair_network(scheme: &str, own: usize, at: &[String]) -> Network {
+    let other = 1 - own;
+    let link = Link::new(["left", "right"][other], at[other].parse().expect("an address"));
+    Network::new("lan", &format!("{scheme}://{}", at[own])).link(link)
 }

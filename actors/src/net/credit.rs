@@ -3,8 +3,8 @@
 //!
 //! All senders of a class share its credit. A sender may hold up to seven times as much as is free
 //! (dynamic threshold, Choudhury and Hahne 1998), so that a sender that fills its share leaves
-//! capacity to the others, and gives way as soon as they send. Requests have credit of their own, and
-//! events that do not wait may use half of what messages may.
+//! capacity to the others, and gives way as soon as they send. Requests have credit of their own,
+//! and events that do not wait may use half of what messages may.
 
 use blastema_core::{Credit, CreditPool, TrafficClass};
 use std::sync::Arc;
@@ -12,8 +12,9 @@ use std::sync::atomic::Ordering::SeqCst;
 use std::sync::atomic::{AtomicBool, AtomicUsize};
 use tokio::sync::Notify;
 
-/// Messages of one class that may be in flight to one peer, and their bytes, requests apart. Half of
-/// the messages is what a hub of events has capacity for; the bytes are four of the largest messages.
+/// Messages of one class that may be in flight to one peer, and their bytes, requests apart. Half
+/// of the messages is what a hub of events has capacity for; the bytes are four of the largest
+/// messages.
 const MESSAGES_MAX: Amount = [2048, 4 << 20];
 /// Requests of one class, and their bytes, likewise.
 const REQUESTS_MAX: Amount = [1024, 2 << 20];

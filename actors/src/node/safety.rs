@@ -243,10 +243,9 @@ impl Node {
     /// and ends the process at once. Where not every hook of a stop has run, because a component
     /// hangs, the safe outputs are applied, and the process ends here with the status 128 + signal,
     /// at the latest a second after the longest [`shutdown_within`](crate::ChildSpec::shutdown_within).
-    /// Where another process with this node's name is reached by a neighbour, and answers, this node
-    /// stops in order, and the process ends here with the status 3.
-    /// Returns too when the node was shut down otherwise; a node in
-    /// the safe state waits on, so that a person can look at it.
+    /// Where another process with this node's name is reached by a neighbour, and answers, this
+    /// node stops in order, and the process ends here with the status 3. Returns too when the node
+    /// was shut down otherwise; a node in the safe state waits on, so that a person can look at it.
     ///
     /// ```no_run
     /// use blastema::prelude::*;

@@ -343,8 +343,8 @@ impl NotifySocket {
     }
 }
 
-/// Where sockets of this user's processes are: in `XDG_RUNTIME_DIR` if that folder is the user's, as
-/// the XDG Base Directory Specification asks, or else among the temporary files.
+/// Where sockets of this user's processes are: in `XDG_RUNTIME_DIR` if that folder is the user's,
+/// as the XDG Base Directory Specification asks, or else among the temporary files.
 pub fn runtime_folder() -> PathBuf {
     let user = rustix::process::geteuid().as_raw();
     let is_ours = |path: &PathBuf| {

@@ -4,8 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Makes `program` reachable for every user in `folder`, which must be open to them, and returns its
-/// new path.
+/// Makes `program` reachable for every user in `folder`, which must be open to them, and returns
+/// its new path.
 ///
 /// It is a hard link, which needs no disk; a copy where `folder` is on another file system.
 ///

@@ -541,7 +541,8 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
     }
 
     /// Another node with a neighbour's key is there. It waits until the neighbour has answered a
-    /// hello, and is told so then; only the neighbour reads hellos, so the answer is no earlier one.
+    /// hello, and is told so then; only the neighbour reads hellos, so the answer is no earlier
+    /// one.
     fn refuse_other(
         &mut self,
         (peer, address): (NodeId, A),

@@ -1,11 +1,11 @@
 //! The books of what was sent to another process: each message and each event that was accepted has
-//! arrived, or is counted as lost, and none is both. During an outage that outlasts the session, and
-//! where the receiver is slow.
+//! arrived, or is counted as lost, and none is both. During an outage that outlasts the session,
+//! and where the receiver is slow.
 
 use blastema::core::detection::FaultEntry;
 use blastema::prelude::*;
-use blastema::{Blob, Contract, DeadLetterLog, Link, Network};
-use blastema_tests::{Process, addresses, free_addresses, role};
+use blastema::{Blob, Contract, DeadLetterLog};
+use blastema_tests::{Process, addresses, free_addresses, pair_network, role};
 use std::cell::Cell;
 use std::rc::Rc;
 use std::sync::{Arc, OnceLock};
@@ -80,12 +80,6 @@ fn lost(dead_letters: &DeadLetterLog) -> u64 {
         .sum()
 }
 
-fn network(scheme: &str, own: usize, at: &[String]) -> Network {
-    let other = 1 - own;
-    let link = Link::new(["left", "right"][other], at[other].parse().expect("an address"));
-    Network::new("lan", &format!("{scheme}://{}", at[own])).link(link)
-}
-
 #[test]
 fn a_process_plays_its_role() {
     let Some(scheme) = role() else { return };
@@ -98,7 +92,7 @@ fn a_process_plays_its_role() {
             ..Ledger::default()
         });
         let builder = Node::builder("right").child(ledger);
-        let node = builder.network(network(&scheme, 1, &addresses())).start().await;
+        let node = builder.network(pair_network(&scheme, 1, &addresses())).start().await;
         let node = node.expect("it starts");
         dead_letters.set(node.dead_letters().clone()).expect("it is set once");
         std::future::pending::<()>().await;
@@ -146,7 +140,7 @@ impl Observer<'_> {
 
 async fn stop_for_longer_than_a_session(scheme: &'static str) {
     let at: Vec<_> = free_addresses(2).iter().map(ToString::to_string).collect();
-    let node = Node::builder("left").network(network(scheme, 0, &at)).start().await;
+    let node = Node::builder("left").network(pair_network(scheme, 0, &at)).start().await;
     let node = node.expect("it starts");
     let right = Process::start_with(module_path!(), scheme, &at, &[]);
     assert!(node.connected("right", PATIENCE).await);
@@ -200,7 +194,7 @@ fn each_accepted_message_of_an_outage_arrived_or_is_counted_as_lost() {
 
 async fn publish_to_a_slow_listener(scheme: &'static str) {
     let at: Vec<_> = free_addresses(2).iter().map(ToString::to_string).collect();
-    let node = Node::builder("left").network(network(scheme, 0, &at)).start().await;
+    let node = Node::builder("left").network(pair_network(scheme, 0, &at)).start().await;
     let node = node.expect("it starts");
     let _right = Process::start_with(module_path!(), scheme, &at, &[]);
     assert!(node.connected("right", PATIENCE).await);

@@ -1,9 +1,9 @@
 //! A stream of messages as fast as they are taken, and requests of another component to the same
 //! node, over real sockets: none of the requests is refused.
 
+use blastema::Blob;
 use blastema::prelude::*;
-use blastema::{Blob, Link, Network};
-use blastema_tests::{Process, addresses, free_addresses, role};
+use blastema_tests::{Process, addresses, free_addresses, pair_network, role};
 use std::cell::Cell;
 use std::rc::Rc;
 use std::time::Duration;
@@ -47,12 +47,6 @@ impl Handle<Question> for Oracle {
     }
 }
 
-fn network(scheme: &str, own: usize, at: &[String]) -> Network {
-    let other = 1 - own;
-    let link = Link::new(["left", "right"][other], at[other].parse().expect("an address"));
-    Network::new("lan", &format!("{scheme}://{}", at[own])).link(link)
-}
-
 #[test]
 fn a_process_plays_its_role() {
     let Some(scheme) = role() else { return };
@@ -60,14 +54,14 @@ fn a_process_plays_its_role() {
     blastema::run(async {
         let sink = ChildSpec::new("sink", || Sink).queue(1024, WhenFull::Refuse);
         let builder = Node::builder("right").child(sink).child(ChildSpec::new("oracle", || Oracle));
-        let _node = builder.network(network(&scheme, 1, &addresses())).start().await;
+        let _node = builder.network(pair_network(&scheme, 1, &addresses())).start().await;
         std::future::pending::<()>().await;
     });
 }
 
 async fn ask_beside_a_stream(scheme: &'static str, size: usize) {
     let at: Vec<_> = free_addresses(2).iter().map(ToString::to_string).collect();
-    let node = Node::builder("left").network(network(scheme, 0, &at)).start().await;
+    let node = Node::builder("left").network(pair_network(scheme, 0, &at)).start().await;
     let node = node.expect("it starts");
     let _right = Process::start_with(module_path!(), scheme, &at, &[]);
     assert!(node.connected("right", PATIENCE).await);

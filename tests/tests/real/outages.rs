@@ -1,5 +1,5 @@
-//! Outages between two processes on real sockets: what watchers and callers learn once the nodes are
-//! connected again.
+//! Outages between two processes on real sockets: what watchers and callers learn once the nodes
+//! are connected again.
 
 use blastema::core::detection::Opinion;
 use blastema::prelude::*;
@@ -14,8 +14,8 @@ use std::time::Duration;
 const PATIENCE: Duration = Duration::from_secs(60);
 const MS: Duration = Duration::from_millis(1);
 
-/// Replies with the present incarnation, which ends so soon: at once, or never with 0 times; so many
-/// incarnations after it end, too.
+/// Replies with the present incarnation, which ends so soon: at once, or never with 0 times; so
+/// many incarnations after it end, too.
 #[derive(Clone, Debug, Request)]
 #[contract(name = "outage/end", reply = u64)]
 struct End {

@@ -501,7 +501,9 @@ fn a_process_ends_when_a_component_in_it_fails_for_good_and_its_group_answers() 
     let file = folder.path().join("one.robot.xml");
     let text = r#"<robot schema="1" name="ranger"><node name="base">
   <supervisor name="drive" strategy="rest-for-one">
-    <process name="unit"><component name="motors" type="Faulty" rate="50Hz"/></process>
+    <process name="unit" restart="transient">
+      <component name="motors" type="Faulty" rate="50Hz"/>
+    </process>
     <component name="map" type="Part"><param name="mass" value="2 kg"/></component>
   </supervisor>
 </node></robot>"#;

@@ -78,12 +78,12 @@ impl NodeBuilder {
     }
 
     /// Declares that another node may be away, such as an operator's laptop: that it is not there
-    /// yet, ends, or cannot be reached is [a state of its row](crate::Node::table) and no fault, and
-    /// its links are [not expected](crate::Link::expected_within) to come up. What depends on it
-    /// knows by a [condition](crate::Connected::node), and watchers by [`Down`](crate::Down).
+    /// yet, ends, or cannot be reached is [a state of its row](crate::Node::table) and no fault,
+    /// and its links are [not expected](crate::Link::expected_within) to come up. What depends on
+    /// it knows by a [condition](crate::Connected::node), and watchers by [`Down`](crate::Down).
     ///
-    /// This node itself, a node that its roster does not list, and any on a node without networks are
-    /// [`StartError::Network`](crate::StartError::Network) when the node starts.
+    /// This node itself, a node that its roster does not list, and any on a node without networks
+    /// are [`StartError::Network`](crate::StartError::Network) when the node starts.
     pub fn may_be_away(mut self, node: &str) -> Self {
         self.networks.may_be_away.push(node.to_owned());
         self

@@ -100,8 +100,8 @@ impl NetworkDescription {
         Ok(())
     }
 
-    /// Whether there is a roster that does not list the node, or else nothing that describes it; and
-    /// which node is meant, perhaps. `None` for a node that is known.
+    /// Whether there is a roster that does not list the node, or else nothing that describes it;
+    /// and which node is meant, perhaps. `None` for a node that is known.
     fn unknown(&self, node: &NodeName) -> Option<(bool, Option<String>)> {
         let listed = self.keys.as_ref().map(|keys| keys.listed());
         let (has_roster, known) = (listed.is_some(), listed.unwrap_or_else(|| self.named_nodes()));
@@ -110,8 +110,8 @@ impl NetworkDescription {
         (!known.contains(node)).then_some((has_roster, hint))
     }
 
-    /// Finds nodes that cannot be away, and expects no hello of the others. Without keys, a node that
-    /// is not described may be further away.
+    /// Finds nodes that cannot be away, and expects no hello of the others. Without keys, a node
+    /// that is not described may be further away.
     fn check_away(&mut self, own: &NodeName) -> Result<(), StartError> {
         for name in &self.may_be_away {
             let of = "the name of a node that may be away";

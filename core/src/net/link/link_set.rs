@@ -65,9 +65,9 @@ impl LinkSet {
     pub const WORDS: usize = 2;
     /// The greetings of all nodes together may take one part in so many of the bus.
     const SHARE: u64 = 10;
-    /// With more links than this, a node sends no more than one hello in 5 ms, and receives as many:
-    /// all hellos among `n` nodes that are linked to each other then take `200 * n` frames a second,
-    /// not `20 * n * n`.
+    /// With more links than this, a node sends no more than one hello in 5 ms, and receives as
+    /// many: all hellos among `n` nodes that are linked to each other then take `200 * n` frames a
+    /// second, not `20 * n * n`.
     const LINKS_AT_ANY_PACE: usize = 10;
     const PACE_OF_MANY: Duration = Duration::from_millis(5);
     /// From this lateness on, neighbours with the usual hello interval of 50 ms find two hellos
@@ -151,7 +151,8 @@ impl LinkSet {
         }
     }
 
-    /// Sets the hello interval as configured, or as long as the medium and the number of links need.
+    /// Sets the hello interval as configured, or as long as the medium and the number of links
+    /// need.
     fn pace(&mut self) {
         let links = self.machines.iter().count();
         if links > Self::LINKS_AT_ANY_PACE && self.bus.is_none() {

@@ -239,7 +239,8 @@ impl Link {
             Frame::Data(_) => self.carries() || self.has_proved(),
             // Routers know no link that is not up; the neighbour's router retransmits.
             Frame::Routing(_) | Frame::RoutingPart(_) => self.carries(),
-            // Where the neighbour has proved itself, it says so instead of taking this node's hellos.
+            // Where the neighbour has proved itself, it says so instead of taking this node's
+            // hellos.
             Frame::Taken(_) => self.carries() || self.authenticated.is_some(),
         }
     }

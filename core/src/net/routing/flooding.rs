@@ -67,9 +67,9 @@ impl Router {
         self.known.get(&origin).map(|known| &known.advertisement)
     }
 
-    /// Gives an origin's newest advertisement to every neighbour that has it neither from the origin
-    /// itself nor from the neighbour that it came from. Among `n` nodes that are all linked to each
-    /// other, one change then takes `n - 1` messages, where each node told all others.
+    /// Gives an origin's newest advertisement to every neighbour that has it neither from the
+    /// origin itself nor from the neighbour that it came from. Among `n` nodes that are all linked
+    /// to each other, one change then takes `n - 1` messages, where each node told all others.
     ///
     /// Nothing is lost for good. The origin repeats its advertisement to the neighbours in it until
     /// they confirm it. If such a link fails, the origin's next advertisement does not list it, and
@@ -218,8 +218,8 @@ impl Router {
         self.flood(origin, Some(from));
     }
 
-    /// Whether a neighbour was given an origin's newest advertisement, and still has time to confirm
-    /// it.
+    /// Whether a neighbour was given an origin's newest advertisement, and still has time to
+    /// confirm it.
     fn is_on_its_way(&self, link: LinkId, origin: NodeId) -> bool {
         let pending = self.links.get(&link).and_then(|adjacent| adjacent.pending.get(&origin));
         pending.is_some_and(|(due, _)| *due > self.now)

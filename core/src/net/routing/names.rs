@@ -6,10 +6,10 @@
 //!  ───answer──►├──taken──►   A's next advertisement, with a far greater sequence
 //! ```
 //!
-//! A link with another incarnation of a node that is reached is not used: that incarnation waits. If
-//! the reached one answers a challenge, the other is told so, and stops. If no path leads there any
-//! more, or no answer has come within a second, ten on a narrow link, the other has the name. Only
-//! a node that is there can answer: what an ended incarnation has said was said before.
+//! A link with another incarnation of a node that is reached is not used: that incarnation waits.
+//! If the reached one answers a challenge, the other is told so, and stops. If no path leads there
+//! any more, or no answer has come within a second, ten on a narrow link, the other has the name.
+//! Only a node that is there can answer: what an ended incarnation has said was said before.
 //!
 //! Where two halves of a network meet that have each a node of one name, both hear that another
 //! incarnation advertises links in their name. Each answers by a greater sequence (RFC 2328, 13.4).

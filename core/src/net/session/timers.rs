@@ -10,8 +10,8 @@ use crate::{Instant, TrafficClass};
 pub(crate) enum SessionTimer {
     /// Ends a session, or returns its messages, when the peer has owed an answer, or had no path,
     /// for `idle_timeout`, or four times as long while messages of the last session are not
-    /// settled; with a path for three retransmission timeouts at least (QUIC: idle timeout; TCP: user
-    /// timeout, RFC 5482).
+    /// settled; with a path for three retransmission timeouts at least (QUIC: idle timeout; TCP:
+    /// user timeout, RFC 5482).
     Idle,
     /// Sends again what is in flight of a stream: a retransmission timeout after its first chunk
     /// there (RFC 6298).

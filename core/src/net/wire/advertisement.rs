@@ -97,8 +97,8 @@ pub enum RoutingMessage {
 }
 
 impl Edge {
-    /// The MTU of an edge by which the origin challenges a node: is it there? The node answers by its
-    /// next advertisement. No path leads over it.
+    /// The MTU of an edge by which the origin challenges a node: is it there? The node answers by
+    /// its next advertisement. No path leads over it.
     pub const CHALLENGE: u16 = 0;
 
     /// What an edge says of an incarnation: its last eight bits, which two incarnations that follow

@@ -152,9 +152,9 @@ pub enum PeerMessage {
         /// Which.
         number: u64,
     },
-    /// All that this node listens to was told, and its objects answer. Each session with a node that
-    /// has started begins so, that the age of what follows can be measured against a message that
-    /// came without delay.
+    /// All that this node listens to was told, and its objects answer. Each session with a node
+    /// that has started begins so, that the age of what follows can be measured against a message
+    /// that came without delay.
     Announced {
         /// When this was sent.
         timestamp_us: u64,

@@ -222,7 +222,8 @@ async fn an_end_in_an_outage_or_right_after_it_is_told_and_its_incarnation_count
 
             let told = robot.strings.lines("mourns");
             let case = format!("{outage:?}, watched before: {since}, {ends:?}: {told:?}");
-            // A watch that begins in the outage holds from the next session on, if there is another.
+            // A watch that begins in the outage holds from the next session on, if there is
+            // another.
             let once = matches!(ends, Ends::OnceConnected | Ends::OnceConnectedThere);
             if since || once || outage < SECOND {
                 let expected = format!("widow#1 mourns module2:laser#{last}: Returned");
