@@ -8,6 +8,7 @@
 
 mod backoff;
 mod hash;
+mod sliding_window;
 mod timer;
 
 pub mod connection;
@@ -64,4 +65,5 @@ pub use name::{NameError, NodeName, ObjectAddress, ObjectName};
 /// The codec's interface, for the code that the derives write.
 #[doc(hidden)]
 pub use serde;
+pub use sliding_window::SlidingWindow;
 pub use time::Instant;

@@ -1,6 +1,7 @@
 //! All nodes of a robot on one computer: each is a process, which is started again when it dies.
 
-use blastema::core::recovery::{Backoff, RestartWindow};
+use blastema::core::SlidingWindow;
+use blastema::core::recovery::Backoff;
 use blastema::platform::{self, Terminations, finish_output, read_lines};
 use blastema::sleep;
 use rustix::process::{Pid, Signal, kill_process};
@@ -123,7 +124,7 @@ async fn keep(
     mut stopped: oneshot::Receiver<()>,
     mut hurried: watch::Receiver<bool>,
 ) -> Result<(), LaunchFailure> {
-    let (mut deaths, mut attempt) = (RestartWindow::new(RESTARTS, PERIOD), 1);
+    let (mut deaths, mut attempt) = (SlidingWindow::new(RESTARTS, PERIOD), 1);
     loop {
         let mut process = start(name, arguments)?;
         // The node ends when this is dropped; waiting would drop it at once.
@@ -164,7 +165,7 @@ async fn keep(
             return Err(LaunchFailure { status: NOT_UP, reason });
         }
         let now = platform::now();
-        if !deaths.add(now) {
+        if !deaths.add((), now) {
             return Err(failed(format!(
                 "its process ended {} times in {PERIOD:?}, at last with {status}; all others stop",
                 RESTARTS + 1

@@ -11,9 +11,8 @@ use crate::platform::panics::{self, PanicRecord};
 use actix::dev::{ContextFut, channel};
 use actix::prelude::*;
 use blastema_contract::reports::{Alive, ExitReason, Exited};
-use blastema_core::{Incarnation, Instant, Lifecycle, ObjectName};
+use blastema_core::{Incarnation, Lifecycle, ObjectName, SlidingWindow};
 use std::cell::Cell;
-use std::collections::VecDeque;
 use std::future::Future;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
@@ -23,7 +22,7 @@ use std::time::Duration;
 
 /// More restarts than this within [`PERIOD`], and the reflex gives up: an actor of the middleware
 /// that cannot stay alive is a matter for the whole node.
-const TIMES: usize = 20;
+const TIMES: u32 = 20;
 /// The sliding window in which restarts are counted.
 const PERIOD: Duration = Duration::from_secs(10);
 /// Requests that may wait on the mailbox before a sender notices; `do_send` knows no bound.
@@ -103,7 +102,7 @@ impl Guardian {
             let mut context = Context::with_receiver(receiver);
             let actor = make(&mut context);
             let future = Box::new(context.into_future(actor));
-            let past = VecDeque::new();
+            let past = SlidingWindow::new(TIMES, PERIOD);
             let incarnation = Incarnation::FIRST;
             actix_rt::spawn(Ward { future, name, incarnation, past, deaths, watched });
         };
@@ -135,7 +134,7 @@ struct Ward {
     future: Box<dyn Restartable>,
     name: ObjectName,
     incarnation: Incarnation,
-    past: VecDeque<Instant>,
+    past: SlidingWindow,
     deaths: Arc<OnceLock<Recipient<Exited>>>,
     watched: Deaths,
 }
@@ -143,12 +142,7 @@ struct Ward {
 impl Ward {
     /// Says whether the actor lives again.
     fn revive(&mut self, panic: PanicRecord) -> bool {
-        let now = platform::now();
-        while self.past.front().is_some_and(|&death| now - death > PERIOD) {
-            self.past.pop_front();
-        }
-        self.past.push_back(now);
-        let alive = self.past.len() <= TIMES
+        let alive = self.past.add((), platform::now())
             && catch_unwind(AssertUnwindSafe(|| self.future.restart())).unwrap_or(false);
         let PanicRecord { text, at } = panic;
         let exit = ExitReason::Panicked { text, at, during: "the middleware" };

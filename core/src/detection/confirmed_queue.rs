@@ -1,9 +1,12 @@
 //! Handing things over one by one until each is confirmed.
 
 use crate::sorted::SortedMap;
-use crate::{Instant, Machine};
+use crate::{Instant, Machine, SlidingWindow};
 use std::collections::VecDeque;
 use std::time::Duration;
+
+/// A delivery that is exactly one second old does not count any more.
+const SECOND: Duration = Duration::from_nanos(999_999_999);
 
 /// Hands items over to one receiver: in order of rank, one at a time, repeated with back-off until
 /// it is confirmed, given up loudly.
@@ -24,8 +27,8 @@ pub struct ConfirmedQueue<T> {
     number: u64,
     waiting: SortedMap<(u8, u64), T>,
     flight: Option<Flight<T>>,
-    /// The instants of the deliveries within the last second; at most `per_second`.
-    recent: VecDeque<Instant>,
+    /// The latest deliveries; none where their number is not limited.
+    recent: Option<SlidingWindow>,
     held_back: u64,
     given_up: u64,
     outputs: VecDeque<ConfirmedQueueOutput<T>>,
@@ -102,7 +105,7 @@ impl<T: Clone> ConfirmedQueue<T> {
             number: first,
             waiting: SortedMap::new(),
             flight: None,
-            recent: VecDeque::new(),
+            recent: u32::try_from(limits.per_second).ok().map(|n| SlidingWindow::new(n, SECOND)),
             held_back: 0,
             given_up: 0,
             outputs: VecDeque::new(),
@@ -199,11 +202,8 @@ impl<T: Clone> ConfirmedQueue<T> {
             number: flight.number,
             item: flight.item.clone(),
         });
-        if self.recent.len() >= self.limits.per_second {
-            self.recent.pop_front();
-        }
-        if self.limits.per_second < usize::MAX {
-            self.recent.push_back(now);
+        if let Some(recent) = &mut self.recent {
+            recent.push((), now);
         }
     }
 
@@ -214,12 +214,8 @@ impl<T: Clone> ConfirmedQueue<T> {
 
     /// When the next delivery is allowed by the limit per second.
     fn freed_at(&self, now: Instant) -> Instant {
-        match self.recent.front() {
-            Some(&first) if self.recent.len() >= self.limits.per_second => {
-                (first + Duration::from_secs(1)).max(now)
-            }
-            _ => now,
-        }
+        let full = self.recent.as_ref().filter(|recent| recent.left(now) == 0);
+        full.and_then(SlidingWindow::next_release).map_or(now, |at| at.max(now))
     }
 }
 

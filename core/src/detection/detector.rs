@@ -1,18 +1,17 @@
 //! What is wrong, where, and why: the judge of the fault chain.
 
 use super::correlation::{DependencyIndex, is_down};
-use super::crash_loops::CrashLoops;
-use super::offence_window::OffenceWindow;
-use super::reminders::{DecisionTimeout, DecisionTimeouts};
+use super::fault_log::Reminder;
 use super::{
     ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput, FaultLog, FaultNotice, FaultRecord,
     FaultTransition, Observation, RecoveryOutcome,
 };
-use crate::sorted::{SortedMap, SortedSet};
+use crate::sorted::SortedMap;
 use crate::{
     Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName,
     ObjectName,
 };
+use node_history::NodeHistories;
 use pause::Pause;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -38,23 +37,10 @@ pub struct Detector {
     limits: DetectorLimits,
     objects: SortedMap<ObjectName, Seen>,
     needs: DependencyIndex,
-    /// Those that may end themselves in order.
-    may_end: SortedSet<ObjectName>,
-    /// Those that may not send and receive.
-    isolated: SortedSet<ObjectName>,
-    /// The objects that are blocked behind each hang.
-    behind: SortedMap<ObjectName, FaultId>,
     fault_log: FaultLog,
-    /// Faults that may turn out to be symptoms.
-    explicable: SortedSet<FaultId>,
-    /// Faults that the notifier knows of, and does not know to be over.
-    handed: SortedSet<FaultId>,
-    /// Faults that stand and that no recoverer treats: symptoms behind what keeps their thread,
-    /// which were only reported, and those whose next incarnation is on its way already.
-    unhanded: SortedSet<FaultId>,
-    reminders: DecisionTimeouts,
-    offences: OffenceWindow,
-    crash_loops: CrashLoops,
+    /// The latest decision for each rank of faults: when, and about which.
+    decided: SortedMap<u8, (Instant, FaultId)>,
+    nodes: NodeHistories,
     /// The latest pause of this node, while links and nodes may suffer from it.
     pause: Option<Pause>,
     handover: ConfirmedQueue<FaultNotice>,
@@ -162,11 +148,30 @@ struct Seen {
     state: Lifecycle,
     /// It was found that this incarnation cannot go on; its end is no news.
     doomed: bool,
+    /// It may end itself in order.
+    may_end: bool,
+    /// It may not send and receive.
+    isolated: bool,
+    /// The hang or overload behind which it is blocked.
+    behind: Option<FaultId>,
 }
 
 impl Seen {
     fn new(incarnation: Incarnation) -> Self {
-        Seen { incarnation, state: Lifecycle::Created, doomed: false }
+        Seen {
+            incarnation,
+            state: Lifecycle::Created,
+            doomed: false,
+            may_end: false,
+            isolated: false,
+            behind: None,
+        }
+    }
+
+    /// An incarnation begins.
+    fn begin(&mut self, incarnation: Incarnation) {
+        let Seen { may_end, isolated, behind, .. } = *self;
+        *self = Seen { may_end, isolated, behind, ..Seen::new(incarnation) };
     }
 }
 
@@ -196,16 +201,9 @@ impl Detector {
             limits,
             objects: SortedMap::new(),
             needs: DependencyIndex::new(node),
-            may_end: SortedSet::new(),
-            isolated: SortedSet::new(),
-            behind: SortedMap::new(),
             fault_log: FaultLog::new(limits.record),
-            explicable: SortedSet::new(),
-            handed: SortedSet::new(),
-            unhanded: SortedSet::new(),
-            reminders: DecisionTimeouts::default(),
-            offences: OffenceWindow::new(limits.offences, limits.offences_period),
-            crash_loops: CrashLoops::new(limits.crash_loop_restarts, limits.crash_loop_period),
+            decided: SortedMap::new(),
+            nodes: NodeHistories::new(limits),
             pause: None,
             handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
             outputs: VecDeque::new(),
@@ -239,17 +237,20 @@ impl Detector {
         if !entry.stands() || entry.recovered_at.is_some() {
             return;
         }
-        let rank = FaultNotice::Found(entry.fault.clone()).rank();
-        self.reminders.handle_outcome(rank, id, at);
+        let fault = entry.fault.clone();
+        let rank = FaultNotice::Found(fault.clone()).rank();
+        // What a recoverer says about a fault on which it has decided before is not progress.
+        if self.fault_log.treat(id, |treatment| treatment.reminder = None).reminder.is_some() {
+            self.decided.insert(rank, (at, id));
+        }
         match outcome {
             RecoveryOutcome::Decided { action } => self.decide(id, at, action),
             RecoveryOutcome::Failed { action, reason } => {
                 let turn = FaultTransition::Failed { action, reason };
-                let fault = entry.fault.clone();
                 self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
             }
             RecoveryOutcome::Recovered => {
-                self.handed.remove(&id);
+                self.fault_log.treat(id, |treatment| treatment.handed = false);
                 self.recover(id, at);
             }
             RecoveryOutcome::Waits => self.await_next_incarnation(id, at),
@@ -296,13 +297,11 @@ impl Detector {
         let incarnation = known.and_then(|id| Some(self.fault_log.entry(id)?.fault.incarnation));
         let known = known.filter(|&id| self.repeat(id, scene, &detail));
         let id = match known {
-            Some(id) if is_behind || !self.unhanded.remove(&id) => {
-                if self.handed.contains(&id) && incarnation < Some(scene.incarnation) {
+            Some(id) if is_behind || !self.fault_log.treatment(id).unhanded => {
+                let handed = self.fault_log.treatment(id).handed;
+                if handed && incarnation < Some(scene.incarnation) {
                     // What was done about it has not helped.
-                    let fault = self.fault_log.entry(id).expect("it stands").fault.clone();
-                    let due = scene.at + self.limits.decision;
-                    self.reminders.set(id, DecisionTimeout { due, sent: 0 });
-                    self.hand_over(FaultNotice::Found(fault), scene.at);
+                    self.notify(id, scene.at);
                 }
                 return id;
             }
@@ -313,17 +312,28 @@ impl Detector {
             }
             None => self.record(scene, kind, detail, cause),
         };
+        self.fault_log.treat(id, |treatment| treatment.unhanded = is_behind);
         if is_behind {
-            self.unhanded.insert(id);
             return id;
         }
-        let due = scene.at + self.limits.decision;
-        self.reminders.set(id, DecisionTimeout { due, sent: 0 });
-        self.handed.insert(id);
-        let fault = self.fault_log.entry(id).expect("it was just recorded").fault.clone();
-        self.hand_over(FaultNotice::Found(fault), scene.at);
+        self.notify(id, scene.at);
         self.explain_by(id, scene.at);
         id
+    }
+
+    /// A recoverer is to decide about a fault.
+    fn notify(&mut self, id: FaultId, at: Instant) {
+        let Some(entry) = self.fault_log.entry(id) else { return };
+        let notice = FaultNotice::Found(entry.fault.clone());
+        self.fault_log.treat(id, |treatment| treatment.handed = true);
+        self.remind_after(id, self.limits.decision, 0, at);
+        self.hand_over(notice, at);
+    }
+
+    /// Asks again about a fault that is not decided by then.
+    fn remind_after(&mut self, id: FaultId, span: Duration, sent: u32, at: Instant) {
+        let reminder = Reminder { due: at + span, sent };
+        self.fault_log.treat(id, |treatment| treatment.reminder = Some(reminder));
     }
 
     /// Counts a fault once more, in its newest words; no, if what stands was given up in another
@@ -357,10 +367,7 @@ impl Detector {
         let symptom_of = match cause {
             Cause::Itself => None,
             Cause::Known(cause) | Cause::Behind(cause) => Some(self.fault_log.root(cause)),
-            Cause::Above => {
-                self.explicable.insert(id);
-                self.needs.root_above(&scene.location, &self.fault_log)
-            }
+            Cause::Above => self.needs.root_above(&scene.location, &self.fault_log),
         };
         let fault = Fault {
             id,
@@ -373,12 +380,9 @@ impl Detector {
             symptom_of,
             count: 1,
         };
-        if let Some(dropped) = self.fault_log.open(fault.clone()) {
-            self.explicable.remove(&dropped);
-            self.handed.remove(&dropped);
-            self.unhanded.remove(&dropped);
-            self.reminders.cancel(dropped);
-        }
+        self.fault_log.open(fault.clone());
+        let explicable = matches!(cause, Cause::Above);
+        self.fault_log.treat(id, |treatment| treatment.explicable = explicable);
         self.outputs.push_back(DetectorOutput::Tell {
             fault,
             at: scene.at,
@@ -398,7 +402,7 @@ impl Detector {
         let root = self.fault_log.root(id);
         let since = at - (Instant::ORIGIN + self.limits.hindsight);
         let is_behind = |fault: &Fault| match &fault.location {
-            FaultLocation::Object(address) => self.behind.get(&address.object) == Some(&id),
+            FaultLocation::Object(address) => self.behind(&address.object) == Some(id),
             _ => false,
         };
         let users = self.needs.users_of(&location);
@@ -410,7 +414,7 @@ impl Detector {
                     && fault.id != root
                     && fault.id != id
                     && fault.found_at - Instant::ORIGIN >= since
-                    && self.explicable.contains(&fault.id)
+                    && self.fault_log.treatment(fault.id).explicable
                     && (is_behind(fault) || users.contain(&fault.location))
             })
             .map(|fault| fault.id)
@@ -457,14 +461,15 @@ impl Detector {
         let Some(entry) = self.fault_log.entry(id) else { return };
         let location = entry.fault.location.clone();
         let waits = |notice: &FaultNotice| notice.id() == id;
-        if self.handed.remove(&id) && self.handover.withdraw(waits).is_none() {
+        let handed = self.fault_log.treat(id, |treatment| treatment.handed = false).handed;
+        if handed && self.handover.withdraw(waits).is_none() {
             self.hand_over(FaultNotice::Cleared { id, location }, at);
         }
     }
 
     /// Service is restored. Of an object that is the repair as well.
     fn recover(&mut self, id: FaultId, at: Instant) {
-        self.reminders.cancel(id);
+        self.fault_log.treat(id, |treatment| treatment.reminder = None);
         let Some(entry) = self.fault_log.entry_mut(id) else { return };
         if entry.recovered_at.is_some() || !entry.stands() {
             return;
@@ -472,8 +477,6 @@ impl Detector {
         (entry.recovered_at, entry.given_up) = (Some(at), None);
         let fault = entry.fault.clone();
         if fault.is_repaired_by_recovery() {
-            self.explicable.remove(&id);
-            self.unhanded.remove(&id);
             self.fault_log.repair(id, at);
         }
         self.outputs.push_back(DetectorOutput::Tell {
@@ -485,9 +488,6 @@ impl Detector {
 
     /// The cause is away.
     fn repair(&mut self, id: FaultId, at: Instant) {
-        self.reminders.cancel(id);
-        self.explicable.remove(&id);
-        self.unhanded.remove(&id);
         let Some(entry) = self.fault_log.entry(id).filter(|entry| entry.stands()) else { return };
         let fault = entry.fault.clone();
         self.fault_log.repair(id, at);
@@ -508,8 +508,9 @@ impl Detector {
     /// Nothing more is tried. The fault stands.
     fn give_up(&mut self, id: FaultId, at: Instant, reason: String) {
         for id in self.sharing_the_outcome_of(id) {
-            self.reminders.cancel(id);
-            self.unhanded.remove(&id);
+            self.fault_log.treat(id, |treatment| {
+                (treatment.reminder, treatment.unhanded) = (None, false);
+            });
             let Some(entry) = self.fault_log.entry_mut(id) else { continue };
             entry.given_up = Some((at, reason.clone()));
             let fault = entry.fault.clone();
@@ -524,27 +525,31 @@ impl Detector {
 
     /// No recoverer has decided about this fault. That is as it should be for a symptom whose root
     /// is in treatment.
-    fn remind(&mut self, id: FaultId, reminder: DecisionTimeout, now: Instant) {
-        if self.unhanded.contains(&id) {
+    fn remind(&mut self, id: FaultId, reminder: Reminder, now: Instant) {
+        let before = self.fault_log.treat(id, |treatment| treatment.reminder = None);
+        if before.unhanded {
             return self.end_unhanded(id, now);
         }
         let Some(entry) = self.fault_log.entry(id) else { return };
         let fault = entry.fault.clone();
         let notice = FaultNotice::Found(fault.clone());
-        let progress = self.reminders.progress_towards(notice.rank(), id);
-        if let Some(due) = progress.map(|at| at + self.limits.decision).filter(|due| *due > now) {
+        // When a recoverer last decided about a fault that goes before this one: since then this one
+        // waits in vain. One that was overtaken is not in the queue.
+        let decided = self.decided.iter().map(|(&of, &(at, last))| (at, (of, last)));
+        let progress = decided.filter(|&(_, last)| last < (notice.rank(), id)).map(|(at, _)| at);
+        let decision = self.limits.decision;
+        if let Some(at) = progress.max().filter(|&at| at + decision > now) {
             // Its turn comes.
-            return self.reminders.set(id, DecisionTimeout { due, sent: 0 });
+            return self.remind_after(id, decision, 0, at);
         }
-        let next = DecisionTimeout { due: now + self.limits.decision, ..reminder };
         let in_hand = |root| {
             let root = self.fault_log.entry(root);
             root.is_some_and(|root| root.stands() && root.recovered_at.is_none())
         };
         if fault.symptom_of.is_some_and(in_hand) {
-            self.reminders.set(id, next);
+            self.remind_after(id, decision, reminder.sent, now);
         } else if reminder.sent < self.limits.reminders {
-            self.reminders.set(id, DecisionTimeout { sent: reminder.sent + 1, ..next });
+            self.remind_after(id, decision, reminder.sent + 1, now);
             self.handover.withdraw(|notice| notice.id() == id);
             self.hand_over(notice, now);
         } else {
@@ -572,16 +577,19 @@ impl Machine for Detector {
 
     fn poll_timeout(&self) -> Option<Instant> {
         let pause = self.pause.as_ref().map(|pause| pause.until);
-        let others = [self.reminders.next(), self.crash_loops.poll_timeout(), pause];
+        let reminder = self.fault_log.next_reminder().map(|(_, reminder)| reminder.due);
+        let others = [reminder, self.nodes.poll_timeout(), pause];
         others.into_iter().chain([self.handover.poll_timeout()]).flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
         self.handover.handle_timeout(now);
-        while let Some((id, reminder)) = self.reminders.pop_due(now) {
+        while let Some((id, reminder)) = self.fault_log.next_reminder()
+            && reminder.due <= now
+        {
             self.remind(id, reminder, now);
         }
-        while let Some(node) = self.crash_loops.pop_over(now) {
+        while let Some(node) = self.nodes.pop_over(now) {
             self.end_crash_loop(node, now);
         }
         self.end_pause(now);
@@ -589,6 +597,7 @@ impl Machine for Detector {
 }
 
 mod next_incarnation;
+mod node_history;
 mod pause;
 mod rules;
 #[cfg(test)]

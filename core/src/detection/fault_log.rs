@@ -14,10 +14,38 @@ use crate::{Fault, FaultId, FaultKind, FaultLocation, Instant};
 /// the oldest of all, with its latch, so that it would be found again.
 #[derive(Clone, Debug)]
 pub struct FaultLog {
-    entries: SortedMap<FaultId, FaultEntry>,
+    entries: SortedMap<FaultId, RecordedFault>,
     latches: SortedMap<(FaultLocation, FaultKind), FaultId>,
     capacity: usize,
     dropped: u64,
+}
+
+/// An entry, and what the detector has to do about it yet.
+#[derive(Clone, Debug)]
+struct RecordedFault {
+    entry: FaultEntry,
+    treatment: Treatment,
+}
+
+/// What the detector has to do about a fault yet.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Treatment {
+    /// It may turn out to be a symptom.
+    pub(super) explicable: bool,
+    /// The notifier knows of it, and does not know it to be over.
+    pub(super) handed: bool,
+    /// It stands, and no recoverer treats it: a symptom behind what keeps its thread, which was
+    /// only reported, or a fault whose next incarnation is on its way already.
+    pub(super) unhanded: bool,
+    /// When to ask again, as long as it is not decided.
+    pub(super) reminder: Option<Reminder>,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Reminder {
+    pub(super) due: Instant,
+    /// How many were sent before this one.
+    pub(super) sent: u32,
 }
 
 impl FaultLog {
@@ -31,14 +59,16 @@ impl FaultLog {
         }
     }
 
-    /// Takes a fault that was found, and latches it. Answers which one had to make room for it.
-    pub fn open(&mut self, fault: Fault) -> Option<FaultId> {
-        let full = self.entries.len() >= self.capacity;
-        let dropped = if full { self.drop_oldest() } else { None };
+    /// Takes a fault that was found, and latches it. Where there is no capacity for it, another one
+    /// is dropped.
+    pub fn open(&mut self, fault: Fault) {
+        if self.entries.len() >= self.capacity {
+            self.drop_oldest();
+        }
         let (scope, kind, id) = (scope(&fault.location), fault.kind.clone(), fault.id);
         self.latches.insert((scope, kind), id);
-        self.entries.insert(id, FaultEntry::new(fault));
-        dropped
+        let (entry, treatment) = (FaultEntry::new(fault), Treatment::default());
+        self.entries.insert(id, RecordedFault { entry, treatment });
     }
 
     /// The fault of this kind that stands at this place.
@@ -54,39 +84,65 @@ impl FaultLog {
         self.latches
             .range(first..)
             .take_while(move |((other, _), _)| *other == scope)
-            .filter_map(|(_, id)| Some(&self.entries.get(id)?.fault))
+            .filter_map(|(_, &id)| Some(&self.entry(id)?.fault))
     }
 
     /// Every fault that stands.
     pub fn all_open(&self) -> impl Iterator<Item = &Fault> {
-        self.latches.values().filter_map(|id| Some(&self.entries.get(id)?.fault))
+        self.latches.values().filter_map(|&id| Some(&self.entry(id)?.fault))
     }
 
     /// Every fault that is recorded, the latest first, whether it stands or not.
     pub(super) fn latest_first(&self) -> impl Iterator<Item = &Fault> {
-        self.entries.values().rev().map(|entry| &entry.fault)
+        self.entries.values().rev().map(|recorded| &recorded.entry.fault)
     }
 
     /// Whether this fault still stands, given up or not.
     pub fn stands(&self, id: FaultId) -> bool {
-        self.entries.get(&id).is_some_and(|entry| {
+        self.entry(id).is_some_and(|entry| {
             self.latches.get(&(scope(&entry.fault.location), entry.fault.kind.clone())) == Some(&id)
         })
     }
 
     /// One fault.
     pub fn entry(&self, id: FaultId) -> Option<&FaultEntry> {
-        self.entries.get(&id)
+        self.entries.get(&id).map(|recorded| &recorded.entry)
     }
 
     /// One fault, to write down what becomes of it. Its place and kind must not be changed.
     pub(super) fn entry_mut(&mut self, id: FaultId) -> Option<&mut FaultEntry> {
-        self.entries.get_mut(&id)
+        self.entries.get_mut(&id).map(|recorded| &mut recorded.entry)
     }
 
-    /// Writes down that the cause of a fault is away, and lifts its latch.
+    /// What is to be done about one fault yet; nothing about one that is not recorded.
+    pub(super) fn treatment(&self, id: FaultId) -> Treatment {
+        self.entries.get(&id).map_or(Treatment::default(), |recorded| recorded.treatment)
+    }
+
+    /// Changes what is to be done about one fault, if it is recorded. Returns what was before.
+    pub(super) fn treat(&mut self, id: FaultId, change: impl FnOnce(&mut Treatment)) -> Treatment {
+        let Some(RecordedFault { treatment, .. }) = self.entries.get_mut(&id) else {
+            return Treatment::default();
+        };
+        let before = *treatment;
+        change(treatment);
+        before
+    }
+
+    /// The next fault that is to be asked about again, and when.
+    pub(super) fn next_reminder(&self) -> Option<(FaultId, Reminder)> {
+        let all = self.entries.iter();
+        let all = all.filter_map(|(&id, recorded)| Some((id, recorded.treatment.reminder?)));
+        all.min_by_key(|&(id, reminder)| (reminder.due, id))
+    }
+
+    /// Writes down that the cause of a fault is away, and lifts its latch. Only the notifier may have
+    /// to be informed yet.
     pub(super) fn repair(&mut self, id: FaultId, at: Instant) {
-        let Some(entry) = self.entries.get_mut(&id) else { return };
+        self.treat(id, |treatment| {
+            *treatment = Treatment { handed: treatment.handed, ..Treatment::default() };
+        });
+        let Some(entry) = self.entry_mut(id) else { return };
         entry.repaired_at = Some(at);
         let latch = (scope(&entry.fault.location), entry.fault.kind.clone());
         if self.latches.get(&latch) == Some(&id) {
@@ -98,7 +154,7 @@ impl FaultLog {
     pub fn root(&self, id: FaultId) -> FaultId {
         let (mut root, mut passed) = (id, SortedSet::new());
         while passed.insert(root)
-            && let Some(above) = self.entries.get(&root).and_then(|entry| entry.fault.symptom_of)
+            && let Some(above) = self.entry(root).and_then(|entry| entry.fault.symptom_of)
             && self.entries.contains_key(&above)
         {
             root = above;
@@ -109,21 +165,21 @@ impl FaultLog {
     /// The record as it is read: each root in the order in which they were found, each followed by
     /// its symptoms.
     pub fn read(&self) -> FaultRecord {
+        let all = self.entries.iter();
         let mut entries: Vec<(FaultId, &FaultEntry)> =
-            self.entries.iter().map(|(&id, entry)| (self.root(id), entry)).collect();
+            all.map(|(&id, recorded)| (self.root(id), &recorded.entry)).collect();
         entries.sort_by_key(|&(root, entry)| (root, entry.fault.id != root, entry.fault.id));
         let entries = entries.into_iter().map(|(_, entry)| entry.clone()).collect();
         FaultRecord { entries, dropped: self.dropped }
     }
 
-    fn drop_oldest(&mut self) -> Option<FaultId> {
-        let over = |entry: &&FaultEntry| !entry.stands();
+    fn drop_oldest(&mut self) {
+        let over = |recorded: &&RecordedFault| !recorded.entry.stands();
         let oldest = self.entries.values().find(over).or(self.entries.values().next());
-        let id = oldest?.fault.id;
+        let Some(id) = oldest.map(|recorded| recorded.entry.fault.id) else { return };
         self.latches.retain(|_, latched| *latched != id);
         self.entries.remove(&id);
         self.dropped += 1;
-        Some(id)
     }
 }
 

@@ -30,19 +30,16 @@
 mod checks;
 mod confirmed_queue;
 mod correlation;
-mod crash_loops;
 mod detector;
 mod entry;
 mod fault_log;
 mod monitor;
 mod notifier;
 mod observation;
-mod offence_window;
 mod outcome;
 mod peer_table;
 mod ping;
 mod registration;
-mod reminders;
 mod table;
 
 pub mod dependencies;

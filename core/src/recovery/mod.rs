@@ -15,7 +15,6 @@
 
 mod ladder;
 mod plan;
-mod restart_window;
 mod rules;
 
 pub mod recoverer;
@@ -28,7 +27,6 @@ pub use recoverer::{
     FaultResolution, Recoverer, RecovererLimits, RecovererOutput, RecoveryDone, RecoveryFailed,
     RecoveryOrder,
 };
-pub use restart_window::RestartWindow;
 pub use rules::{ChildRules, Restart, RestartGrant, Strategy, SupervisorRules, WhenExceeded};
 pub use supervision::{
     CallId, ChildState, ChildStatus, GiveUpReason, ReplacementCause, Supervisor, SupervisorOutput,

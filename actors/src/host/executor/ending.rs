@@ -13,7 +13,7 @@ use crate::platform;
 use crate::platform::panics;
 use blastema_contract::child::{ChildEvent, RestartGrant};
 use blastema_contract::reports::ExitReason;
-use blastema_core::{DeliveryError, Incarnation, Lifecycle};
+use blastema_core::{DeliveryError, Incarnation, Lifecycle, SlidingWindow};
 use std::any::Any;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -107,16 +107,9 @@ impl<C: Component> ComponentExecutor<C> {
         if self.lifecycle.is_ending() {
             return false;
         }
-        let now = platform::now();
-        let deaths = self.deaths.get_or_insert_default();
-        while deaths.front().is_some_and(|&death| now - death > period) {
-            deaths.pop_front();
-        }
-        let allowed = deaths.len() < usize::try_from(times).unwrap_or(usize::MAX);
-        if allowed {
-            deaths.push_back(now);
-        }
-        allowed
+        let deaths = self.deaths.get_or_insert_with(|| Box::new(SlidingWindow::new(times, period)));
+        deaths.set_bounds(times, period);
+        deaths.add((), platform::now())
     }
 
     /// Reports how an incarnation has ended to the monitor, the supervisor, and the watchers.

@@ -36,9 +36,8 @@ use crate::platform;
 use crate::platform::panics::PanicGuard;
 use actix::Recipient;
 use blastema_contract::child::ChildReport;
-use blastema_core::{DeliveryError, Incarnation, Instant};
+use blastema_core::{DeliveryError, Incarnation, Instant, SlidingWindow};
 use std::any::TypeId;
-use std::collections::VecDeque;
 use std::future::Future;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
@@ -61,9 +60,6 @@ enum Service {
 
 /// The id and contract of a message in the log, and whether a reply is wanted.
 type LoggedMessage = (LogId, &'static str, bool);
-
-/// The latest restarts by a guard, as far back as they count.
-type RestartTimes = VecDeque<Instant>;
 
 struct SlotInUse<C: Component> {
     contract: TypeId,
@@ -106,8 +102,8 @@ pub(crate) struct ComponentExecutor<C: Component> {
     began: Option<Instant>,
     /// This incarnation is over, and none comes after it here.
     over: bool,
-    /// When its guard restarted the component. There only where it has.
-    deaths: Option<Box<RestartTimes>>,
+    /// The latest restarts by its guard, as far back as they count. There only where it has.
+    deaths: Option<Box<SlidingWindow>>,
     outbox: Vec<DeferredReport>,
     supervisor: Arc<Recipient<ChildReport>>,
     commands: Arc<CommandQueue>,

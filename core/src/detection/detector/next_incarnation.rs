@@ -4,7 +4,7 @@
 //! fault, it shares what becomes of that; where it ends in order, and none follows, nothing is left
 //! to recover.
 
-use super::{DecisionTimeout, Detector};
+use super::Detector;
 use crate::detection::correlation::is_down;
 use crate::{Fault, FaultId, FaultLocation, Instant, Lifecycle};
 use std::iter;
@@ -13,7 +13,7 @@ impl Detector {
     /// This fault ends with the incarnation after it, which may have ended before the fault was
     /// told.
     pub(super) fn await_next_incarnation(&mut self, id: FaultId, at: Instant) {
-        self.unhanded.insert(id);
+        self.fault_log.treat(id, |treatment| treatment.unhanded = true);
         let Some(entry) = self.fault_log.entry(id) else { return };
         let Fault { location, incarnation, .. } = entry.fault.clone();
         let FaultLocation::Object(address) = &location else { return };
@@ -41,7 +41,7 @@ impl Detector {
     pub(super) fn end_unhanded_at(&mut self, location: &FaultLocation, at: Instant) {
         let ended: Vec<FaultId> = self.unhanded_at(location).map(|fault| fault.id).collect();
         for id in ended {
-            self.reminders.set(id, DecisionTimeout { due: at + self.limits.decision, sent: 0 });
+            self.remind_after(id, self.limits.decision, 0, at);
         }
     }
 
@@ -70,6 +70,7 @@ impl Detector {
     }
 
     pub(super) fn unhanded_at(&self, location: &FaultLocation) -> impl Iterator<Item = &Fault> {
-        self.fault_log.open_faults_at(location).filter(|fault| self.unhanded.contains(&fault.id))
+        let open = self.fault_log.open_faults_at(location);
+        open.filter(|fault| self.fault_log.treatment(fault.id).unhanded)
     }
 }

@@ -14,27 +14,21 @@ impl Detector {
         if let Finding::Dismissed = finding {
             self.objects.remove(object);
             self.needs.forget(object);
-            self.may_end.remove(object);
-            self.isolated.remove(object);
-            self.behind.remove(object);
             return self.end_all_at(&scene, |_| true, false);
-        }
-        if let Finding::Isolated { isolated } = finding {
-            match isolated {
-                true => self.isolated.insert(object.clone()),
-                false => self.isolated.remove(object),
-            };
-            return;
         }
         let fresh = Seen::new(scene.incarnation);
         let seen = self.objects.entry(object.clone()).or_insert(fresh);
+        if let Finding::Isolated { isolated } = finding {
+            seen.isolated = isolated;
+            return;
+        }
         if scene.incarnation < seen.incarnation {
             return self.judge_late(&scene, finding);
         }
         let is_newer = scene.incarnation > seen.incarnation;
         if is_newer {
-            *seen = fresh;
-            self.behind.remove(object);
+            seen.begin(scene.incarnation);
+            seen.behind = None;
         }
         if is_newer || (ends_waiting(&finding) && !self.ending) {
             self.end_kind(&scene, &FaultKind::Unavailable);
@@ -42,11 +36,7 @@ impl Detector {
         match finding {
             Finding::Enrolled { may_end, depends_on } => {
                 self.needs.declare(object, depends_on);
-                if may_end {
-                    self.may_end.insert(object.clone());
-                } else {
-                    self.may_end.remove(object);
-                }
+                self.seen(object).may_end = may_end;
             }
             Finding::Exited { exit, restarted_as } => {
                 self.judge_exit(object, &scene, exit, restarted_as);
@@ -85,7 +75,7 @@ impl Detector {
                 self.end_overload(&scene);
             }
             Finding::Resumed => {
-                self.behind.remove(object);
+                self.seen(object).behind = None;
                 self.end_kind(&scene, &FaultKind::Hang);
             }
             Finding::Lost { culprit } => {
@@ -96,6 +86,16 @@ impl Detector {
             Finding::Dismissed | Finding::Isolated { .. } | Finding::Link(_) | Finding::Node(_) => {
             }
         }
+    }
+
+    /// What is known of an object that was just judged.
+    fn seen(&mut self, object: &ObjectName) -> &mut Seen {
+        self.objects.get_mut(object).expect("`judge_object` has put it there")
+    }
+
+    /// The hang or overload behind which an object is blocked.
+    pub(super) fn behind(&self, object: &ObjectName) -> Option<FaultId> {
+        self.objects.get(object)?.behind
     }
 
     /// What is seen of an incarnation that is over changes nothing; but that it panicked is
@@ -136,8 +136,10 @@ impl Detector {
         let age = age.as_millis();
         let detail = format!("{during} has kept its thread for {age} ms at least{behind}");
         let id = self.find(scene, FaultKind::Hang, detail, Cause::Itself);
-        for victim in others.filter(|&victim| self.objects.contains_key(victim)) {
-            self.behind.insert(victim.clone(), id);
+        for victim in others {
+            if let Some(seen) = self.objects.get_mut(victim) {
+                seen.behind = Some(id);
+            }
         }
         self.explain_by(id, scene.at);
     }
@@ -175,9 +177,9 @@ impl Detector {
     /// These wait behind an overload, unless they stand still behind a hang.
     fn put_behind<'a>(&mut self, id: FaultId, victims: impl Iterator<Item = &'a ObjectName>) {
         for victim in victims {
-            let hangs = self.behind.get(victim).is_some_and(|&root| self.is_hang(root));
-            if self.objects.contains_key(victim) && !hangs {
-                self.behind.insert(victim.clone(), id);
+            let hangs = self.behind(victim).is_some_and(|root| self.is_hang(root));
+            if let Some(seen) = self.objects.get_mut(victim).filter(|_| !hangs) {
+                seen.behind = Some(id);
             }
         }
     }
@@ -185,7 +187,9 @@ impl Detector {
     /// None waits behind the overload of this place any more.
     fn end_overload(&mut self, scene: &Scene) {
         if let Some(id) = self.fault_log.open_fault(&scene.location, &FaultKind::Overload) {
-            self.behind.retain(|_, root| *root != id);
+            for seen in self.objects.values_mut() {
+                seen.behind.take_if(|root| *root == id);
+            }
         }
         self.end_kind(scene, &FaultKind::Overload);
     }
@@ -202,7 +206,7 @@ impl Detector {
         restarted_as: Option<Incarnation>,
     ) {
         // A thread that was lost to a hang may end before its last victim was replaced.
-        let hang = self.behind.get(object).copied().filter(|&root| self.is_hang(root));
+        let hang = self.behind(object).filter(|&root| self.is_hang(root));
         let hang = hang.filter(|_| exit == ExitReason::Aborted);
         let cause = hang.map_or(Cause::Itself, Cause::Known);
         let error = self.fault_log.open_fault(&scene.location, &FaultKind::ErrorState);
@@ -218,7 +222,7 @@ impl Detector {
             ExitReason::Panicked { text, at, during } => {
                 (FaultKind::Panic, describe_panic(&text, &at, during))
             }
-            ExitReason::Returned if !over && !self.may_end.contains(object) => {
+            ExitReason::Returned if !over && !seen.may_end => {
                 // An incarnation that ends itself in order is finalized before its guard says how
                 // it ended.
                 (FaultKind::UnexpectedExit, "it ended itself without having been told to".into())
@@ -241,7 +245,7 @@ impl Detector {
             self.find(scene, kind, detail, cause);
             return;
         };
-        *seen = Seen::new(next);
+        seen.begin(next);
         let known = self.fault_log.open_fault(&scene.location, &kind);
         let known = known.filter(|&id| self.repeat(id, scene, &detail));
         let id = known.unwrap_or_else(|| self.record(scene, kind, detail, cause));
@@ -256,7 +260,7 @@ impl Detector {
         state: Lifecycle,
         reason: Option<String>,
     ) {
-        let seen = self.objects.get_mut(object).expect("the caller has put it there");
+        let seen = self.seen(object);
         let before = std::mem::replace(&mut seen.state, state);
         seen.doomed |= state == Lifecycle::Fatal;
         let on_the_way = matches!(state, Lifecycle::Initialized | Lifecycle::Finalized);
@@ -288,7 +292,7 @@ impl Detector {
                 let incarnation = scene.incarnation;
                 // Also what a reset of this incarnation was to end that came to wait.
                 let waits: Vec<FaultId> = self.unhanded_at(&scene.location).map(|f| f.id).collect();
-                let is_isolated = self.isolated.contains(object);
+                let is_isolated = self.seen(object).isolated;
                 let entry = |fault: &Fault| self.fault_log.entry(fault.id);
                 let contained: Vec<FaultId> = (self.fault_log.open_faults_at(&scene.location))
                     .filter(|fault| {
@@ -351,11 +355,11 @@ impl Detector {
         };
         match condition {
             NodeCondition::Reachable => {
-                self.crash_loops.handle_reachable(&node, scene.at);
+                self.nodes.handle_reachable(&node, scene.at);
                 self.end_kind(&scene, &FaultKind::NodeLost);
             }
             NodeCondition::Left | NodeCondition::Removed => {
-                self.crash_loops.forget(&node);
+                self.nodes.forget_restarts(&node);
                 self.end_kind(&scene, &FaultKind::CrashLoop);
                 self.end_kind(&scene, &FaultKind::NodeLost);
                 self.end_kind(&scene, &FaultKind::NodeInSafeState);
@@ -369,7 +373,7 @@ impl Detector {
             // They are no findings.
             NodeCondition::Listed | NodeCondition::MayBeAway => {}
             NodeCondition::Lost { reason } => {
-                self.crash_loops.handle_lost(&node);
+                self.nodes.handle_lost(&node);
                 let cause = self.crash_loop_of(&scene);
                 let cause = self.pause_or(cause);
                 self.find(&scene, FaultKind::NodeLost, reason, cause);
@@ -380,7 +384,7 @@ impl Detector {
             }
             NodeCondition::Relieved => self.end_overload(&scene),
             NodeCondition::Offends { what } => {
-                if let Some(detail) = self.offences.handle_offence(&node, what, scene.at) {
+                if let Some(detail) = self.nodes.handle_offence(&node, what, scene.at) {
                     self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
                 }
             }
@@ -389,12 +393,12 @@ impl Detector {
                 self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
             }
             NodeCondition::Admitted => {
-                self.offences.forget(&node);
+                self.nodes.handle_admitted(&node);
                 self.end_kind(&scene, &FaultKind::NodeFaulty);
             }
             NodeCondition::Restarted => {
                 self.end_kind(&scene, &FaultKind::NodeInSafeState);
-                if let Some(count) = self.crash_loops.handle_restarted(&node, scene.at) {
+                if let Some(count) = self.nodes.handle_restarted(&node, scene.at) {
                     let period = self.limits.crash_loop_period;
                     let detail = format!(
                         "its process died and was started again {count} times, and never stayed \
@@ -458,15 +462,14 @@ impl Detector {
                 .find(|fault| is_down(fault) && is_at_culprit(fault))
                 .and_then(|fault| (fault.found_at - Instant::ORIGIN >= since).then_some(fault.id))
         };
-        let behind = self.behind.get(victim).copied();
-        behind.or_else(of_culprit).map_or(Cause::Above, Cause::Known)
+        self.behind(victim).or_else(of_culprit).map_or(Cause::Above, Cause::Known)
     }
 
     fn cause_of_standstill(&self, object: &ObjectName, scene: &Scene) -> Cause {
         // Also where the culprit has been replaced elsewhere: its victims stand until they are
         // freed.
-        let behind = self.behind.get(object).copied();
-        let behind = behind.filter(|&id| self.is_hang(id) || self.fault_log.stands(id));
+        let behind =
+            self.behind(object).filter(|&id| self.is_hang(id) || self.fault_log.stands(id));
         let own = || {
             let here = self.fault_log.open_faults_at(&scene.location);
             here.filter(|fault| is_down(fault) && fault.kind != FaultKind::Silence)

@@ -1,9 +1,9 @@
 //! How many restarts a supervisor still allows: one count for each child, or one for all of them.
 
 use super::child::ChildKey;
-use crate::Instant;
-use crate::recovery::{RestartWindow, SupervisorRules};
+use crate::recovery::SupervisorRules;
 use crate::sorted::{SortedMap, SortedSet};
+use crate::{Instant, SlidingWindow};
 use std::time::Duration;
 
 /// The restarts that are counted at present. See the [module](self).
@@ -14,7 +14,7 @@ pub(super) struct Budget {
     shared: bool,
     /// By child; under a shared count, all under one key. A child that was never restarted has
     /// none.
-    windows: SortedMap<ChildKey, RestartWindow>,
+    windows: SortedMap<ChildKey, SlidingWindow>,
     /// The counts that are exhausted until their windows move.
     spent: SortedSet<ChildKey>,
 }
@@ -40,8 +40,8 @@ impl Budget {
     pub(super) fn add(&mut self, child: ChildKey, now: Instant) -> bool {
         let of = self.of(child);
         let window = self.windows.entry(of);
-        let window = window.or_insert_with(|| RestartWindow::new(self.intensity, self.period));
-        if !window.add(now) {
+        let window = window.or_insert_with(|| SlidingWindow::new(self.intensity, self.period));
+        if !window.add((), now) {
             return false;
         }
         if window.left(now) == 0 {
@@ -64,7 +64,7 @@ impl Budget {
     /// When the next exhausted count allows a restart again.
     pub(super) fn next_release(&self) -> Option<Instant> {
         let spent = self.spent.iter().filter_map(|of| self.windows.get(of));
-        spent.filter_map(RestartWindow::next_release).min()
+        spent.filter_map(SlidingWindow::next_release).min()
     }
 
     /// Moves the windows; says which of the exhausted counts allow restarts again.

@@ -1,8 +1,8 @@
 //! A supervisor's record of one child.
 
 use super::CallId;
-use crate::recovery::{ChildRules, Restart, RestartWindow};
-use crate::{Fault, FaultKind, Incarnation, Instant, ObjectName};
+use crate::recovery::{ChildRules, Restart};
+use crate::{Fault, FaultKind, Incarnation, Instant, ObjectName, SlidingWindow};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -144,7 +144,7 @@ pub(super) struct SupervisedChild {
     pub(super) ordered: bool,
     /// When its guard restarted it by itself, as far back as it counts; never more than the
     /// intensity allows, and one. There only where it has.
-    pub(super) on_the_spot: Option<Box<RestartWindow>>,
+    pub(super) on_the_spot: Option<Box<SlidingWindow>>,
 }
 
 impl SupervisedChild {

@@ -4,8 +4,8 @@ use super::child::{ChildKey, ChildPhase, ChildTarget, ReplacementCause, Supervis
 use super::{
     CallId, GiveUpReason, PENDING_LIMIT, Pending, Phase, Supervisor, SupervisorOutput, Wish,
 };
-use crate::recovery::{Restart, RestartGrant, RestartWindow, Strategy};
-use crate::{Incarnation, Instant, ObjectName};
+use crate::recovery::{Restart, RestartGrant, Strategy};
+use crate::{Incarnation, Instant, ObjectName, SlidingWindow};
 
 impl Supervisor {
     /// Takes the next step that is possible, and answers the requests that are decided.
@@ -536,8 +536,8 @@ impl Supervisor {
         let child = self.kept(key);
         child.incarnation = next;
         child.restarts += 1;
-        let window = || Box::new(RestartWindow::new(counted, period));
-        child.on_the_spot.get_or_insert_with(window).add(now);
+        let window = || Box::new(SlidingWindow::new(counted, period));
+        child.on_the_spot.get_or_insert_with(window).add((), now);
         if !matches!(child.state, ChildPhase::Down | ChildPhase::Stopping { .. }) {
             self.await_start(key, now);
         }

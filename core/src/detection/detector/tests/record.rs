@@ -1,6 +1,7 @@
 //! The treatment of open faults, and their record.
 
 use super::*;
+use crate::sorted::SortedSet;
 use proptest::prelude::*;
 
 #[test]
