@@ -10,7 +10,7 @@ use crate::platform;
 use crate::registry::access::{AccessControl, AccessWish, MessageOrigin};
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
-use crate::runtime::callbacks::{CallKind, CallOutcome, Callbacks};
+use crate::runtime::callbacks::{CallOutcome, Callbacks};
 use crate::runtime::guardian::Guardian;
 use crate::runtime::timekeeper::Timekeeper;
 use actix::prelude::{ArbiterHandle, Recipient};
@@ -545,7 +545,6 @@ impl ActuatorTable {
         };
         let (actuator, object) = (actuator.clone(), actuator.object.clone());
         self.callbacks.call(
-            CallKind::SafeOutput,
             &object,
             move || cut_off(),
             move |outcome| {

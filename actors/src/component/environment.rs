@@ -5,9 +5,7 @@ use crate::component::extension::Extensions;
 use crate::liveness::sampler::SampledComponents;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::registry::Registry;
-use crate::runtime::callbacks::Callbacks;
 use crate::runtime::reports::FaultReports;
-use crate::settings::CALLBACK_LIMIT;
 use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
 use std::sync::Arc;
@@ -18,8 +16,6 @@ use tracing::error;
 pub(crate) struct ComponentEnvironment {
     pub(crate) reports: FaultReports,
     pub(crate) arbiters: ArbiterPool,
-    /// Where messages that are not going to be served are returned to their senders.
-    pub(crate) callbacks: Callbacks,
     pub(crate) registry: Registry,
     pub(crate) dead_letters: DeadLetterLog,
     pub(crate) watch_list: SampledComponents,
@@ -56,14 +52,9 @@ impl ComponentEnvironment {
 
     /// An environment of its own, whose components live on `arbiters`.
     pub(crate) fn new(arbiters: ArbiterPool, reports: FaultReports) -> Self {
-        let callbacks = match arbiters.are_here() {
-            true => Callbacks::default(),
-            false => Callbacks::on_threads(CALLBACK_LIMIT.default, arbiters.clone()),
-        };
         ComponentEnvironment {
             reports,
             arbiters,
-            callbacks,
             registry: Registry::default(),
             dead_letters: DeadLetterLog::default(),
             watch_list: SampledComponents::default(),

@@ -8,10 +8,11 @@
 //!       └─ stroke ─► systemd, /dev/watchdog
 //! ```
 //!
-//! Nothing of the application can keep the fault chain's thread but its log, and what the factory
-//! of a removed component had captured, when it is dropped. Should the chain not answer all the
-//! same, what can still be done is done from here: the safe outputs are applied, and the watchdogs
-//! of the process are stroked no more. It is not restarted on another thread: its log would block
+//! Nothing of the application can keep the fault chain's thread but its log, and two things when
+//! they are dropped: the messages that wait for a component that is not started again, and what the
+//! factory of a removed component had captured. Should the chain not answer all the same, what can
+//! still be done is done from here: the safe outputs are applied, and the watchdogs of the process
+//! are stroked no more. It is not restarted on another thread: its log would block
 //! that one too. There is no such thread in a node that runs on one thread.
 
 use crate::platform::{self, ProcessWatchdog};

@@ -658,8 +658,7 @@ fn environment(
     registry.set_node(node.clone());
     let fault_codes = Arc::new(plan.codes());
     let general = with_features(ComponentEnvironment::new(arbiters, reports), actuators);
-    let callbacks = parts.chain.callbacks.clone();
-    ComponentEnvironment { registry, fault_codes, callbacks, ..general }
+    ComponentEnvironment { registry, fault_codes, ..general }
 }
 
 fn enrolment(node: &NodeName, facts: &ComponentFacts) -> Result<Register, NameError> {

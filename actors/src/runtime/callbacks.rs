@@ -1,12 +1,10 @@
-//! Calls of the application's code by the middleware: recovery strategies, safe outputs, and the
-//! `Drop` of messages that are returned to their senders.
+//! Calls of the application's code by the middleware: recovery strategies and safe outputs.
 //!
 //! None of it runs on the fault chain's thread. A strategy has an arbiter of its own. Safe outputs
-//! are called one after the other on a thread that is started for them, and messages are returned
-//! on another one. Each call is entered here while it runs, and the thread that
-//! [watches the chain](crate::fault_chain::outside) finds those that take longer than the limit:
-//! the call is reported under its name, its thread is abandoned, and what waits behind it goes on
-//! on a fresh one.
+//! are called one after the other on a thread that is started for them. Each call is entered here
+//! while it runs, and the thread that [watches the chain](crate::fault_chain::outside) finds those
+//! that take longer than the limit: the call is reported under its name, its thread is abandoned,
+//! and the calls that wait behind it go on on a fresh one.
 //!
 //! Whether a call returned in time is decided once, under the lock of its stage. A call that
 //! returns while its delay is being reported waits for the end of that report, so that each thread
@@ -25,26 +23,6 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
-/// What a call is for. Each kind has a queue and a thread of its own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum CallKind {
-    /// Safe outputs. Where the system has no thread left, they are called on the caller's thread:
-    /// that outputs are safe comes before all else.
-    SafeOutput,
-    /// A message is returned to its sender, or dropped. Where the system has no thread left, it
-    /// waits for one.
-    Return,
-}
-
-impl CallKind {
-    fn thread_name(self) -> &'static str {
-        match self {
-            CallKind::SafeOutput => "safe-outputs",
-            CallKind::Return => "returns",
-        }
-    }
-}
-
 /// What became of one call.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum CallOutcome {
@@ -54,15 +32,13 @@ pub(crate) enum CallOutcome {
     Panicked(String),
     /// It has taken longer than this limit and still runs.
     Blocked(Duration),
-    /// A safe output was not called, because so many calls of the same object block already. A
-    /// message was not returned yet, because the system has no thread left.
+    /// It was not made, because so many calls of the same object block already.
     NotMade,
     /// It blocked, and has returned after all.
     ReturnedLate,
 }
 
-/// Is told what became of a call: once, and once more where that was [`CallOutcome::Blocked`], or a
-/// message that was not returned yet.
+/// Is told what became of a call: once, and once more where that was [`CallOutcome::Blocked`].
 type OutcomeFn = Box<dyn Fn(CallOutcome) + Send>;
 type LateFn = Box<dyn FnOnce(Duration) + Send>;
 
@@ -82,8 +58,7 @@ struct Threads {
     /// The calls that run and are not late, each with the time for which it was seen to run. At
     /// most one a thread.
     running: Mutex<Vec<(Duration, Arc<ActiveCall>)>>,
-    outputs: Mutex<Queue>,
-    returns: Mutex<Queue>,
+    queue: Mutex<Queue>,
     reports: OnceLock<FaultReports>,
 }
 
@@ -103,20 +78,17 @@ enum CallStage {
     Returned,
 }
 
-/// Calls of one kind that wait: no more than components and actuators enter the safe state at once,
-/// or than fit into the queues of components that end.
+/// Calls of safe outputs that wait: no more than components and actuators enter the safe state at
+/// once.
 #[derive(Default)]
 struct Queue {
     waiting: VecDeque<Job>,
     /// The thread that makes the calls; none while none waits.
     thread: Option<u64>,
     started: u64,
-    /// Whose calls of this kind block a thread now. What an object blocks by its handlers, or by
-    /// calls of the other kind, is not held against it here: the safe outputs of a component that
-    /// hangs are called in every case.
+    /// Whose calls block a thread now. What an object blocks by its handlers is not held against it
+    /// here: the safe outputs of a component that hangs are called in every case.
     blocked: Vec<ObjectName>,
-    /// That there is no thread was reported.
-    starved: bool,
 }
 
 struct Job {
@@ -179,8 +151,7 @@ impl Callbacks {
             start,
             arbiters,
             running: Mutex::default(),
-            outputs: Mutex::default(),
-            returns: Mutex::default(),
+            queue: Mutex::default(),
             reports: OnceLock::new(),
         })))
     }
@@ -223,9 +194,8 @@ impl Callbacks {
             running.extract_if(.., |(seen, _)| *seen > threads.limit).collect()
         };
         late.iter().for_each(|(_, call)| call.handle_late(threads));
-        // Behind a call that blocks, and where no thread was left, others may wait.
-        threads.serve(CallKind::SafeOutput);
-        threads.serve(CallKind::Return);
+        // Behind a call that blocks, others may wait.
+        threads.serve();
     }
 
     /// A fault of `object`, whose code blocks a thread.
@@ -250,11 +220,11 @@ impl Callbacks {
         self.0.as_ref().map_or(Ok(()), |threads| threads.arbiters.check_share(object))
     }
 
-    /// Has this function of the object called, behind those of its kind that wait already.
-    /// `outcome` is told what became of it.
+    /// Has safe outputs of the object called, behind those that wait already. `outcome` is told what
+    /// became of it. Where the system has no thread left, they are called on the caller's thread:
+    /// that outputs are safe comes before all else.
     pub(crate) fn call(
         &self,
-        kind: CallKind,
         object: &ObjectName,
         run: impl FnOnce() + Send + 'static,
         outcome: impl Fn(CallOutcome) + Send + 'static,
@@ -264,8 +234,8 @@ impl Callbacks {
         };
         let object = object.clone();
         let job = Job { object, run: Box::new(run), outcome: Box::new(outcome) };
-        lock(threads.queue(kind)).waiting.push_back(job);
-        threads.serve(kind);
+        lock(&threads.queue).waiting.push_back(job);
+        threads.serve();
     }
 }
 
@@ -290,24 +260,9 @@ impl Queue {
             self.blocked.swap_remove(at);
         }
     }
-
-    /// The first call that can be made or refused. A message that cannot be returned now waits.
-    fn first(&self, kind: CallKind) -> Option<usize> {
-        match kind {
-            CallKind::SafeOutput => (!self.waiting.is_empty()).then_some(0),
-            CallKind::Return => self.waiting.iter().position(|job| self.may_call(&job.object)),
-        }
-    }
 }
 
 impl Threads {
-    fn queue(&self, kind: CallKind) -> &Mutex<Queue> {
-        match kind {
-            CallKind::SafeOutput => &self.outputs,
-            CallKind::Return => &self.returns,
-        }
-    }
-
     fn enter(self: &Arc<Self>, object: &ObjectName, late: LateFn) -> RunningCall {
         let (object, stage) = (object.clone(), Mutex::new(CallStage::Running(late)));
         let call = Arc::new(ActiveCall { object, stage });
@@ -316,9 +271,9 @@ impl Threads {
     }
 
     /// Sees that a thread makes the calls that wait.
-    fn serve(self: &Arc<Self>, kind: CallKind) {
-        let mut queue = lock(self.queue(kind));
-        if queue.thread.is_some() || queue.first(kind).is_none() {
+    fn serve(self: &Arc<Self>) {
+        let mut queue = lock(&self.queue);
+        if queue.thread.is_some() || queue.waiting.is_empty() {
             return;
         }
         queue.started += 1;
@@ -326,32 +281,17 @@ impl Threads {
         queue.thread = Some(number);
         drop(queue);
         let threads = self.clone();
-        let work = Box::new(move || threads.work(kind, number));
-        match ((self.start)(kind.thread_name(), work), kind) {
-            (Ok(()), _) => lock(self.queue(kind)).starved = false,
-            (Err(_), CallKind::SafeOutput) => self.work(kind, number),
-            (Err(_), CallKind::Return) => self.handle_starved(kind),
-        }
-    }
-
-    /// The system has no thread left: the next look tries again.
-    fn handle_starved(&self, kind: CallKind) {
-        let mut queue = lock(self.queue(kind));
-        queue.thread = None;
-        if !std::mem::replace(&mut queue.starved, true)
-            && let Some(job) = queue.waiting.front()
-        {
-            (job.outcome)(CallOutcome::NotMade);
+        if (self.start)("safe-outputs", Box::new(move || threads.work(number))).is_err() {
+            self.work(number);
         }
     }
 
     /// Makes calls until none waits, or until this thread is abandoned.
-    fn work(self: &Arc<Self>, kind: CallKind, number: u64) {
+    fn work(self: &Arc<Self>, number: u64) {
         loop {
             let (Job { object, run, outcome }, may_call) = {
-                let mut queue = lock(self.queue(kind));
-                let next = queue.first(kind).and_then(|at| queue.waiting.remove(at));
-                let Some(job) = next else {
+                let mut queue = lock(&self.queue);
+                let Some(job) = queue.waiting.pop_front() else {
                     queue.thread = None;
                     return;
                 };
@@ -365,7 +305,7 @@ impl Threads {
             let outcome = Arc::new(Mutex::new(outcome));
             let (threads, report, culprit) = (self.clone(), outcome.clone(), object.clone());
             let late = move |limit| {
-                let mut queue = lock(threads.queue(kind));
+                let mut queue = lock(&threads.queue);
                 queue.thread.take_if(|thread| *thread == number);
                 queue.blocked.push(culprit);
                 drop(queue);
@@ -378,9 +318,9 @@ impl Threads {
                 continue;
             }
             // Another thread makes the calls now.
-            lock(self.queue(kind)).forget_blocked(&object);
+            lock(&self.queue).forget_blocked(&object);
             lock(&outcome)(CallOutcome::ReturnedLate);
-            return self.serve(kind);
+            return self.serve();
         }
     }
 }

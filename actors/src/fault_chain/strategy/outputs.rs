@@ -1,6 +1,6 @@
 //! The application's declared safe outputs.
 
-use crate::runtime::callbacks::{CallKind, CallOutcome, Callbacks};
+use crate::runtime::callbacks::{CallOutcome, Callbacks};
 use crate::runtime::reports::FaultReports;
 use blastema_core::{Fault, ObjectName};
 use std::sync::atomic::AtomicBool;
@@ -73,7 +73,6 @@ impl SafeOutputs {
         };
         let (fault, reports, done) = (fault.clone(), self.reports.clone(), Mutex::new(Some(done)));
         self.callbacks.call(
-            CallKind::SafeOutput,
             &ObjectName::new(SAFE_OUTPUTS).expect("this name is well formed"),
             move || apply(&fault),
             move |outcome| {

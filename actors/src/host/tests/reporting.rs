@@ -5,7 +5,6 @@ use crate::arbiter::pool::ArbiterPool;
 use crate::{ChildSpec, Component, Context, Event, Handle, Incarnation, Ports};
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::ExitReason;
-use blastema_core::FaultKind;
 use blastema_doubles::{paused, settle};
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
@@ -193,60 +192,6 @@ impl Handle<Sample> for Trap {
     }
 }
 
-thread_local! {
-    /// This thread is the one that keeps the component, as a supervisor's does.
-    static KEEPS: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
-}
-
-/// How many of them were dropped on the thread that keeps the component, and on others.
-static KEEPER_DROPS: AtomicU64 = AtomicU64::new(0);
-static OTHER_DROPS: AtomicU64 = AtomicU64::new(0);
-
-/// Counts on which thread it is dropped.
-#[derive(Clone, Debug, Event)]
-struct Remnant(u64);
-
-impl Drop for Remnant {
-    fn drop(&mut self) {
-        let count = if KEEPS.get() { &KEEPER_DROPS } else { &OTHER_DROPS };
-        count.fetch_add(1, Relaxed);
-    }
-}
-
-/// What blocks the `Drop` of the message of number 1.
-static BURDEN: Mutex<Option<Arc<Held>>> = Mutex::new(None);
-static BURDENS_DROPPED: AtomicU64 = AtomicU64::new(0);
-
-/// The first one blocks where it is dropped.
-#[derive(Clone, Debug, Event)]
-struct Burden(u64);
-
-impl Drop for Burden {
-    fn drop(&mut self) {
-        if self.0 == 1 {
-            let held = BURDEN.lock().unwrap().take();
-            held.expect("it is dropped once").wait();
-        }
-        BURDENS_DROPPED.fetch_add(1, Relaxed);
-    }
-}
-
-struct Hoard;
-
-impl Component for Hoard {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Remnant>().accept::<Burden>();
-    }
-}
-
-impl Handle<Burden> for Hoard {
-    async fn handle(&mut self, _: Burden, _: &mut Context<Self>) {}
-}
-
-impl Handle<Remnant> for Hoard {
-    async fn handle(&mut self, _: Remnant, _: &mut Context<Self>) {}
-}
-
 /// On real threads.
 mod real {
     use super::*;
@@ -359,58 +304,6 @@ mod real {
             stage.reports.drain();
             assert_eq!(stage.begin(&mut *child, 3).await, ChildEvent::Started);
             assert_eq!(stage.exits.drain(), []);
-            stage.environment.arbiters.stop();
-        });
-    }
-
-    #[test]
-    fn a_supervisors_thread_drops_no_message_of_an_abandoned_incarnation() {
-        let _turn = blastema_doubles::turn();
-        actix_rt::System::new().block_on(async {
-            KEEPS.set(true);
-            let stage = Stage::on(ArbiterPool::pool(1));
-            let (mut child, hoard) = stage.start(ChildSpec::new("hoard", || Hoard)).await;
-            child.abandon();
-            (0..3).for_each(|n| hoard.tell(Remnant(n)).unwrap());
-
-            child.stop();
-
-            while OTHER_DROPS.load(Relaxed) < 3 {
-                assert_eq!(KEEPER_DROPS.load(Relaxed), 0);
-                tokio::time::sleep(Duration::from_millis(1)).await;
-            }
-            assert_eq!(KEEPER_DROPS.load(Relaxed), 0);
-            stage.environment.arbiters.stop();
-        });
-    }
-
-    #[test]
-    fn a_message_whose_drop_blocks_on_return_delays_no_other() {
-        let _turn = blastema_doubles::turn();
-        actix_rt::System::new().block_on(async {
-            let stage = Stage::on(ArbiterPool::pool(1));
-            let (open, held) = Held::new();
-            *BURDEN.lock().unwrap() = Some(held.clone());
-            let (mut child, hoard) = stage.start(ChildSpec::new("hoard", || Hoard)).await;
-            child.abandon();
-            (1..=3).for_each(|n| hoard.tell(Burden(n)).unwrap());
-
-            child.stop();
-            held.until_a_thread_waits().await;
-            stage.environment.callbacks.look(Duration::from_secs(60));
-
-            let fault = stage.faults.expect().await;
-            assert_eq!((fault.object.as_str(), fault.kind), ("hoard", FaultKind::CheckFailed));
-            assert!(fault.detail.contains("Burden has blocked its thread"), "{}", fault.detail);
-            assert_eq!(stage.environment.arbiters.lost()[&fault.object], 1);
-            while BURDENS_DROPPED.load(Relaxed) < 2 {
-                tokio::time::sleep(Duration::from_millis(1)).await;
-            }
-            drop(open);
-            while stage.environment.arbiters.abandoned() > 0 {
-                tokio::time::sleep(Duration::from_millis(1)).await;
-            }
-            assert_eq!(BURDENS_DROPPED.load(Relaxed), 3);
             stage.environment.arbiters.stop();
         });
     }

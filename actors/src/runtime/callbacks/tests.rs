@@ -29,30 +29,20 @@ impl Rig {
     }
 
     fn call(&self, number: u32, run: impl FnOnce() + Send + 'static) {
-        self.call_of(CallKind::SafeOutput, "arm", number, run);
+        self.call_of("arm", number, run);
     }
 
-    fn call_of(
-        &self,
-        kind: CallKind,
-        object: &str,
-        number: u32,
-        run: impl FnOnce() + Send + 'static,
-    ) {
+    fn call_of(&self, object: &str, number: u32, run: impl FnOnce() + Send + 'static) {
         let outcomes = self.outcomes.0.clone();
         let outcome = move |outcome| outcomes.send((number, outcome)).unwrap();
-        self.callbacks.call(kind, &object.parse().unwrap(), run, outcome);
+        self.callbacks.call(&object.parse().unwrap(), run, outcome);
     }
 
     /// Blocks until the sender is dropped.
     fn block(&self, number: u32) -> Sender<()> {
-        self.block_by(CallKind::SafeOutput, number)
-    }
-
-    fn block_by(&self, kind: CallKind, number: u32) -> Sender<()> {
         let (hold, held) = channel::<()>();
         let (begun, begins) = channel();
-        self.call_of(kind, "arm", number, move || {
+        self.call(number, move || {
             begun.send(()).unwrap();
             let _ = held.recv();
         });
@@ -108,7 +98,7 @@ fn a_call_that_returns_while_its_delay_is_reported_leaves_no_lost_thread() {
     let rig = Rig::new();
     let hold = rig.block(1);
     // The report of the delay stops at this lock.
-    let queue = lock(&rig.threads().outputs);
+    let queue = lock(&rig.threads().queue);
     let callbacks = rig.callbacks.clone();
     let look = std::thread::spawn(move || callbacks.look(2 * LIMIT));
     while !lock(&rig.threads().running).is_empty() {
@@ -139,7 +129,7 @@ fn an_object_whose_calls_block_is_called_no_more_and_others_are() {
     rig.call(9, || panic!("it is not called"));
     assert_eq!(rig.outcomes(), (9, CallOutcome::NotMade));
 
-    rig.call_of(CallKind::SafeOutput, "leg", 8, || {});
+    rig.call_of("leg", 8, || {});
     assert_eq!(rig.outcomes(), (8, CallOutcome::Done));
 
     holds.clear();
@@ -151,57 +141,13 @@ fn an_object_whose_calls_block_is_called_no_more_and_others_are() {
 }
 
 #[test]
-fn what_an_object_blocks_by_messages_is_not_held_against_its_safe_outputs() {
-    let rig = Rig::new();
-    let mut holds = Vec::new();
-    for number in 0..THREADS_OF_ONE as u32 {
-        holds.push(rig.block_by(CallKind::Return, number));
-        rig.callbacks.look(2 * LIMIT);
-        assert_eq!(rig.outcomes(), (number, CallOutcome::Blocked(LIMIT)));
-    }
-    assert_eq!(rig.abandoned(), THREADS_OF_ONE);
-
-    rig.call(8, || {});
-    assert_eq!(rig.outcomes(), (8, CallOutcome::Done));
-
-    rig.call_of(CallKind::Return, "arm", 9, || {});
-    rig.call_of(CallKind::Return, "leg", 10, || {});
-    assert_eq!(rig.outcomes(), (10, CallOutcome::Done), "the ninth waits, and others do not");
-    drop(holds.pop());
-    assert_eq!(rig.outcomes().1, CallOutcome::ReturnedLate);
-    assert_eq!(rig.outcomes(), (9, CallOutcome::Done));
-    drop(holds);
-    for _ in 1..THREADS_OF_ONE {
-        assert_eq!(rig.outcomes().1, CallOutcome::ReturnedLate);
-    }
-    assert_eq!(rig.abandoned(), 0);
-}
-
-#[test]
-fn without_a_thread_messages_wait_and_safe_outputs_are_applied_at_once() {
-    let has_threads = Arc::new(std::sync::atomic::AtomicBool::new(false));
-    let allowed = has_threads.clone();
-    let start = move |name: &str, body: Box<dyn FnOnce() + Send>| {
-        if !allowed.load(std::sync::atomic::Ordering::SeqCst) {
-            return Err(std::io::ErrorKind::WouldBlock.into());
-        }
-        platform::start_thread(name, body).map(drop)
-    };
+fn without_a_thread_safe_outputs_are_applied_at_once() {
+    let start = |_: &str, _| Err(std::io::ErrorKind::WouldBlock.into());
     let arbiters = ArbiterPool::here();
     let rig = Rig::of(Callbacks::on_threads_of(Box::new(start), LIMIT, arbiters));
     let here = std::thread::current().id();
 
-    let elsewhere = move || assert_ne!(std::thread::current().id(), here);
-    rig.call_of(CallKind::Return, "arm", 1, elsewhere);
-    rig.call_of(CallKind::Return, "arm", 2, elsewhere);
-    assert_eq!(rig.outcomes(), (1, CallOutcome::NotMade));
-    rig.callbacks.look(Duration::ZERO);
-    assert!(rig.outcomes.1.try_recv().is_err(), "that they wait is told once");
-    rig.call(3, move || assert_eq!(std::thread::current().id(), here));
-    assert_eq!(rig.outcomes(), (3, CallOutcome::Done));
+    rig.call(1, move || assert_eq!(std::thread::current().id(), here));
 
-    has_threads.store(true, std::sync::atomic::Ordering::SeqCst);
-    rig.callbacks.look(Duration::ZERO);
     assert_eq!(rig.outcomes(), (1, CallOutcome::Done));
-    assert_eq!(rig.outcomes(), (2, CallOutcome::Done));
 }
