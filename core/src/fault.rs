@@ -316,6 +316,14 @@ impl Fault {
         matches!(self.location, FaultLocation::Object(_))
     }
 
+    /// The fault as the reason of what follows from it, such as `hang: Move has kept its thread for
+    /// 500 ms at least, fault 7`.
+    pub fn as_reason(&self) -> String {
+        let Fault { kind, detail, id, symptom_of, .. } = self;
+        let root = symptom_of.map(|root| format!(", a symptom of fault {}", root.0));
+        format!("{kind}: {detail}, fault {}{}", id.0, root.unwrap_or_default())
+    }
+
     /// A fault of a whole node that its controller found itself: it stands in no detector's record.
     #[doc(hidden)]
     pub fn of_node(node: NodeName, kind: FaultKind, detail: String, found_at: Instant) -> Self {

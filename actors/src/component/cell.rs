@@ -311,7 +311,11 @@ impl CellCore {
     #[cold]
     fn check_flags(&self, flags: u8, id: Option<MessageId>) -> Option<DeliveryError> {
         if flags & ISOLATED != 0 {
-            return Some(DeliveryError::Isolated { object: self.name.to_string() });
+            let reason = self.cold_if_used().and_then(ColdState::isolated_because);
+            return Some(match reason {
+                Some(reason) => DeliveryError::Isolated { object: self.name.to_string(), reason },
+                None => DeliveryError::isolated(&self.name),
+            });
         }
         self.cold_if_used()?.refusal(id?)
     }
@@ -470,6 +474,7 @@ impl<C: Component> ComponentCell<C> {
             self.record.flags.fetch_or(ISOLATED, Relaxed);
         } else {
             self.record.flags.fetch_and(!ISOLATED, Relaxed);
+            self.record.cold_if_used().inspect(|cold| cold.explain_isolation(None));
         }
         if let Some(placement) = self.record.arbiter() {
             placement.token.mute(isolated);

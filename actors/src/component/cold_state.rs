@@ -16,6 +16,8 @@ pub(crate) struct ColdState {
     pub(crate) exits: UntoldExits,
     quarantine: Mutex<Quarantine>,
     listeners: Mutex<Vec<Arc<dyn CellListener>>>,
+    /// The fault for which the component is isolated.
+    isolated_because: Mutex<Option<String>>,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -39,6 +41,16 @@ impl ColdState {
         let mut quarantine = lock(&self.quarantine);
         quarantine.handle_kill(id, incarnation);
         quarantine.is_active()
+    }
+
+    /// The component is isolated from now on, or soon, for this reason.
+    pub(crate) fn explain_isolation(&self, reason: Option<String>) {
+        *lock(&self.isolated_because) = reason;
+    }
+
+    /// Why the component is isolated, where that is known.
+    pub(super) fn isolated_because(&self) -> Option<String> {
+        lock(&self.isolated_because).clone()
     }
 
     /// Why this message is refused, where it is quarantined.

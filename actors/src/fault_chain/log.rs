@@ -4,7 +4,7 @@
 //!
 //! | step | level |
 //! | --- | --- |
-//! | a root is found, or again for the 2nd, 4th, 8th, … time | WARN for a warning, else ERROR |
+//! | a root is found, or again for the 2nd, 4th, 8th, … time, or was taken for a symptom | WARN for a warning, else ERROR |
 //! | the recoverer gives a fault up | ERROR |
 //! | a recovery action has failed, and another attempt or action follows | WARN |
 //! | a symptom is found; a decision, a recovery, a repair | INFO |
@@ -109,6 +109,7 @@ fn shown(fault: &Fault, turn: &FaultTransition) -> Shown {
     match turn {
         FaultTransition::Found if is_root => Shown { level: of_severity, printed: true },
         FaultTransition::Repeated if is_root => Shown { level: of_severity, printed: false },
+        FaultTransition::Explained if is_root => Shown { level: of_severity, printed: true },
         FaultTransition::GaveUp { .. } => Shown { level: Level::ERROR, printed: true },
         FaultTransition::Failed { .. } => Shown { level: Level::WARN, printed: true },
         _ => Shown { level: Level::INFO, printed: false },
@@ -142,7 +143,10 @@ fn detail<'a>(fault: &'a Fault, turn: &'a FaultTransition) -> Cow<'a, str> {
         FaultTransition::Decided { action } => action.into(),
         FaultTransition::Failed { action, reason } => format!("{action}: {reason}").into(),
         FaultTransition::GaveUp { reason } => reason.into(),
-        _ => (&fault.detail).into(),
+        _ => match fault.symptom_of {
+            Some(root) => format!("{}; it is a symptom of fault {}", fault.detail, root.0).into(),
+            None => (&fault.detail).into(),
+        },
     }
 }
 
@@ -155,7 +159,10 @@ fn line(node: &NodeName, fault: &Fault, turn: &FaultTransition) -> String {
     };
     let (kind, location) = (&fault.kind, &fault.location);
     let text = match turn {
-        FaultTransition::GaveUp { reason } => format!("{kind} of {location} is given up: {reason}"),
+        FaultTransition::GaveUp { reason } => {
+            let (detail, id) = (&fault.detail, fault.id.0);
+            format!("{kind} of {location} is given up: {detail}, fault {id}: {reason}")
+        }
         FaultTransition::Failed { action, reason } => {
             format!("{kind} of {location}: {action} has failed: {reason}")
         }
@@ -203,14 +210,23 @@ mod tests {
         check(FaultKind::Panic, Some(1), gave_up(), Level::ERROR, true);
         check(FaultKind::Panic, Some(1), FaultTransition::Found, Level::INFO, false);
         check(FaultKind::Panic, Some(1), FaultTransition::Repeated, Level::INFO, false);
-        for turn in [
-            decided(),
-            FaultTransition::Explained,
-            FaultTransition::Recovered,
-            FaultTransition::Cleared,
-        ] {
+        check(FaultKind::Panic, None, FaultTransition::Explained, Level::ERROR, true);
+        check(FaultKind::Panic, Some(1), FaultTransition::Explained, Level::INFO, false);
+        for turn in [decided(), FaultTransition::Recovered, FaultTransition::Cleared] {
             check(FaultKind::Panic, None, turn, Level::INFO, false);
         }
+    }
+
+    #[test]
+    fn a_symptom_names_its_root_and_a_fault_that_is_given_up_what_it_was() {
+        let symptom = fault(FaultKind::Hang, Some(3));
+        let text = detail(&symptom, &FaultTransition::Found);
+        assert_eq!(text, "boom\nat arm.rs:7; it is a symptom of fault 3");
+
+        let (node, root) = (NodeName::new("module1").unwrap(), fault(FaultKind::Hang, None));
+        let line = line(&node, &root, &FaultTransition::GaveUp { reason: "too often".into() });
+        let text = "hang of module1:arm is given up: boom at arm.rs:7, fault 7: too often";
+        assert_eq!(line, format!("blastema: error on node module1: {text}"));
     }
 
     #[test]

@@ -93,7 +93,7 @@ impl SupervisorActor {
         let watched = guardian.watched();
         let make = move |_: &mut Context<Self>| Self::new(setup, watched);
         let address = guardian.start(body, arbiter, make);
-        SupervisorChild { name, address, report: None }
+        SupervisorChild { name, address, report: None, reason: String::new() }
     }
 
     fn new(setup: SupervisorSetup, watched: Deaths) -> Self {
@@ -399,7 +399,8 @@ impl Handler<IsolateAll> for SupervisorActor {
     type Result = ();
 
     fn handle(&mut self, message: IsolateAll, context: &mut Context<Self>) {
-        let IsolateAll { isolated } = message;
+        let IsolateAll { isolated, reason } = message;
+        self.children.values_mut().for_each(|child| child.explain_isolation(&reason));
         self.machine.handle_isolate_all(isolated, platform::now());
         self.drive(context);
     }
@@ -490,7 +491,8 @@ impl Handler<IsolateChild> for SupervisorActor {
     type Result = PendingAnswer<RecoveryResult>;
 
     fn handle(&mut self, message: IsolateChild, context: &mut Context<Self>) -> Self::Result {
-        let IsolateChild { object, faulty, isolated } = message;
+        let IsolateChild { object, faulty, isolated, reason } = message;
+        self.with(&object, |child| child.explain_isolation(&reason));
         self.ask(context, object, |machine, object, call, now| {
             machine.handle_isolate(object, faulty, isolated, call, now);
         })
@@ -553,6 +555,8 @@ pub(crate) struct SupervisorChild {
     name: ObjectName,
     address: Addr<SupervisorActor>,
     report: Option<(Incarnation, Arc<Recipient<ChildReport>>)>,
+    /// Why its children are isolated, or soon will be.
+    reason: String,
 }
 
 impl SupervisorChild {
@@ -618,7 +622,11 @@ impl Child for SupervisorChild {
     }
 
     fn isolate(&mut self, isolated: bool) {
-        self.address.do_send(IsolateAll { isolated });
+        self.address.do_send(IsolateAll { isolated, reason: self.reason.clone() });
+    }
+
+    fn explain_isolation(&mut self, reason: &str) {
+        reason.clone_into(&mut self.reason);
     }
 
     fn set_restart_grant(&mut self, _: Option<RestartGrant>) {

@@ -209,6 +209,10 @@ impl<C: Component> Child for ComponentChild<C> {
         self.cell.isolate(isolated);
     }
 
+    fn explain_isolation(&mut self, reason: &str) {
+        self.cell.record.cold().explain_isolation(Some(reason.to_owned()));
+    }
+
     fn set_restart_grant(&mut self, order: Option<RestartGrant>) {
         self.cell.record.set_order(order);
     }

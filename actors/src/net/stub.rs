@@ -161,7 +161,7 @@ impl PeerSendState {
             return Err(DeliveryError::Stopped);
         }
         if self.is_isolated() {
-            return Err(DeliveryError::Isolated { object: self.node.to_string() });
+            return Err(DeliveryError::isolated(&self.node));
         }
         match self.condition() {
             PeerCondition::Unreachable => {

@@ -71,6 +71,10 @@ pub trait Child: Send {
     /// Forbids the child to send and receive, or allows it again.
     fn isolate(&mut self, isolated: bool);
 
+    /// The reason of an [`isolate`](Child::isolate) that follows, for those whose messages are
+    /// refused then.
+    fn explain_isolation(&mut self, _reason: &str) {}
+
     /// Leaves a decision with the child's guard, or withdraws it.
     fn set_restart_grant(&mut self, order: Option<RestartGrant>);
 }

@@ -78,6 +78,8 @@ pub struct IsolateChild {
     pub faulty: Option<Incarnation>,
     /// Forbidden, or allowed.
     pub isolated: bool,
+    /// Why.
+    pub reason: String,
 }
 
 /// Put a child in safe state: its incarnation ends, it is isolated, and only an explicit restart
@@ -153,11 +155,13 @@ pub struct ExpectEnd;
 pub struct AbandonChildren;
 
 /// From the parent: forbid all children to send and receive, or allow it again.
-#[derive(Clone, Copy, Debug, Message)]
+#[derive(Clone, Debug, Message)]
 #[rtype(result = "()")]
 pub struct IsolateAll {
     /// Forbidden, or allowed.
     pub isolated: bool,
+    /// Why.
+    pub reason: String,
 }
 
 /// How do a supervisor and everything below it stand?

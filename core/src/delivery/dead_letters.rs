@@ -319,7 +319,7 @@ mod tests {
             (DeliveryError::Expired, DeadReason::Expired),
             (DeliveryError::DeadlinePassed, DeadReason::DeadlinePassed),
             (DeliveryError::Quarantined { kills: 3 }, DeadReason::Quarantined),
-            (DeliveryError::Isolated { object: "arm".into() }, DeadReason::Isolated),
+            (DeliveryError::isolated("arm"), DeadReason::Isolated),
             (DeliveryError::SenderIsolated, DeadReason::Isolated),
             (DeliveryError::Fenced, DeadReason::Refused),
         ];

@@ -75,11 +75,14 @@ pub enum DeliveryError {
     /// The sender's incarnation was abandoned and replaced; its messages are refused.
     #[error("the sender has been fenced off")]
     Fenced,
-    /// The receiver, or its whole node, may neither send nor receive.
-    #[error("{object} is isolated, or in its safe state: the fault list says why")]
+    /// The receiver, or its whole node, may neither send nor receive: it was isolated, or put into
+    /// its safe state, also because its recovery was given up.
+    #[error("{object} is isolated, or in its safe state: {reason}")]
     Isolated {
         /// The object, or the node.
         object: String,
+        /// The fault for which it is so, with its number; or where to look it up.
+        reason: String,
     },
     /// The message, or the data that a command was made from, was older than its contract allows; or
     /// a safe command has taken the place of a command that waited.
@@ -354,6 +357,13 @@ pub enum Outcome {
 }
 
 impl DeliveryError {
+    /// The error of an object or a node that is isolated for a reason that only the fault list
+    /// knows.
+    pub fn isolated(object: impl fmt::Display) -> Self {
+        let reason = "the fault list says why".to_owned();
+        DeliveryError::Isolated { object: object.to_string(), reason }
+    }
+
     /// Returns whether a request that failed for this reason, and was not returned, took effect.
     pub fn outcome(&self) -> Outcome {
         match self {

@@ -99,7 +99,7 @@ mod tests {
             DeliveryError::DeadlinePassed,
             DeliveryError::Stopped,
             DeliveryError::Quarantined { kills: 3 },
-            DeliveryError::Isolated { object: "arm".into() },
+            DeliveryError::isolated("arm"),
             DeliveryError::SenderIsolated,
         ] {
             assert!(!again(&why, true), "{why} does not pass by itself");

@@ -296,8 +296,13 @@ impl Detector {
         let known = self.fault_log.open_fault(&scene.location, &kind);
         let incarnation = known.and_then(|id| Some(self.fault_log.entry(id)?.fault.incarnation));
         let known = known.filter(|&id| self.repeat(id, scene, &detail));
+        // What is its own cause now was taken for a symptom before.
+        let is_own = matches!(cause, Cause::Itself);
+        let is_symptom =
+            |id| self.fault_log.entry(id).is_some_and(|e| e.fault.symptom_of.is_some());
+        let turns = known.is_some_and(|id| is_own && is_symptom(id));
         let id = match known {
-            Some(id) if is_behind || !self.fault_log.treatment(id).unhanded => {
+            Some(id) if is_behind || !(turns || self.fault_log.treatment(id).unhanded) => {
                 let handed = self.fault_log.treatment(id).handed;
                 if handed && incarnation < Some(scene.incarnation) {
                     // What was done about it has not helped.
@@ -306,7 +311,7 @@ impl Detector {
                 return id;
             }
             Some(id) => {
-                // Where it was a symptom, it has outlived its root.
+                // Where it was a symptom, it is none any more, or has outlived its root.
                 self.explain(&[id], None, scene.at);
                 id
             }
@@ -511,10 +516,16 @@ impl Detector {
             self.fault_log.treat(id, |treatment| {
                 (treatment.reminder, treatment.unhanded) = (None, false);
             });
+            let root = self.fault_log.entry(id).and_then(|entry| entry.fault.symptom_of);
+            let root = root.and_then(|root| self.fault_log.entry(root)).map(|root| {
+                let Fault { id, kind, location, .. } = &root.fault;
+                format!("; it is a symptom of fault {}, {kind} of {location}", id.0)
+            });
+            let reason = reason.clone() + &root.unwrap_or_default();
             let Some(entry) = self.fault_log.entry_mut(id) else { continue };
             entry.given_up = Some((at, reason.clone()));
             let fault = entry.fault.clone();
-            let turn = FaultTransition::GaveUp { reason: reason.clone() };
+            let turn = FaultTransition::GaveUp { reason };
             self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
         }
     }

@@ -149,6 +149,7 @@ impl Recoverer {
         if let Some(case) = self.cases.get_mut(&fault.location)
             && let Some(noted) = case.faults.iter_mut().find(|noted| noted.fault.id == id)
         {
+            noted.fault.symptom_of = fault.symptom_of;
             if fault.incarnation > noted.fault.incarnation {
                 *noted = Noted { fault: fault.clone(), since: self.orders, over: false };
                 self.handle_struck_again(&fault, now);
@@ -158,9 +159,10 @@ impl Recoverer {
         if !self.is_ours(&fault) {
             return self.treat(fault, now);
         }
-        if self.symptoms.contains_key(&id) {
+        if self.symptoms.contains_key(&id) && fault.symptom_of.is_some() {
             return;
         }
+        self.symptoms.remove(&id);
         if let Some(root) = fault.symptom_of
             && !self.stands_behind(&fault, root)
             && (self.is_open(root) || self.symptoms.contains_key(&root))

@@ -101,7 +101,7 @@ impl StrategyContext {
         &self,
         fault: &Fault,
     ) -> Result<RecoveryDone, RecoveryFailed> {
-        let cause = format!("{}: {}", fault.kind, fault.detail);
+        let cause = fault.as_reason();
         self.set_isolated(&fault.location, Some(fault.incarnation), true, &cause).await
     }
 
@@ -164,7 +164,12 @@ impl StrategyContext {
             return decided.unwrap_or_else(|_| Err("the network did not answer".into()));
         }
         let (object, controller) = self.controller(location)?;
-        judge(controller.isolate.send(IsolateChild { object, faulty, isolated }).await)
+        judge(
+            controller
+                .isolate
+                .send(IsolateChild { object, faulty, isolated, reason: cause.to_owned() })
+                .await,
+        )
     }
 
     fn controller(

@@ -12,6 +12,9 @@ impl Handler<SafeStop> for SupervisorActor {
 
     fn handle(&mut self, message: SafeStop, context: &mut Context<Self>) -> Self::Result {
         let SafeStop { object, fault } = message;
+        if let Some(fault) = &fault {
+            self.with(&object, |child| child.explain_isolation(&fault.as_reason()));
+        }
         let present = self.machine.incarnation_of(&object);
         let cause = fault.map_or(ReplacementCause::Asked, |fault| cause_of_rest(&fault, present));
         self.ask(context, object, |machine, object, call, now| {

@@ -224,7 +224,8 @@ fn resets_isolation_and_rest_reach_the_child() {
             failed.expect_err("it is jammed").why,
             GiveUpReason::ResetFailed { reason: "jammed".into() }
         );
-        let isolated = IsolateChild { object: object("a"), faulty: None, isolated: true };
+        let reason = String::new();
+        let isolated = IsolateChild { object: object("a"), faulty: None, isolated: true, reason };
         assert!(root.address.send(isolated).await.expect("it lives").is_ok());
         let rest = SafeStop { object: object("b"), fault: None };
         assert!(root.address.send(rest).await.expect("it lives").is_ok());

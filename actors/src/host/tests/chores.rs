@@ -255,10 +255,7 @@ fn an_isolated_component_neither_sends_nor_receives_until_it_may_again() {
         advance(Duration::from_millis(30)).await;
         assert_eq!(logged(&received), [0; 0]);
         let refused = crier.tell(Said(0)).unwrap_err();
-        assert_eq!(
-            (refused.kind, refused.message),
-            (DeliveryError::Isolated { object: "crier".into() }, Said(0))
-        );
+        assert_eq!((refused.kind, refused.message), (DeliveryError::isolated("crier"), Said(0)));
 
         child.isolate(false);
         advance(Duration::from_millis(20)).await;

@@ -104,7 +104,7 @@ impl Handler<IsolationChanged> for GatewayActor {
         let (peer, _) = self.meet(&node);
         if isolated {
             // What is under way with it is resolved, and what it has here goes.
-            let why = DeliveryError::Isolated { object: node.to_string() };
+            let why = DeliveryError::isolated(&node);
             self.exchange.handle_ended(peer, &why);
             self.forget_forbidden(peer);
             self.report_peer(&PeerStatusChanged::Ended { node });

@@ -117,6 +117,11 @@ impl Bench {
         self.detector.read_record().entries
     }
 
+    fn given_up(&self, id: u64) -> String {
+        let entry = self.detector.fault_log.entry(FaultId(id)).expect("it is recorded");
+        entry.given_up.clone().expect("it is given up").1
+    }
+
     fn fault(&self, id: u64) -> Fault {
         let entry = self.detector.fault_log.entry(FaultId(id)).expect("it is recorded");
         entry.fault.clone()

@@ -459,7 +459,7 @@ impl ComponentRecord {
 
     /// It had no chance to work: all is measured from now on.
     fn void(&mut self, now: Instant) {
-        (self.turn_since, self.alive_since) = (now, now);
+        (self.turn_since, self.alive_since, self.waits) = (now, now, false);
         self.lateness.void(now);
         if self.silence == Silence::Reported {
             self.silence = Silence::Void;

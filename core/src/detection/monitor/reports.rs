@@ -161,7 +161,7 @@ impl Monitor {
         self.settle(now);
     }
 
-    /// A handler that takes too long. It is news once for each handler.
+    /// A handler that takes too long. One that has waited and keeps its thread now is news again.
     fn handle_slow(
         &mut self,
         object: &ObjectName,
@@ -173,11 +173,8 @@ impl Monitor {
         let (Finding::Hangs { age, .. } | Finding::Waits { age, .. }) = finding else { return };
         let Some(entry) = self.alive(object, incarnation, now) else { return };
         let since = Instant::ORIGIN + (now - (Instant::ORIGIN + age));
-        let known = entry.current().is_some_and(|(known, _)| known == during);
-        if !known {
-            entry.set_current(Some((during, since)));
-            self.observe_object(object, incarnation, finding, now);
-        }
+        entry.set_current(Some((during, since)));
+        self.observe_object(object, incarnation, finding, now);
         self.settle(now);
     }
 }

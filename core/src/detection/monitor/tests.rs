@@ -404,17 +404,17 @@ fn a_note_goes_when_its_cause_goes_and_no_earlier() {
 }
 
 #[test]
-fn a_hang_makes_its_victims_suspect_and_is_observed_once() {
+fn a_hang_after_a_wait_of_the_same_handler_is_observed_and_makes_its_victims_suspect() {
     let mut monitor = watched(Liveness::Guard);
     monitor.enrol(Registration::new(object("map")), at(0)).expect("there is room");
     seen(&mut monitor, 0);
     let victims: Arc<[ObjectName]> = [object("laser"), object("map"), object("ghost")].into();
 
-    for now in [500, 600] {
-        let (laser, age) = (object("laser"), Duration::from_millis(now));
-        monitor.handle_hangs(&laser, TWO, "Scan", age, victims.clone(), at(now));
-    }
-    assert_eq!(seen(&mut monitor, 600), ["m:laser Hangs"]);
+    let (laser, age) = (object("laser"), Duration::from_millis(500));
+    monitor.handle_waits(&laser, TWO, "Scan", age, at(500));
+    let age = Duration::from_millis(600);
+    monitor.handle_hangs(&laser, TWO, "Scan", age, victims.clone(), at(600));
+    assert_eq!(seen(&mut monitor, 600), ["m:laser Waits", "m:laser Hangs"]);
     let current = CurrentHandler { during: "Scan", age: Duration::from_millis(600) };
     assert_eq!(row(&monitor, "m:laser", 600).current, Some(current));
     assert_eq!(row(&monitor, "m:laser", 600).opinion, Opinion::Failed);

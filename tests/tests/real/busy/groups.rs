@@ -129,8 +129,13 @@ fn what_waits_for_a_component_that_is_given_up_because_it_hangs_is_refused() {
         let refused = waiting.await.unwrap().expect("it does not wait for its deadline");
 
         let refused = refused.expect_err("none serves it");
-        let isolated = DeliveryError::Isolated { object: "arm".into() };
-        assert_eq!((refused.outcome(), refused.kind), (Outcome::NotTaken, isolated));
+        let entries = node.faults().await.entries;
+        let hang = entries.iter().find(|entry| entry.fault.kind == FaultKind::Hang);
+        let id = hang.expect("it hangs").fault.id;
+        let text = refused.kind.to_string();
+        assert!(text.starts_with("arm is isolated, or in its safe state: hang: "), "{text}");
+        assert!(text.ends_with(&format!(", fault {}", id.0)), "{text}");
+        assert_eq!(refused.outcome(), Outcome::NotTaken);
         let arm = "arm".parse().unwrap();
         let counted = || node.dead_letters().count(&arm, DeadReason::Isolated) == 21;
         let all = async {

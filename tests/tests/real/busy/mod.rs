@@ -2,6 +2,7 @@
 
 mod fairness;
 mod groups;
+mod hangs;
 mod shutdown;
 mod stops;
 

@@ -48,7 +48,7 @@ impl Robot {
 
 /// The answer to a request to this node while it is isolated.
 fn isolated(node: &str) -> Result<u64, DeliveryError> {
-    Err(DeliveryError::Isolated { object: node.to_owned() })
+    Err(DeliveryError::isolated(node))
 }
 
 #[blastema_testkit::test]

@@ -181,10 +181,9 @@ async fn a_component_that_was_brought_to_rest_comes_back_when_it_is_asked_for() 
     strike(&node, "motors").await;
     node.advance(500 * MS).await;
     assert_eq!(node.state(), NodeState::Running, "the rest of it works");
-    assert_eq!(
-        ask(&node, "motors", Deed::Nothing).await.unwrap_err().kind,
-        DeliveryError::Isolated { object: "motors".into() }
-    );
+    let refused = ask(&node, "motors", Deed::Nothing).await.unwrap_err().kind.to_string();
+    let fault = &node.faults().await.entries[0].fault;
+    assert!(refused.ends_with(&format!(": {}", fault.as_reason())), "{refused}");
 
     let restarted = node.restart_child("motors").await.unwrap();
 
@@ -239,7 +238,10 @@ async fn what_waits_for_a_component_that_is_given_up_because_it_hangs_is_refused
     node.await_given_up(FaultKind::Hang, "arm").await;
     node.advance(50 * MS).await;
 
-    let isolated = DeliveryError::Isolated { object: "arm".into() };
+    let entries = node.faults().await.entries;
+    let fault = &entries.last().expect("the last hang").fault;
+    assert_eq!(fault.kind, FaultKind::Hang);
+    let isolated = DeliveryError::Isolated { object: "arm".into(), reason: fault.as_reason() };
     for request in waiting {
         assert!(request.is_finished(), "it waits for its deadline");
         let error = request.await.unwrap().expect_err("none serves it");

@@ -138,3 +138,22 @@ async fn who_answers_but_takes_no_message_is_stuck_and_replaced() {
     assert_eq!(incarnation(&node, "arm").await, 2);
     assert_eq!(strings.lines("note"), ["arm#2 note 1"]);
 }
+
+#[blastema_testkit::test]
+async fn a_handler_that_awaits_a_component_that_hangs_is_its_symptom() {
+    let strings = Strings::default();
+    // A request that says nothing else waits for a second.
+    let arm = strings.spec("arm").max_wait(500 * MS).depends_on(["encoder"]);
+    let observe = Ladder::first(RecoveryAction::Observe);
+    let builder = Node::builder("module1").plan(Plan::default().on(FaultKind::Hang, observe));
+    let builder = builder.child(strings.spec("encoder").max_wait(1000 * MS)).child(arm);
+    let mut node = TestNode::start(builder).await;
+    let encoder = node.sender::<Do>("encoder").unwrap();
+    encoder.tell(Do(Deed::Await(3_600_000))).unwrap();
+    let encoder = node.await_fault(FaultKind::Hang, "encoder").await;
+
+    node.sender::<Do>("arm").unwrap().tell(Do(Deed::Consult("encoder".into()))).unwrap();
+    let arm = node.await_fault(FaultKind::Hang, "arm").await;
+
+    assert_eq!((encoder.symptom_of, arm.symptom_of), (None, Some(encoder.id)), "{arm:?}");
+}

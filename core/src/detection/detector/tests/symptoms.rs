@@ -30,6 +30,38 @@ fn a_panic_and_a_hang_of_its_own_are_never_symptoms() {
 }
 
 #[test]
+fn a_component_that_waits_for_one_that_hangs_is_a_symptom_until_it_keeps_its_own_thread() {
+    let waits = Finding::Waits { during: "Move", age: Duration::from_millis(900) };
+    let gave_up = || RecoveryOutcome::GaveUp { reason: "too often".into() };
+    let mut bench = Bench::new();
+    bench.depend("arm", &["encoder"]);
+    bench.see("encoder", ONE, hangs(&[]));
+    bench.see("arm", ONE, waits);
+    assert_eq!(bench.outputs(), ["Found 1", "Found 2", "+1", "+2"]);
+    assert_eq!(bench.fault(2).symptom_of, Some(FaultId(1)));
+
+    bench.see("arm", ONE, hangs(&[]));
+
+    assert_eq!(bench.outputs(), ["Repeated 2", "Explained 2", "+2"]);
+    assert_eq!(bench.fault(2).symptom_of, None);
+    bench.detector.handle_outcome(FaultId(2), bench.now, gave_up());
+    assert_eq!(bench.given_up(2), "too often");
+}
+
+#[test]
+fn a_symptom_that_is_given_up_names_its_root() {
+    let mut bench = Bench::new();
+    bench.depend("arm", &["encoder"]);
+    bench.see("encoder", ONE, hangs(&[]));
+    bench.see("arm", ONE, silent());
+
+    let gave_up = RecoveryOutcome::GaveUp { reason: "too often".into() };
+    bench.detector.handle_outcome(FaultId(2), bench.now, gave_up);
+
+    assert_eq!(bench.given_up(2), "too often; it is a symptom of fault 1, hang of m:encoder");
+}
+
+#[test]
 fn a_root_that_is_found_shortly_after_its_symptom_explains_it() {
     let mut bench = Bench::new();
     bench.depend("planner", &["laser"]);
