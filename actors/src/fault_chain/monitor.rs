@@ -194,9 +194,6 @@ impl Handler<LivenessReported> for MonitorActor {
                 machine.handle_computer_overloaded(waited_percent, figures, victims, now);
             }
             LivenessReported::ComputerRelieved => machine.handle_computer_relieved(now),
-            LivenessReported::Stuck { object, incarnation, queue } => {
-                machine.handle_stuck(&object, incarnation, queue, now);
-            }
             LivenessReported::Flows { object, incarnation } => {
                 machine.handle_flows(&object, incarnation, now);
             }

@@ -521,9 +521,6 @@ impl Sampler {
                 LivenessReported::ComputerOverloaded { waited_percent, figures, victims }
             }
             LivenessEvent::ComputerRelieved => LivenessReported::ComputerRelieved,
-            LivenessEvent::Stuck { object, incarnation, queue } => {
-                LivenessReported::Stuck { object, incarnation, queue }
-            }
             LivenessEvent::Flows { object, incarnation } => {
                 LivenessReported::Flows { object, incarnation }
             }

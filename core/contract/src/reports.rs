@@ -8,7 +8,7 @@
 
 use actix::Message;
 pub use blastema_core::detection::ExitReason;
-use blastema_core::detection::hang::{OverloadFigures, QueueReading};
+use blastema_core::detection::hang::OverloadFigures;
 use blastema_core::{FaultKind, Incarnation, Lifecycle, ObjectName};
 use std::sync::Arc;
 use std::time::Duration;
@@ -145,16 +145,7 @@ pub enum LivenessReported {
     },
     /// No object is late any more because of that.
     ComputerRelieved,
-    /// This object takes no messages although some wait and its thread is free.
-    Stuck {
-        /// Who.
-        object: ObjectName,
-        /// Which incarnation.
-        incarnation: Incarnation,
-        /// What waits.
-        queue: QueueReading,
-    },
-    /// An object that was overloaded or stuck has caught up, and so have those behind it.
+    /// An object that was overloaded has caught up, and so have those behind it.
     Flows {
         /// Who.
         object: ObjectName,

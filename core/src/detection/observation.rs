@@ -87,13 +87,6 @@ pub enum Finding {
         /// The component whose handler keeps their arbiter.
         culprit: ObjectName,
     },
-    /// The object answers pings, but has taken no message for so long although messages wait.
-    Stuck {
-        /// How long the oldest message has waited.
-        oldest: Duration,
-        /// How many wait.
-        queued: usize,
-    },
     /// The object works, but exceeds its own limits of lateness or those of others on its thread.
     Overloaded {
         /// How much.
@@ -101,7 +94,7 @@ pub enum Finding {
         /// The components that are late behind it, on the same thread.
         victims: Arc<[ObjectName]>,
     },
-    /// The object was stuck or overloaded and has caught up.
+    /// The object was overloaded and has caught up.
     Flows,
     /// Its sending and receiving was forbidden, or allowed again, for all its incarnations.
     Isolated {

@@ -59,21 +59,10 @@ impl Detector {
                 let detail = format!("{during} has been waiting for {} ms", age.as_millis());
                 self.find(&scene, FaultKind::Hang, detail, Cause::Above);
             }
-            Finding::Stuck { oldest, queued } => {
-                let detail = format!(
-                    "it answers, but has taken none of {}; the oldest is {} ms old",
-                    messages(queued),
-                    oldest.as_millis()
-                );
-                self.find(&scene, FaultKind::Hang, detail, Cause::Above);
-            }
             Finding::Overloaded { figures, victims } => {
                 self.judge_overload(object, &scene, &figures, &victims);
             }
-            Finding::Flows => {
-                self.end_kind(&scene, &FaultKind::Hang);
-                self.end_overload(&scene);
-            }
+            Finding::Flows => self.end_overload(&scene),
             Finding::Resumed => {
                 self.seen(object).behind = None;
                 self.end_kind(&scene, &FaultKind::Hang);

@@ -2,13 +2,12 @@
 
 use super::lateness::{Counts, OverloadRoot};
 use super::{
-    Arbiter, Around, ComponentEntry, ComponentRecord, ComponentSample, Episode, HangDetector, Late,
-    LivenessEvent, Looked, OverloadFigures, QueueReading, Silence, SlotId,
+    Arbiter, Around, ComponentEntry, ComponentRecord, Episode, HangDetector, Late, LivenessEvent,
+    Looked, OverloadFigures, QueueReading, Silence, SlotId,
 };
 use crate::detection::hang::occupancy::Occupancy;
 use crate::sorted::{SortedMap, SortedSet};
 use crate::{Instant, ObjectName};
-use std::collections::VecDeque;
 use std::time::Duration;
 
 /// A thread that is free less often than in one of five looks makes its components wait for each
@@ -108,7 +107,7 @@ impl ComponentRecord {
         looked: &impl Looked,
         turned: bool,
         now: Instant,
-        (outputs, late): (&mut VecDeque<LivenessEvent>, &mut Vec<Late>),
+        late: &mut Vec<Late>,
     ) {
         let Some(reading) = self.reading else { return };
         let slot = around.slot;
@@ -126,51 +125,17 @@ impl ComponentRecord {
         let serves = reading.speaks && reading.allowance.is_zero();
         let waits = serves && queue.queued > 0 && queue.oldest > max_delay;
         let moves = now - self.turn_since < max_delay;
-        let delayed = waits && (root.is_some() || moves);
-        let is_free = !delayed && !around.stands(now);
-        if waits && is_free && self.judged.limits.max_unanswered.is_some() {
-            self.get_stuck(reading, queue, outputs);
-        } else if self.stuck && !waits {
-            self.flow(reading, outputs);
-        }
+        // One that is asked is late too where its thread is free.
+        let is_asked = self.judged.limits.max_unanswered.is_some();
+        let delayed = waits && (root.is_some() || moves || (is_asked && !around.stands(now)));
         let delayed = self.lateness.handle_delay(delayed, around.config.dwell, now);
         let root = if delayed { root } else { counts.and_then(|counts| counts.root) };
-        // That it takes nothing explains the rounds that it misses meanwhile.
-        let explained = self.stuck && !delayed && root.is_none();
-        if delayed || (counts.is_some() && !explained) {
+        if delayed || counts.is_some() {
             let Counts { missed, expired, .. } = counts.unwrap_or_default();
             let root = root.unwrap_or(OverloadRoot::Component(slot));
             let silent_for = Duration::ZERO;
             late.push(Late { slot, root, queue, missed, expired, silent_for });
         }
-    }
-
-    fn get_stuck(
-        &mut self,
-        reading: ComponentSample,
-        queue: QueueReading,
-        outputs: &mut VecDeque<LivenessEvent>,
-    ) {
-        if self.stuck {
-            return;
-        }
-        if self.overload.is_some() {
-            self.flow(reading, outputs);
-        }
-        self.stuck = true;
-        outputs.push_back(self.says(reading, |object, incarnation| LivenessEvent::Stuck {
-            object,
-            incarnation,
-            queue,
-        }));
-    }
-
-    /// It is neither stuck nor overloaded any more.
-    fn flow(&mut self, reading: ComponentSample, outputs: &mut VecDeque<LivenessEvent>) {
-        (self.stuck, self.overload) = (false, None);
-        outputs.push_back(
-            self.says(reading, |object, incarnation| LivenessEvent::Flows { object, incarnation }),
-        );
     }
 }
 
@@ -198,9 +163,6 @@ impl HangDetector {
         let Some(root) = self.components.get_mut(slot) else { return };
         let root = root.wake(looked.activity(slot), now);
         let Some(reading) = root.reading else { return };
-        if root.stuck {
-            root.flow(reading, &mut self.outputs);
-        }
         let episode = root.overload.get_or_insert_with(|| Episode::new(now));
         let victims = late.iter().map(|late| late.slot).filter(|one| *one != slot);
         if !episode.note(victims, figures(late, looked.queue(slot)), now) {
@@ -258,7 +220,12 @@ impl HangDetector {
             if let Some(arbiter) = self.arbiters.get_mut(&component.judged.arbiter) {
                 arbiter.overloaded.take_if(|root| *root == slot);
             }
-            component.flow(reading, &mut self.outputs);
+            self.outputs.push_back(
+                component.says(reading, |object, incarnation| LivenessEvent::Flows {
+                    object,
+                    incarnation,
+                }),
+            );
             free.extend(episode.victims);
         }
         for victim in free {

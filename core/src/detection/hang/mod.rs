@@ -1,4 +1,4 @@
-//! Finds hangs, stuck queues, silence and overload of components, from the counters that workers
+//! Finds hangs, silence and overload of components, from the counters that workers
 //! write in passing.
 //!
 //! Workers count; they read no clock. The scanner is shown the counters at even intervals and keeps
@@ -97,8 +97,6 @@ struct ComponentRecord {
     /// This incarnation has given a sign.
     sign_seen: bool,
     silence: Silence,
-    /// It takes no messages, which has been reported.
-    stuck: bool,
     lateness: Lateness,
     /// An overload whose root it is.
     overload: Option<Episode>,
@@ -437,7 +435,6 @@ impl ComponentRecord {
             waits: false,
             sign_seen: false,
             silence: Silence::No,
-            stuck: false,
             lateness: Lateness::new(now, &ComponentSample::default()),
             overload: None,
         }
@@ -453,7 +450,7 @@ impl ComponentRecord {
                 && self.lateness.is_settled(&reading)
         };
         let is_unheard = max_silence.is_none() && max_unanswered.is_none();
-        let is_well = self.silence == Silence::No && !self.stuck && self.overload.is_none();
+        let is_well = self.silence == Silence::No && self.overload.is_none();
         self.turn_since < now && is_unheard && is_well && self.reading.is_some_and(is_idle)
     }
 
@@ -538,7 +535,7 @@ impl ComponentRecord {
             }));
         }
         if !around.hangs() {
-            self.judge_flow(around, looked, turned, now, (outputs, late));
+            self.judge_flow(around, looked, turned, now, late);
         }
     }
 

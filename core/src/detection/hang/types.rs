@@ -258,17 +258,7 @@ pub enum LivenessEvent {
     },
     /// No component is late any more because of that.
     ComputerRelieved,
-    /// A component has taken no message for longer than one may wait, although some wait and its
-    /// thread is free.
-    Stuck {
-        /// The component.
-        object: ObjectName,
-        /// Which incarnation.
-        incarnation: Incarnation,
-        /// What waits.
-        queue: QueueReading,
-    },
-    /// A component that was overloaded or stuck has caught up, and so have those behind it.
+    /// A component that was overloaded has caught up, and so have those behind it.
     Flows {
         /// The component.
         object: ObjectName,

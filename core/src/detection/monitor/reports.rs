@@ -2,7 +2,7 @@
 //! that stood still.
 
 use super::Monitor;
-use crate::detection::hang::{OverloadFigures, QueueReading};
+use crate::detection::hang::OverloadFigures;
 use crate::detection::{Finding, NodeCondition};
 use crate::{FaultLocation, Incarnation, Instant, ObjectName};
 use std::sync::Arc;
@@ -94,21 +94,6 @@ impl Monitor {
         if self.alive(object, incarnation, now).is_some() {
             let finding = Finding::Overloaded { figures, victims };
             self.observe_object(object, incarnation, finding, now);
-        }
-        self.settle(now);
-    }
-
-    /// The watch thread found that this object takes no messages.
-    pub fn handle_stuck(
-        &mut self,
-        object: &ObjectName,
-        incarnation: Incarnation,
-        queue: QueueReading,
-        now: Instant,
-    ) {
-        if self.alive(object, incarnation, now).is_some() {
-            let QueueReading { queued, oldest } = queue;
-            self.observe_object(object, incarnation, Finding::Stuck { oldest, queued }, now);
         }
         self.settle(now);
     }

@@ -6,13 +6,12 @@ use super::*;
 fn everything_on_the_list_is_found_under_its_kind() {
     let age = Duration::from_millis(500);
     let reason = || "why".to_string();
-    let cases: [(&str, Finding, FaultKind); 17] = [
+    let cases: [(&str, Finding, FaultKind); 16] = [
         ("arm", exited(panicked()), FaultKind::Panic),
         ("arm", exited(ExitReason::Returned), FaultKind::UnexpectedExit),
         ("arm", exited(ExitReason::Aborted), FaultKind::UnexpectedExit),
         ("arm", hangs(&[]), FaultKind::Hang),
         ("arm", Finding::Waits { during: "Scan", age }, FaultKind::Hang),
-        ("arm", Finding::Stuck { oldest: age, queued: 3 }, FaultKind::Hang),
         ("arm", Finding::Lost { culprit: object("a") }, FaultKind::Hang),
         ("arm", silent(), FaultKind::Silence),
         ("arm", state(Lifecycle::Error), FaultKind::ErrorState),
@@ -113,7 +112,6 @@ fn each_fault_that_goes_by_itself_is_cleared_by_what_says_so() {
         ("arm", silent(), Finding::Spoke),
         ("arm", hangs(&[]), Finding::Resumed),
         ("arm", Finding::Waits { during: "Scan", age }, Finding::Resumed),
-        ("arm", Finding::Stuck { oldest: age, queued: 3 }, Finding::Flows),
         ("arm", overloaded(&[]), Finding::Flows),
         ("arm", declared(), Finding::Dismissed),
         ("-eth-n", down(), Finding::Link(LinkCondition::Up)),

@@ -237,7 +237,6 @@ fn a_detector_that_was_struck_keeps_its_record_and_hands_over_again() {
 }
 
 fn any_finding() -> impl Strategy<Value = Finding> {
-    let age = Duration::from_millis(500);
     prop_oneof![
         Just(exited(panicked())),
         Just(exited(ExitReason::Returned)),
@@ -249,7 +248,6 @@ fn any_finding() -> impl Strategy<Value = Finding> {
         Just(hangs(&["a", "b", "c"])),
         Just(Finding::Lost { culprit: object("a") }),
         Just(Finding::Resumed),
-        Just(Finding::Stuck { oldest: age, queued: 1 }),
         Just(Finding::Flows),
         Just(state(Lifecycle::Active)),
         Just(state(Lifecycle::Error)),
