@@ -63,19 +63,12 @@ enum Phase {
     },
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Wish {
-    Work,
-    Rest,
-    Leave,
-}
-
 #[derive(Clone, Debug)]
 struct Pending {
     call: CallId,
     key: ChildKey,
     child: ObjectName,
-    wish: Wish,
+    wish: ChildTarget,
 }
 
 /// One supervisor. See the [module](self).
@@ -181,14 +174,14 @@ impl Supervisor {
         if let Err(why) = self.add_child(name.clone(), rules, now) {
             return self.answer_gave_up(call, name.clone(), why);
         }
-        if let Some(key) = self.admit(name, call, Wish::Work) {
+        if let Some(key) = self.admit(name, call, ChildTarget::Run) {
             self.kept(key).joins = true;
         }
     }
 
     /// Stops a child and forgets it.
     pub fn handle_remove(&mut self, name: &ObjectName, call: CallId, now: Instant) {
-        let Some(key) = self.admit(name, call, Wish::Leave) else { return };
+        let Some(key) = self.admit(name, call, ChildTarget::Leave) else { return };
         self.dismiss(key, ChildTarget::Leave, ReplacementCause::Faulty, now);
         self.advance(now);
     }
@@ -236,7 +229,7 @@ impl Supervisor {
     pub fn handle_retired(&mut self) {
         let (work, others) = std::mem::take(&mut self.pending)
             .into_iter()
-            .partition(|pending: &Pending| pending.wish == Wish::Work);
+            .partition(|pending: &Pending| pending.wish == ChildTarget::Run);
         self.pending = others;
         let work: Vec<Pending> = work;
         for Pending { call, child, .. } in work {
@@ -277,7 +270,7 @@ impl Supervisor {
         faulty: Option<Incarnation>,
         now: Instant,
     ) {
-        let Some(key) = self.admit(name, call, Wish::Work) else { return };
+        let Some(key) = self.admit(name, call, ChildTarget::Run) else { return };
         match &self.phase {
             Phase::Starting | Phase::Serving => {}
             // What becomes of it shows in the supervisor's next incarnation, if there is one.
@@ -388,7 +381,7 @@ impl Supervisor {
         cause: ReplacementCause,
         now: Instant,
     ) {
-        let Some(key) = self.admit(name, call, Wish::Rest) else { return };
+        let Some(key) = self.admit(name, call, ChildTarget::Rest) else { return };
         self.set_isolated(key, true);
         let child = self.kept(key);
         let (essential, worked, joins) = (child.rules.essential, child.worked, child.joins);
@@ -521,7 +514,7 @@ impl Supervisor {
                 self.coming.remove(&key);
                 self.grant(key, now);
                 // It is answered when the others of its group are at work, too.
-                self.admit(name, call, Wish::Work);
+                self.admit(name, call, ChildTarget::Run);
             }
             Err(reason) => self.reset_failed(key, call, GiveUpReason::ResetFailed { reason }),
         }

@@ -1,9 +1,7 @@
 //! How the supervisor's children are moved: one step at a time, in order.
 
 use super::child::{ChildKey, ChildPhase, ChildTarget, ReplacementCause, SupervisedChild};
-use super::{
-    CallId, GiveUpReason, PENDING_LIMIT, Pending, Phase, Supervisor, SupervisorOutput, Wish,
-};
+use super::{CallId, GiveUpReason, PENDING_LIMIT, Pending, Phase, Supervisor, SupervisorOutput};
 use crate::recovery::{Restart, RestartGrant, Strategy};
 use crate::{Incarnation, Instant, ObjectName, SlidingWindow};
 
@@ -95,17 +93,19 @@ impl Supervisor {
     fn outcome(
         &self,
         key: ChildKey,
-        wish: Wish,
+        wish: ChildTarget,
     ) -> Option<Result<Option<Incarnation>, GiveUpReason>> {
         let Some(child) = self.children.get(&key) else { return Some(Ok(None)) };
         match wish {
-            Wish::Leave => None,
-            Wish::Rest if child.goal == ChildTarget::Leave => None,
-            Wish::Rest if child.goal != ChildTarget::Rest => Some(Err(GiveUpReason::StartedAgain)),
-            Wish::Rest => (!child.is_alive()).then_some(Ok(None)),
+            ChildTarget::Leave => None,
+            ChildTarget::Rest if child.goal == ChildTarget::Leave => None,
+            ChildTarget::Rest if child.goal != ChildTarget::Rest => {
+                Some(Err(GiveUpReason::StartedAgain))
+            }
+            ChildTarget::Rest => (!child.is_alive()).then_some(Ok(None)),
             // It is answered when it is forgotten.
-            Wish::Work if child.joins && child.goal == ChildTarget::Leave => None,
-            Wish::Work => {
+            ChildTarget::Run if child.joins && child.goal == ChildTarget::Leave => None,
+            ChildTarget::Run | ChildTarget::Finished => {
                 if let (Phase::Escalated { reason }, true) = (&self.phase, self.rules.root) {
                     return Some(Err(GiveUpReason::Escalated { reason: reason.clone() }));
                 }
@@ -381,7 +381,8 @@ impl Supervisor {
 
     fn answer_undone(&mut self, undone: ChildKey, failed: Option<String>) {
         let reason = failed.unwrap_or_else(|| "it was stopped before it was at work".to_owned());
-        let waits = |pending: &mut Pending| pending.key == undone && pending.wish == Wish::Work;
+        let waits =
+            |pending: &mut Pending| pending.key == undone && pending.wish == ChildTarget::Run;
         for Pending { call, child, .. } in self.pending.extract_if(.., waits).collect::<Vec<_>>() {
             let reason = reason.clone();
             self.answer_gave_up(call, child, GiveUpReason::StartFailed { reason });
@@ -622,7 +623,7 @@ impl Supervisor {
         &mut self,
         name: &ObjectName,
         call: CallId,
-        wish: Wish,
+        wish: ChildTarget,
     ) -> Option<ChildKey> {
         let child = name.clone();
         let Some(&key) = self.index.get(name) else {
