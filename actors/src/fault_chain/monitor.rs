@@ -179,36 +179,7 @@ impl Handler<LivenessReported> for MonitorActor {
     type Result = ();
 
     fn handle(&mut self, message: LivenessReported, context: &mut Context<Self>) {
-        let (machine, now) = (&mut self.machine, platform::now());
-        match message {
-            LivenessReported::Hangs { object, incarnation, during, age, victims } => {
-                machine.handle_hangs(&object, incarnation, during, age, victims, now);
-            }
-            LivenessReported::Waits { object, incarnation, during, age } => {
-                machine.handle_waits(&object, incarnation, during, age, now);
-            }
-            LivenessReported::Overloaded { object, incarnation, figures, victims } => {
-                machine.handle_overloaded(&object, incarnation, figures, victims, now);
-            }
-            LivenessReported::ComputerOverloaded { waited_percent, figures, victims } => {
-                machine.handle_computer_overloaded(waited_percent, figures, victims, now);
-            }
-            LivenessReported::ComputerRelieved => machine.handle_computer_relieved(now),
-            LivenessReported::Flows { object, incarnation } => {
-                machine.handle_flows(&object, incarnation, now);
-            }
-            LivenessReported::Resumed { objects } => machine.handle_resumed(&objects, now),
-            LivenessReported::Lost { culprit, victims } => {
-                machine.handle_lost(&culprit, &victims, now)
-            }
-            LivenessReported::Silent { object, incarnation, silent_for } => {
-                machine.handle_silent(&object, incarnation, silent_for, now);
-            }
-            LivenessReported::Spoke { object, incarnation } => {
-                machine.handle_spoke(&object, incarnation, now);
-            }
-            LivenessReported::Stalled { gap } => machine.handle_stall(gap, now),
-        }
+        self.machine.handle_liveness(message.0, platform::now());
         self.drive(context);
     }
 }

@@ -16,6 +16,7 @@ use blastema_contract::recoverer::{CancelRecovery, Recover};
 use blastema_contract::reports::{
     Alive, AreYouAlive, ExitReason, Exited, LivenessReported, StateReported,
 };
+use blastema_core::detection::hang::LivenessEvent;
 use blastema_core::detection::{
     FaultTransition, LinkCondition, Liveness, MonitorLimits, NodeCondition, Opinion, RecovererPort,
     RecoveryOutcome, Registration, RegistrationError,
@@ -95,11 +96,13 @@ impl Chain {
 
     fn silence(&self, name: &str) {
         let (object, silent_for) = (object(name), 3 * TENTH);
-        self.monitor.do_send(LivenessReported::Silent { object, incarnation: ONE, silent_for });
+        let silent = LivenessEvent::Silent { object, incarnation: ONE, silent_for };
+        self.monitor.do_send(LivenessReported(silent));
     }
 
     fn speech(&self, name: &str) {
-        self.monitor.do_send(LivenessReported::Spoke { object: object(name), incarnation: ONE });
+        let spoke = LivenessEvent::Spoke { object: object(name), incarnation: ONE };
+        self.monitor.do_send(LivenessReported(spoke));
     }
 
     fn panic(&self, name: &str) {
@@ -202,7 +205,7 @@ fn a_stall_of_the_whole_process_condemns_nobody() {
         // The clock jumps: every timer is late at once, before anything can answer.
         let gap = Duration::from_secs(30);
         tokio::time::advance(gap).await;
-        chain.monitor.do_send(LivenessReported::Stalled { gap });
+        chain.monitor.do_send(LivenessReported(LivenessEvent::Stalled { gap }));
         advance(Duration::from_millis(340)).await;
 
         assert_eq!(chain.recoverer.recorded(), 0);

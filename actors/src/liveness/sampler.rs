@@ -370,6 +370,10 @@ impl Looked for SampledActivities {
         self.0.get(slot).map(|known| known.activity.mark()).unwrap_or_default()
     }
 
+    fn during(&self, slot: SlotId) -> &'static str {
+        self.get(slot).map_or("nothing", |known| during(&known.activity.read()))
+    }
+
     fn queue(&self, slot: SlotId) -> QueueReading {
         let inside = self.get(slot).and_then(|known| known.inside.upgrade());
         // What is kept from it makes it neither late nor stuck.
@@ -413,6 +417,10 @@ impl Sampler {
                 beat,
                 running,
                 activity: known.map(|known| known.read()),
+                during: match heartbeat.unwinding() {
+                    Some(_) => UNWINDING,
+                    None => known.map_or("nothing", |known| during(&known.activity.read())),
+                },
                 fenced: heartbeat.is_fenced(),
                 used: running
                     .and_then(|_| heartbeat.thread())
@@ -439,8 +447,16 @@ impl Sampler {
         self.looks += 1;
         self.arbiters.move_pending(now);
         while let Some(event) = self.scanner.poll_output() {
-            if let Some(sighted) = self.translate(event) {
-                self.monitor.do_send(sighted);
+            // It may have come back just now; then its components stay.
+            let stays = match &event {
+                LivenessEvent::Lost { arbiter, .. } => {
+                    let lost = self.heartbeats.get(arbiter);
+                    !lost.is_some_and(|(heartbeat, _)| self.arbiters.mark_lost(heartbeat))
+                }
+                _ => false,
+            };
+            if !stays {
+                self.monitor.do_send(LivenessReported(event));
             }
         }
     }
@@ -484,64 +500,6 @@ impl Sampler {
             }
             kept
         });
-    }
-
-    fn translate(&self, event: LivenessEvent) -> Option<LivenessReported> {
-        let during_of = |slot| {
-            let known = self.activities.get(slot);
-            let unwinds = |known: &Arc<SampledComponent>| {
-                known.heartbeat.running() == Some(slot) && known.heartbeat.unwinding().is_some()
-            };
-            match known {
-                Some(known) if unwinds(known) => UNWINDING,
-                _ => known.map_or("nothing", |known| during(&known.activity.read())),
-            }
-        };
-        Some(match event {
-            LivenessEvent::Hangs { slot, object, age, victims } => LivenessReported::Hangs {
-                object,
-                incarnation: read(self.activities.get(slot)).incarnation,
-                during: during_of(slot),
-                age,
-                victims: victims.into(),
-            },
-            LivenessEvent::Waits { slot, object, incarnation, age } => {
-                LivenessReported::Waits { object, incarnation, during: during_of(slot), age }
-            }
-            LivenessEvent::Overloaded { object, incarnation, figures, victims } => {
-                LivenessReported::Overloaded {
-                    object,
-                    incarnation,
-                    figures,
-                    victims: victims.into(),
-                }
-            }
-            LivenessEvent::ComputerOverloaded { waited_percent, figures, victims } => {
-                let victims = victims.into();
-                LivenessReported::ComputerOverloaded { waited_percent, figures, victims }
-            }
-            LivenessEvent::ComputerRelieved => LivenessReported::ComputerRelieved,
-            LivenessEvent::Flows { object, incarnation } => {
-                LivenessReported::Flows { object, incarnation }
-            }
-            LivenessEvent::Silent { object, incarnation, silent_for } => {
-                LivenessReported::Silent { object, incarnation, silent_for }
-            }
-            LivenessEvent::Spoke { object, incarnation } => {
-                LivenessReported::Spoke { object, incarnation }
-            }
-            LivenessEvent::Resumed { objects } => {
-                LivenessReported::Resumed { objects: objects.into() }
-            }
-            LivenessEvent::Lost { arbiter, culprit, victims } => {
-                // It may have come back just now; then its components stay.
-                if !self.arbiters.mark_lost(&self.heartbeats.get(&arbiter)?.0) {
-                    return None;
-                }
-                LivenessReported::Lost { culprit, victims: victims.into() }
-            }
-            LivenessEvent::Stalled { gap } => LivenessReported::Stalled { gap },
-        })
     }
 }
 

@@ -30,6 +30,7 @@ use blastema_contract::transport::{
     Adopt, Attach, ConnectionTrust, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
 use blastema_core::detection::LinkCondition;
+use blastema_core::detection::hang::LivenessEvent;
 use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::routing::{LinkHealth, LinkStatus, MTU_MIN};
 use blastema_core::net::seal::{ChannelStatus, CipherSuite, FrameLane, NoiseCrypto, SealProfile};
@@ -401,7 +402,7 @@ impl MachineActor for LinksActor {
             }
             LinkLayerOutput::Stalled(gap) => {
                 if let Some(stalls) = &self.wiring.stalls {
-                    stalls.do_send(LivenessReported::Stalled { gap });
+                    stalls.do_send(LivenessReported(LivenessEvent::Stalled { gap }));
                 }
             }
             LinkLayerOutput::KeyInUse { link, open, refused, address } => {

@@ -40,7 +40,8 @@ pub enum FaultTransition {
     /// The fault was observed again while open; reported at powers of two, so that a storm stays
     /// readable.
     Repeated,
-    /// The fault proved to be a symptom: [`Fault::symptom_of`] now names the root.
+    /// The fault proved to be a symptom: [`Fault::symptom_of`] now names the root. Where it names
+    /// none, the fault was taken for a symptom, and is a root.
     Explained,
     /// A recovery action was chosen.
     Decided {

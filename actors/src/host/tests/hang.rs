@@ -11,6 +11,7 @@ use crate::{
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::LivenessReported;
 use blastema_core::detection::hang::HangDetectorConfig;
+use blastema_core::detection::hang::LivenessEvent;
 use blastema_core::detection::{CurrentHandler, Liveness, MonitorRow, ObjectKind};
 use blastema_core::{FaultLocation, NodeName, ObjectAddress};
 use blastema_doubles::{Probe, advance, paused};
@@ -130,10 +131,10 @@ impl Site {
     }
 
     async fn hangs(&self) -> (ObjectName, Incarnation, &'static str, Vec<ObjectName>) {
-        match self.sighted.wait(|sighted| matches!(sighted, LivenessReported::Hangs { .. })).await {
-            LivenessReported::Hangs { object, incarnation, during, victims, .. } => {
-                (object, incarnation, during, victims.to_vec())
-            }
+        match self.sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Hangs { .. })).await {
+            LivenessReported(LivenessEvent::Hangs {
+                object, incarnation, during, victims, ..
+            }) => (object, incarnation, during, victims.to_vec()),
             other => panic!("{other:?}"),
         }
     }
@@ -251,13 +252,18 @@ fn silence_is_seen_and_its_end_too() {
         advance(Duration::from_secs(1)).await;
         let (object, incarnation) = (name("beater"), Incarnation(1));
         let seen = sighted.drain();
-        let [LivenessReported::Silent { silent_for, .. }] = seen[..] else { panic!("{seen:?}") };
+        let [LivenessReported(LivenessEvent::Silent { silent_for, .. })] = seen[..] else {
+            panic!("{seen:?}")
+        };
         assert!(silent_for >= Duration::from_millis(350), "{silent_for:?}");
         assert!(silent_for <= Duration::from_millis(460), "{silent_for:?}");
 
         beater.tell(Do::Speak).unwrap();
         advance(Duration::from_millis(200)).await;
-        assert_eq!(sighted.drain(), [LivenessReported::Spoke { object, incarnation }]);
+        assert_eq!(
+            sighted.drain(),
+            [LivenessReported(LivenessEvent::Spoke { object, incarnation })]
+        );
 
         child.stop();
         advance(Duration::from_secs(5)).await;
@@ -293,10 +299,15 @@ fn a_handler_that_waits_too_long_is_seen_unless_it_said_so() {
         beater.tell(Do::Wait(3000)).unwrap();
         advance(Duration::from_secs(4)).await;
         let seen = sighted.drain();
-        let [LivenessReported::Waits { ref object, during, age, .. }, ref after] = seen[..] else {
+        let [LivenessReported(LivenessEvent::Waits { ref object, during, age, .. }), ref after] =
+            seen[..]
+        else {
             panic!("{seen:?}")
         };
-        assert_eq!(*after, LivenessReported::Resumed { objects: [name("beater")].into() });
+        assert_eq!(
+            *after,
+            LivenessReported(LivenessEvent::Resumed { objects: [name("beater")].into() })
+        );
         assert_eq!((object, during), (&name("beater"), "Do"));
         assert!(age >= Duration::from_secs(1) && age < Duration::from_millis(1200), "{age:?}");
     });
@@ -354,7 +365,7 @@ mod real {
 
             let early = site.sighted.drain();
             assert!(
-                !early.iter().any(|s| matches!(s, LivenessReported::Resumed { .. })),
+                !early.iter().any(|s| matches!(s.0, LivenessEvent::Resumed { .. })),
                 "{early:?}"
             );
             site.open.send(()).unwrap();
@@ -363,9 +374,11 @@ mod real {
             assert_eq!(*site.refusals.lock().unwrap(), [Some(DeliveryError::Fenced)]);
             assert_eq!(logged(&site.received), [0; 0], "what the zombie said went nowhere");
             assert_eq!(site.stage.environment.arbiters.abandoned(), 0);
-            let resumed =
-                site.sighted.wait(|s| matches!(s, LivenessReported::Resumed { .. })).await;
-            assert_eq!(resumed, LivenessReported::Resumed { objects: [name("neighbour")].into() });
+            let resumed = site.sighted.wait(|s| matches!(s.0, LivenessEvent::Resumed { .. })).await;
+            assert_eq!(
+                resumed,
+                LivenessReported(LivenessEvent::Resumed { objects: [name("neighbour")].into() })
+            );
             site.stage.environment.arbiters.stop();
         });
     }
@@ -389,9 +402,13 @@ mod real {
 
             child.abandon();
             let lost =
-                site.sighted.wait(|sighted| matches!(sighted, LivenessReported::Lost { .. })).await;
+                site.sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Lost { .. })).await;
             let (culprit, victims) = (name("blocker"), [name("neighbour")].into());
-            assert_eq!(lost, LivenessReported::Lost { culprit, victims });
+            let LivenessReported(LivenessEvent::Lost { culprit: by, victims: behind, .. }) = lost
+            else {
+                panic!("{lost:?}")
+            };
+            assert_eq!((by, behind), (culprit, victims));
             assert_eq!(arbiters.abandoned(), 1);
             assert_eq!(*reported.lock().unwrap(), [[(name("blocker"), 1)].into()]);
             moving.abandon();
@@ -503,7 +520,7 @@ mod real {
             site.hangs().await;
             publisher.publish(Hold).unwrap();
             culprit.abandon();
-            site.sighted.wait(|sighted| matches!(sighted, LivenessReported::Lost { .. })).await;
+            site.sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Lost { .. })).await;
             victim.abandon();
             assert_eq!(site.stage.begin(&mut *victim, 2).await, ChildEvent::Started);
 

@@ -9,6 +9,7 @@ use blastema_contract::child::{Child, ChildEvent};
 use blastema_contract::reports::LivenessReported;
 use blastema_core::Contract;
 use blastema_core::detection::hang::HangDetectorConfig;
+use blastema_core::detection::hang::LivenessEvent;
 use blastema_doubles::{Probe, paused, settle};
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::Relaxed;
@@ -205,10 +206,11 @@ mod real {
 
             publish(&stage, 1);
             let seen =
-                sighted.wait(|sighted| matches!(sighted, LivenessReported::Hangs { .. })).await;
+                sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Hangs { .. })).await;
             barrier.open();
 
-            let LivenessReported::Hangs { object, during, victims, .. } = seen else {
+            let LivenessReported(LivenessEvent::Hangs { object, during, victims, .. }) = seen
+            else {
                 unreachable!()
             };
             assert_eq!(object, ObjectName::new("judge").unwrap());
@@ -243,7 +245,7 @@ mod real {
             let publisher = stage.environment.topics().publisher("samples").unwrap();
             publisher.publish(Sample(1)).unwrap();
             publisher.publish(Sample(2)).unwrap();
-            sighted.wait(|sighted| matches!(sighted, LivenessReported::Hangs { .. })).await;
+            sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Hangs { .. })).await;
 
             assert_eq!(stage.begin(&mut *judge, 2).await, ChildEvent::Started);
             until("what waited comes along", || *log.lock().unwrap() == [2]).await;
@@ -273,10 +275,10 @@ mod real {
             until("two hubs", || hubs(&stage) == 2).await;
 
             (1..=6).for_each(|n| publish(&stage, n));
-            sighted.wait(|sighted| matches!(sighted, LivenessReported::Hangs { .. })).await;
+            sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Hangs { .. })).await;
             (7..=9).for_each(|n| publish(&stage, n));
             culprit.abandon();
-            sighted.wait(|sighted| matches!(sighted, LivenessReported::Lost { .. })).await;
+            sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Lost { .. })).await;
             moving.abandon();
             let begun = stage.begin(&mut *moving, 2).await;
             assert_eq!(begun, ChildEvent::Started);

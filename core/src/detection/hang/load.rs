@@ -178,7 +178,7 @@ impl HangDetector {
                 arbiter.overloaded = Some(slot);
             }
         }
-        let victims = self.names(victims);
+        let victims = self.names(victims).into();
         let seen = LivenessEvent::Overloaded { object, incarnation, figures, victims };
         self.outputs.push_back(seen);
     }
@@ -192,7 +192,7 @@ impl HangDetector {
         let victims = late.iter().map(|late| late.slot);
         if episode.note(victims, figures(late, QueueReading::default()), now) {
             let (figures, victims) = (episode.worst, episode.victims.clone());
-            let (waited_percent, victims) = (percent(waited), self.names(victims));
+            let (waited_percent, victims) = (percent(waited), self.names(victims).into());
             let seen = LivenessEvent::ComputerOverloaded { waited_percent, figures, victims };
             self.outputs.push_back(seen);
         }

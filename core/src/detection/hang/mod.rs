@@ -247,13 +247,13 @@ impl HangDetector {
         if let Some(hang) = resumed {
             self.resume(id, &hang, now);
         }
-        self.judge_arbiter(id, at);
+        self.judge_arbiter(id, &reading, at);
         if lost {
             self.lose(id, reading.running);
         }
     }
 
-    fn judge_arbiter(&mut self, id: ArbiterId, at: Instant) {
+    fn judge_arbiter(&mut self, id: ArbiterId, reading: &ArbiterSample, at: Instant) {
         let Some(arbiter) = self.arbiters.get(&id) else { return };
         let (Some(slot), None) = (arbiter.running, &arbiter.hang) else { return };
         let Some(culprit) = self.judged(slot) else { return };
@@ -263,11 +263,14 @@ impl HangDetector {
         }
         let age = at - arbiter.since;
         let object = culprit.object.clone();
-        let victims = self.others_on(id, slot);
+        let victims = self.others_on(id, slot).into();
         if let Some(arbiter) = self.arbiters.get_mut(&id) {
             arbiter.hang = Some(Hang { culprit: object.clone(), slot });
         }
-        self.outputs.push_back(LivenessEvent::Hangs { slot, object, age, victims });
+        let incarnation = reading.activity.unwrap_or_default().incarnation;
+        let during = reading.during;
+        let hangs = LivenessEvent::Hangs { object, incarnation, during, age, victims };
+        self.outputs.push_back(hangs);
     }
 
     fn resume(&mut self, id: ArbiterId, hang: &Hang, now: Instant) {
@@ -284,7 +287,7 @@ impl HangDetector {
         }
         let lost = self.arbiters.get(&id).is_some_and(|arbiter| arbiter.lost);
         if !lost {
-            self.outputs.push_back(LivenessEvent::Resumed { objects });
+            self.outputs.push_back(LivenessEvent::Resumed { objects: objects.into() });
         }
     }
 
@@ -299,7 +302,7 @@ impl HangDetector {
             Some((left.or_else(runs)?, slot))
         });
         let Some((culprit, slot)) = known else { return };
-        let victims = self.others_on(id, slot);
+        let victims = self.others_on(id, slot).into();
         self.outputs.push_back(LivenessEvent::Lost { arbiter: id, culprit, victims });
     }
 
@@ -491,7 +494,7 @@ impl ComponentRecord {
         let turned = before.turn != reading.turn;
         if turned {
             if self.waits {
-                let objects = vec![self.judged.object.clone()];
+                let objects = [self.judged.object.clone()].into();
                 outputs.push_back(LivenessEvent::Resumed { objects });
             }
             (self.turn_since, self.waits, self.worked) = (now, false, true);
@@ -526,11 +529,11 @@ impl ComponentRecord {
         let limit = self.judged.limits.max_wait.max(reading.allowance);
         if reading.turn % 2 == 1 && !self.waits && age >= limit && !around.stands(now) {
             self.waits = true;
-            let slot = around.slot;
+            let during = looked.during(around.slot);
             outputs.push_back(self.says(reading, |object, incarnation| LivenessEvent::Waits {
-                slot,
                 object,
                 incarnation,
+                during,
                 age,
             }));
         }

@@ -59,6 +59,10 @@ impl Looked for Samples {
         self.activities[slot as usize]
     }
 
+    fn during(&self, _: SlotId) -> &'static str {
+        "Turn"
+    }
+
     fn queue(&self, slot: SlotId) -> QueueReading {
         self.queues[slot as usize]
     }
@@ -81,8 +85,14 @@ impl World {
             missed_ticks: 0,
             expired: 0,
         };
-        let heartbeat =
-            ArbiterSample { beat: 0, running: None, activity: None, fenced: false, used: None };
+        let heartbeat = ArbiterSample {
+            beat: 0,
+            running: None,
+            activity: None,
+            during: "Scan",
+            fenced: false,
+            used: None,
+        };
         let queues = [QueueReading::default(); 3];
         World {
             scanner,
@@ -150,9 +160,10 @@ fn a_handler_that_keeps_its_arbiter_is_the_culprit_and_is_named_once() {
 
     let seen = world.pass(2000, false);
 
-    let victims = vec![name("victim")];
-    let object = name("culprit");
-    assert_eq!(seen, [LivenessEvent::Hangs { slot: 0, object, age: ms(500), victims }]);
+    let victims = [name("victim")].into();
+    let (object, incarnation, during) = (name("culprit"), Incarnation(1), "Scan");
+    let age = ms(500);
+    assert_eq!(seen, [LivenessEvent::Hangs { object, incarnation, during, age, victims }]);
     assert_eq!(world.scanner.poll_timeout(), None);
     world.scanner.handle_timeout(at(3000));
     assert_eq!(world.scanner.poll_output(), None);
@@ -227,7 +238,7 @@ fn who_was_given_up_before_it_was_found_to_hang_still_moves_its_victims() {
 
     let seen = world.pass(1000, false);
 
-    let (culprit, victims) = (name("culprit"), vec![name("victim")]);
+    let (culprit, victims) = (name("culprit"), [name("victim")].into());
     assert_eq!(seen, [LivenessEvent::Lost { arbiter: HOME, culprit, victims }]);
 }
 
@@ -241,13 +252,13 @@ fn a_victim_is_measured_from_the_end_of_the_hang() {
     let (object, incarnation) = (name("victim"), Incarnation(1));
     let silent =
         |silent_for| LivenessEvent::Silent { object: object.clone(), incarnation, silent_for };
-    let [LivenessEvent::Hangs { slot: 0, .. }, after] = &seen[..] else { panic!("{seen:?}") };
+    let [LivenessEvent::Hangs { .. }, after] = &seen[..] else { panic!("{seen:?}") };
     assert_eq!(*after, silent(ms(600)));
 
     world.heartbeat.running = None;
     let seen = world.pass(500, true);
 
-    let objects = vec![name("victim"), name("culprit")];
+    let objects = [name("victim"), name("culprit")].into();
     assert_eq!(seen, [LivenessEvent::Resumed { objects }]);
     assert_eq!(world.pass(200, true), [silent(ms(600))], "it is silent of itself");
     world.samples.activities[2].alive += 1;
@@ -265,7 +276,7 @@ fn a_fenced_arbiter_is_lost_when_its_grace_is_over() {
 
     let seen = world.pass(1000, false);
 
-    let (culprit, victims) = (name("culprit"), vec![name("victim")]);
+    let (culprit, victims) = (name("culprit"), [name("victim")].into());
     assert_eq!(seen, [LivenessEvent::Lost { arbiter: HOME, culprit, victims }]);
     assert_eq!(world.pass(100, true), [], "what comes back now comes too late");
     world.scanner.handle_gone(HOME);
@@ -284,7 +295,7 @@ fn a_fence_that_is_lifted_in_time_loses_nothing() {
     world.heartbeat.fenced = false;
     let seen = world.pass(1000, true);
 
-    assert_eq!(seen, [LivenessEvent::Resumed { objects: vec![name("victim")] }]);
+    assert_eq!(seen, [LivenessEvent::Resumed { objects: [name("victim")].into() }]);
 }
 
 #[test]
@@ -296,7 +307,8 @@ fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
     let seen = world.pass(3000, true);
 
     let (object, incarnation) = (name("victim"), Incarnation(1));
-    let waits = LivenessEvent::Waits { slot: 2, object, incarnation, age: ms(1000) };
+    let (during, age) = ("Turn", ms(1000));
+    let waits = LivenessEvent::Waits { object, incarnation, during, age };
     assert_eq!(seen, [waits]);
     let busy: Vec<_> = world.scanner.busy().map(|(slot, turn, _)| (slot, turn)).collect();
     assert_eq!(busy, [(2, 1)]);
@@ -314,7 +326,10 @@ fn the_end_of_a_long_wait_is_reported_once() {
 
     world.samples.activities[2].turn = 2;
 
-    assert_eq!(world.pass(100, true), [LivenessEvent::Resumed { objects: vec![name("victim")] }]);
+    assert_eq!(
+        world.pass(100, true),
+        [LivenessEvent::Resumed { objects: [name("victim")].into() }]
+    );
     world.samples.activities[2].turn = 4;
     assert_eq!(world.pass(3000, true), []);
 }
@@ -428,7 +443,7 @@ fn a_handler_hangs_by_the_time_that_its_thread_was_given_the_processor() {
 
     assert_eq!(world.starve(1500, 2), [], "neither is its victim silent: it had 300 ms");
     let seen = world.starve(1500, 2);
-    let [LivenessEvent::Hangs { slot: 0, age, .. }, LivenessEvent::Silent { .. }] = seen[..] else {
+    let [LivenessEvent::Hangs { age, .. }, LivenessEvent::Silent { .. }] = seen[..] else {
         panic!("{seen:?}")
     };
     assert!(age > ms(2400) && age < ms(2600), "{age:?}");
@@ -442,7 +457,7 @@ fn a_handler_whose_thread_is_not_run_hangs_only_once_it_was_run_for_its_limit() 
 
     assert_eq!(world.starve(60_000, 0), []);
     assert_eq!(world.starve(480, 10), []);
-    assert!(matches!(world.starve(30, 10)[..], [LivenessEvent::Hangs { slot: 0, .. }]));
+    assert!(matches!(world.starve(30, 10)[..], [LivenessEvent::Hangs { .. }]));
 }
 
 /// Looks that come late, and see the thread ready to run, until one finds a hang. Between two of
@@ -488,7 +503,7 @@ fn a_handler_that_waits_or_is_run_all_the_time_hangs_after_its_limit() {
         };
 
         assert_eq!(pass(490), []);
-        assert!(matches!(pass(20)[..], [LivenessEvent::Hangs { slot: 0, .. }]));
+        assert!(matches!(pass(20)[..], [LivenessEvent::Hangs { .. }]));
     }
 }
 
@@ -520,6 +535,10 @@ impl Looked for Counted<'_> {
 
     fn mark(&self, slot: SlotId) -> ActivityMark {
         self.samples.mark(slot)
+    }
+
+    fn during(&self, _: SlotId) -> &'static str {
+        "Turn"
     }
 
     fn queue(&self, slot: SlotId) -> QueueReading {
@@ -564,7 +583,7 @@ fn a_component_that_has_rested_is_judged_from_when_it_took_something_up() {
     world.samples.activities[2].turn += 1;
 
     assert_eq!(world.pass(1000, true), []);
-    assert!(matches!(world.pass(20, true)[..], [LivenessEvent::Waits { slot: 2, .. }]));
+    assert!(matches!(world.pass(20, true)[..], [LivenessEvent::Waits { .. }]));
     assert_eq!(
         world.scanner.busy().map(|(slot, turn, _)| (slot, turn)).collect::<Vec<_>>(),
         [(2, 1)]

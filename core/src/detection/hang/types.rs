@@ -99,6 +99,8 @@ pub struct ArbiterSample {
     /// What that component says, read at the same time; `None` where it is no longer judged. An
     /// allowance that its handler has just announced counts from the next heartbeat on.
     pub activity: Option<ComponentSample>,
+    /// The contract or hook that it has in service.
+    pub during: &'static str,
     /// It has been fenced and has not come back yet.
     pub fenced: bool,
     /// How much of the processor its thread has used, if it is ready to run; `None` where it waits
@@ -167,6 +169,8 @@ pub trait Looked {
     fn mark(&self, slot: SlotId) -> ActivityMark {
         self.activity(slot).mark()
     }
+    /// The contract or hook that it has in service. Asked only of one that awaits for too long.
+    fn during(&self, slot: SlotId) -> &'static str;
     /// How its queue is. Asked only where something may wait.
     fn queue(&self, slot: SlotId) -> QueueReading;
 }
@@ -207,23 +211,25 @@ impl OverloadFigures {
 pub enum LivenessEvent {
     /// A handler keeps its arbiter.
     Hangs {
-        /// The culprit's place.
-        slot: SlotId,
         /// The culprit.
         object: ObjectName,
+        /// Which incarnation.
+        incarnation: Incarnation,
+        /// The contract or hook in service.
+        during: &'static str,
         /// Since when, at least.
         age: Duration,
         /// The components that are blocked behind it.
-        victims: Vec<ObjectName>,
+        victims: Arc<[ObjectName]>,
     },
     /// A handler awaits something for too long.
     Waits {
-        /// Its component's place.
-        slot: SlotId,
         /// Its component.
         object: ObjectName,
         /// Which incarnation.
         incarnation: Incarnation,
+        /// The contract or hook in service.
+        during: &'static str,
         /// Since when, at least.
         age: Duration,
     },
@@ -245,7 +251,7 @@ pub enum LivenessEvent {
         /// How much.
         figures: OverloadFigures,
         /// The components that are late behind it, on the same thread.
-        victims: Vec<ObjectName>,
+        victims: Arc<[ObjectName]>,
     },
     /// Components are late because their threads, ready to run, waited for a processor.
     ComputerOverloaded {
@@ -254,7 +260,7 @@ pub enum LivenessEvent {
         /// How late the components are.
         figures: OverloadFigures,
         /// The components that are late.
-        victims: Vec<ObjectName>,
+        victims: Arc<[ObjectName]>,
     },
     /// No component is late any more because of that.
     ComputerRelieved,
@@ -275,7 +281,7 @@ pub enum LivenessEvent {
     /// An arbiter that hung turns again.
     Resumed {
         /// The components that were blocked on it and still live there.
-        objects: Vec<ObjectName>,
+        objects: Arc<[ObjectName]>,
     },
     /// The grace time of a fenced arbiter is over.
     Lost {
@@ -284,7 +290,7 @@ pub enum LivenessEvent {
         /// The component whose handler keeps it.
         culprit: ObjectName,
         /// The components that still live on it and must be re-created elsewhere.
-        victims: Vec<ObjectName>,
+        victims: Arc<[ObjectName]>,
     },
     /// The scanner was not scheduled.
     Stalled {

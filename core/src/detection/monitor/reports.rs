@@ -2,15 +2,64 @@
 //! that stood still.
 
 use super::Monitor;
-use crate::detection::hang::OverloadFigures;
+use crate::detection::hang::LivenessEvent;
 use crate::detection::{Finding, NodeCondition};
 use crate::{FaultLocation, Incarnation, Instant, ObjectName};
 use std::sync::Arc;
 use std::time::Duration;
 
 impl Monitor {
+    /// The sampler has found this.
+    pub fn handle_liveness(&mut self, event: LivenessEvent, now: Instant) {
+        match event {
+            LivenessEvent::Hangs { object, incarnation, during, age, victims } => {
+                self.handle_hangs(&object, incarnation, during, age, victims, now);
+            }
+            LivenessEvent::Waits { object, incarnation, during, age } => {
+                let finding = Finding::Waits { during, age };
+                self.handle_slow(&object, incarnation, during, finding, now);
+            }
+            LivenessEvent::Overloaded { object, incarnation, figures, victims } => {
+                if self.alive(&object, incarnation, now).is_some() {
+                    let finding = Finding::Overloaded { figures, victims };
+                    self.observe_object(&object, incarnation, finding, now);
+                }
+            }
+            LivenessEvent::Flows { object, incarnation } => {
+                if self.alive(&object, incarnation, now).is_some() {
+                    self.observe_object(&object, incarnation, Finding::Flows, now);
+                }
+            }
+            LivenessEvent::ComputerOverloaded { waited_percent, figures, victims } => {
+                let condition = NodeCondition::Overloaded { waited_percent, figures, victims };
+                self.observe_this_node(condition, now);
+            }
+            LivenessEvent::ComputerRelieved => self.observe_this_node(NodeCondition::Relieved, now),
+            LivenessEvent::Resumed { objects } => self.handle_resumed(&objects, now),
+            LivenessEvent::Lost { culprit, victims, .. } => {
+                self.handle_lost(&culprit, &victims, now);
+            }
+            LivenessEvent::Silent { object, incarnation, silent_for: age } => {
+                if let Some(entry) = self.alive(&object, incarnation, now) {
+                    entry.silent = true;
+                    self.observe_object(&object, incarnation, Finding::Silent { age }, now);
+                }
+            }
+            LivenessEvent::Spoke { object, incarnation } => {
+                if let Some(entry) = self.alive(&object, incarnation, now) {
+                    (entry.last_sign, entry.suspect) = (Some(now), false);
+                    if std::mem::replace(&mut entry.silent, false) {
+                        self.observe_object(&object, incarnation, Finding::Spoke, now);
+                    }
+                }
+            }
+            LivenessEvent::Stalled { gap } => self.handle_stall(gap, now),
+        }
+        self.settle(now);
+    }
+
     /// The watch thread saw this object's handler keep its arbiter from turning.
-    pub fn handle_hangs(
+    pub(super) fn handle_hangs(
         &mut self,
         object: &ObjectName,
         incarnation: Incarnation,
@@ -31,20 +80,8 @@ impl Monitor {
         self.handle_slow(object, incarnation, during, finding, now);
     }
 
-    /// The watch thread saw this object's handler await something for too long.
-    pub fn handle_waits(
-        &mut self,
-        object: &ObjectName,
-        incarnation: Incarnation,
-        during: &'static str,
-        age: Duration,
-        now: Instant,
-    ) {
-        self.handle_slow(object, incarnation, during, Finding::Waits { during, age }, now);
-    }
-
     /// The watch thread saw these move again.
-    pub fn handle_resumed(&mut self, objects: &[ObjectName], now: Instant) {
+    pub(super) fn handle_resumed(&mut self, objects: &[ObjectName], now: Instant) {
         for object in objects {
             let Some(entry) = self.objects.get_mut(object) else { continue };
             entry.set_current(None);
@@ -53,11 +90,15 @@ impl Monitor {
             let incarnation = entry.incarnation;
             self.observe_object(object, incarnation, Finding::Resumed, now);
         }
-        self.settle(now);
     }
 
     /// The watch thread gives up hope that these will move again behind `culprit`.
-    pub fn handle_lost(&mut self, culprit: &ObjectName, victims: &[ObjectName], now: Instant) {
+    pub(super) fn handle_lost(
+        &mut self,
+        culprit: &ObjectName,
+        victims: &[ObjectName],
+        now: Instant,
+    ) {
         for victim in victims.iter().filter(|&victim| victim != culprit) {
             let Some(entry) = self.objects.get_mut(victim) else { continue };
             entry.set_current(Some(("nothing: another object hangs", now)));
@@ -65,85 +106,18 @@ impl Monitor {
             let culprit = culprit.clone();
             self.observe_object(victim, incarnation, Finding::Lost { culprit }, now);
         }
-        self.settle(now);
-    }
-
-    /// The watch thread found this object silent for `age`.
-    pub fn handle_silent(
-        &mut self,
-        object: &ObjectName,
-        incarnation: Incarnation,
-        age: Duration,
-        now: Instant,
-    ) {
-        let Some(entry) = self.alive(object, incarnation, now) else { return };
-        entry.silent = true;
-        self.observe_object(object, incarnation, Finding::Silent { age }, now);
-        self.settle(now);
-    }
-
-    /// The watch thread found this object working and late, and those behind it.
-    pub fn handle_overloaded(
-        &mut self,
-        object: &ObjectName,
-        incarnation: Incarnation,
-        figures: OverloadFigures,
-        victims: Arc<[ObjectName]>,
-        now: Instant,
-    ) {
-        if self.alive(object, incarnation, now).is_some() {
-            let finding = Finding::Overloaded { figures, victims };
-            self.observe_object(object, incarnation, finding, now);
-        }
-        self.settle(now);
-    }
-
-    /// The watch thread found that this object, and those behind it, have caught up.
-    pub fn handle_flows(&mut self, object: &ObjectName, incarnation: Incarnation, now: Instant) {
-        if self.alive(object, incarnation, now).is_some() {
-            self.observe_object(object, incarnation, Finding::Flows, now);
-        }
-        self.settle(now);
-    }
-
-    /// The sampler saw a sign of life of this object.
-    pub fn handle_spoke(&mut self, object: &ObjectName, incarnation: Incarnation, now: Instant) {
-        let Some(entry) = self.alive(object, incarnation, now) else { return };
-        entry.last_sign = Some(now);
-        entry.suspect = false;
-        if std::mem::replace(&mut entry.silent, false) {
-            self.observe_object(object, incarnation, Finding::Spoke, now);
-        }
-        self.settle(now);
     }
 
     /// The watch, or the whole process, was not scheduled for `gap`: every silence up to now is
     /// void. Which fault that is, if any, the detector decides.
-    pub fn handle_stall(&mut self, gap: Duration, now: Instant) {
+    pub(super) fn handle_stall(&mut self, gap: Duration, now: Instant) {
         self.pings.handle_stall(gap, now);
         self.observe_this_node(NodeCondition::Paused { span: gap }, now);
-    }
-
-    /// The watch thread found that the computer has no time for these objects.
-    pub fn handle_computer_overloaded(
-        &mut self,
-        waited_percent: u8,
-        figures: OverloadFigures,
-        victims: Arc<[ObjectName]>,
-        now: Instant,
-    ) {
-        self.observe_this_node(NodeCondition::Overloaded { waited_percent, figures, victims }, now);
-    }
-
-    /// The watch thread found that the computer has time for all objects again.
-    pub fn handle_computer_relieved(&mut self, now: Instant) {
-        self.observe_this_node(NodeCondition::Relieved, now);
     }
 
     fn observe_this_node(&mut self, condition: NodeCondition, now: Instant) {
         let location = FaultLocation::Node(self.node.clone());
         self.observe(location, Incarnation::default(), Finding::Node(condition), now);
-        self.settle(now);
     }
 
     /// A handler that takes too long. One that has waited and keeps its thread now is news again.
@@ -160,6 +134,5 @@ impl Monitor {
         let since = Instant::ORIGIN + (now - (Instant::ORIGIN + age));
         entry.set_current(Some((during, since)));
         self.observe_object(object, incarnation, finding, now);
-        self.settle(now);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::detection::CurrentHandler;
-use crate::detection::hang::OverloadFigures;
+use crate::detection::hang::{LivenessEvent, OverloadFigures};
 use proptest::prelude::*;
 use std::time::Duration;
 
@@ -76,6 +76,14 @@ fn row(monitor: &Monitor, name: &str, now: u64) -> MonitorRow {
     monitor.read_table(at(now)).into_iter().find(is_it).expect("it has a row")
 }
 
+fn silent(incarnation: Incarnation) -> LivenessEvent {
+    LivenessEvent::Silent { object: object("laser"), incarnation, silent_for: TENTH }
+}
+
+fn waits(incarnation: Incarnation, age: Duration) -> LivenessEvent {
+    LivenessEvent::Waits { object: object("laser"), incarnation, during: "Scan", age }
+}
+
 fn panicked() -> ExitReason {
     ExitReason::Panicked { text: "boom".into(), at: "laser.rs:1".into(), during: "Scan" }
 }
@@ -100,13 +108,14 @@ fn nothing_is_expected_of_an_object_before_its_first_incarnation_is_reported() {
 #[test]
 fn silence_is_observed_and_so_is_its_end() {
     let mut monitor = watched(Liveness::push(TENTH, 3));
-    monitor.handle_silent(&object("laser"), TWO, TENTH, at(360));
+    monitor.handle_liveness(silent(TWO), at(360));
 
     assert_eq!(seen(&mut monitor, 360), ["m:laser Silent"]);
     assert_eq!(row(&monitor, "m:laser", 3000).opinion, Opinion::Failed);
 
-    monitor.handle_spoke(&object("laser"), TWO, at(3000));
-    monitor.handle_spoke(&object("laser"), TWO, at(3001));
+    let spoke = LivenessEvent::Spoke { object: object("laser"), incarnation: TWO };
+    monitor.handle_liveness(spoke.clone(), at(3000));
+    monitor.handle_liveness(spoke, at(3001));
     assert_eq!(seen(&mut monitor, 3001), ["m:laser Spoke"]);
     assert_eq!(row(&monitor, "m:laser", 3001).opinion, Opinion::Trusted);
 }
@@ -134,10 +143,14 @@ fn a_suspicion_is_counted_and_shown_and_is_no_finding() {
 #[test]
 fn an_overload_is_observed_with_its_victims_and_condemns_nobody() {
     let mut monitor = watched(Liveness::Guard);
-    let (laser, figures) = (object("laser"), OverloadFigures::default());
-    monitor.handle_overloaded(&laser, TWO, figures, [object("map")].into(), at(1));
-    monitor.handle_overloaded(&laser, ONE, figures, [].into(), at(2));
-    monitor.handle_flows(&laser, TWO, at(3));
+    let overloaded = |incarnation| {
+        let (figures, victims) = (OverloadFigures::default(), [object("map")].into());
+        LivenessEvent::Overloaded { object: object("laser"), incarnation, figures, victims }
+    };
+    monitor.handle_liveness(overloaded(TWO), at(1));
+    monitor.handle_liveness(overloaded(ONE), at(2));
+    let flows = LivenessEvent::Flows { object: object("laser"), incarnation: TWO };
+    monitor.handle_liveness(flows, at(3));
 
     assert_eq!(seen(&mut monitor, 3), ["m:laser Overloaded", "m:laser Flows"]);
     assert_eq!(monitor.stale(), 1);
@@ -223,8 +236,8 @@ fn feed(monitor: &mut Monitor, input: &str, incarnation: Incarnation, now: Insta
         "declared" => {
             monitor.handle_declared(&laser, incarnation, FaultKind::CheckFailed, "1".into(), now);
         }
-        "waits" => monitor.handle_waits(&laser, incarnation, "Scan", TENTH, now),
-        "silent" => monitor.handle_silent(&laser, incarnation, TENTH, now),
+        "waits" => monitor.handle_liveness(waits(incarnation, TENTH), now),
+        "silent" => monitor.handle_liveness(silent(incarnation), now),
         "resumed" => monitor.handle_resumed(&[laser], now),
         other => panic!("no input is called {other}"),
     }
@@ -410,10 +423,9 @@ fn a_hang_after_a_wait_of_the_same_handler_is_observed_and_makes_its_victims_sus
     seen(&mut monitor, 0);
     let victims: Arc<[ObjectName]> = [object("laser"), object("map"), object("ghost")].into();
 
-    let (laser, age) = (object("laser"), Duration::from_millis(500));
-    monitor.handle_waits(&laser, TWO, "Scan", age, at(500));
+    monitor.handle_liveness(waits(TWO, Duration::from_millis(500)), at(500));
     let age = Duration::from_millis(600);
-    monitor.handle_hangs(&laser, TWO, "Scan", age, victims.clone(), at(600));
+    monitor.handle_hangs(&object("laser"), TWO, "Scan", age, victims.clone(), at(600));
     assert_eq!(seen(&mut monitor, 600), ["m:laser Waits", "m:laser Hangs"]);
     let current = CurrentHandler { during: "Scan", age: Duration::from_millis(600) };
     assert_eq!(row(&monitor, "m:laser", 600).current, Some(current));
