@@ -184,7 +184,6 @@ struct Inner {
     is_shut_down: bool,
     #[cfg(feature = "network")]
     remote: RemoteNames,
-    /// Where objects that are not components can be watched.
     deaths: Deaths,
     access: AccessControl,
 }
@@ -253,7 +252,7 @@ impl Registry {
         self.lock().node = Some(node);
     }
 
-    /// Objects that are not components are watched there.
+    /// The ends of objects are told there.
     pub(crate) fn watch_in(&self, deaths: Deaths) {
         self.lock().deaths = deaths;
     }
@@ -322,7 +321,9 @@ impl Registry {
         let released = inner.objects.remove(name);
         inner.connections.remove(name);
         inner.revision += 1;
+        let deaths = inner.deaths.clone();
         drop(inner);
+        deaths.forget(name);
         drop(released);
     }
 
@@ -428,22 +429,41 @@ impl Registry {
         Ok(entry.ok_or_else(|| inner.misspelt(name))?.watchable.clone())
     }
 
-    /// Tells `watcher` whenever an incarnation of this object ends, and at once if it does not
-    /// live. Returns its last end.
+    /// Tells `watcher` whenever an incarnation of an object of this name ends, and at once if none
+    /// lives. Returns the object's last end.
     pub(crate) fn watch(&self, object: ObjectName, watcher: Watcher) -> Option<NumberedEnd> {
-        let inner = self.lock();
-        let watchable = inner.objects.get(&object).map(|entry| entry.watchable.clone());
-        let deaths = inner.deaths.clone();
-        drop(inner);
-        let watched = match watchable {
-            Some(watchable) => return watchable.watch(watcher),
-            None => deaths.watch(&object, watcher),
+        let watcher = Arc::new(watcher);
+        let is_known = !matches!(self.absence(&object), Some((_, DownReason::Unknown)));
+        let last = match is_known || watcher.outlasts_object {
+            true => self.deaths().join(&object, watcher.clone()),
+            false => None,
         };
-        watched.unwrap_or_else(|watcher| {
-            let (incarnation, ending) = (Incarnation(0), DownReason::Unknown);
+        // Joined first: what ends from here on is told.
+        if let Some((incarnation, ending)) = self.absence(&object) {
             (watcher.tell)(Down { object, node: None, incarnation, ending });
-            None
-        })
+        }
+        last
+    }
+
+    /// The last incarnation of an object of this name, and why none is there, if so.
+    fn absence(&self, object: &ObjectName) -> Option<(Incarnation, DownReason)> {
+        let inner = self.lock();
+        let watchable = inner.objects.get(object).map(|entry| entry.watchable.clone());
+        let is_reserved = inner.reserved.contains_key(object);
+        let actor = inner.deaths.actor(object);
+        drop(inner);
+        match (watchable, actor) {
+            (Some(watchable), _) => Some((watchable.absent()?, DownReason::NotAlive)),
+            (None, Some((_, true))) => None,
+            (None, Some((incarnation, false))) => Some((incarnation, DownReason::NotAlive)),
+            (None, None) if is_reserved => Some((Incarnation(0), DownReason::NotAlive)),
+            (None, None) => Some((Incarnation(0), DownReason::Unknown)),
+        }
+    }
+
+    /// The ends of all objects of this node.
+    pub(crate) fn deaths(&self) -> Deaths {
+        self.lock().deaths.clone()
     }
 
     /// The same names, for what they own themselves.

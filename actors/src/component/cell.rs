@@ -155,7 +155,7 @@ impl CellCore {
     /// Tells the watchers of the component that its incarnation has ended.
     pub(crate) fn tell_watchers(&self, incarnation: Incarnation, ending: DownReason) {
         let object = self.name.clone();
-        self.cold().watchers.tell(&Down { object, node: None, incarnation, ending });
+        self.environment.registry.deaths().tell(&Down { object, node: None, incarnation, ending });
     }
 
     /// Notifies a feature of what becomes of the component.
@@ -535,6 +535,10 @@ impl<C: Component> AliveSource for ComponentCell<C> {
         self.record.is_isolated()
     }
 
+    fn askers(&self) -> Vec<u32> {
+        self.queue.select(|envelope| envelope.revocable()?.asker())
+    }
+
     fn tell_exits(&self) {
         self.record.tell(DueExits::Settled);
     }
@@ -553,6 +557,10 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
 
     fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
         Box::pin(self.queue.space(self.port_of::<M>()))
+    }
+
+    fn overdue(&self) {
+        self.record.environment.report_circle(&self.record.name);
     }
 
     fn receiver(&self) -> Option<Receiver> {

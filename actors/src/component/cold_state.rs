@@ -2,7 +2,6 @@
 
 use crate::component::declaration::CellListener;
 use crate::component::exits::UntoldExits;
-use crate::messaging::death_watch::Watchers;
 use crate::messaging::injection::InjectionState;
 use blastema_core::delivery::quarantine::Quarantine;
 use blastema_core::{DeliveryError, Incarnation, MessageId};
@@ -11,7 +10,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// What few components come to use. A component has it once it has used any of it.
 #[derive(Default)]
 pub(crate) struct ColdState {
-    pub(crate) watchers: Watchers,
     pub(crate) injected: InjectionState,
     pub(crate) exits: UntoldExits,
     quarantine: Mutex<Quarantine>,

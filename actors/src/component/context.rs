@@ -300,11 +300,12 @@ impl<C: Component> Context<C> {
         self.state.defer(|wishes| wishes.failure = Some(failure));
     }
 
-    /// Subscribes to the message [`Down`], sent whenever an incarnation of this object ends. If the
-    /// object is not running or unknown, `Down` is sent at once. The object is a component, a
+    /// Subscribes to the message [`Down`], sent whenever an incarnation of an object of this name
+    /// ends. If it is not running or unknown, `Down` is sent at once. The object is a component, a
     /// supervisor or one of the middleware's own, here or, as `module2:arm`, on another node; of
     /// such a one it is also told when its node is lost, and it is watched further when that is
-    /// back.
+    /// back. The name is watched: also an object that gets it later, or again after another one was
+    /// removed. On another node that is noticed within a second.
     ///
     /// A notice comes before the messages that wait, and though the queue is full. Of an object
     /// that ended twice before the component had its turn the last end is reported. The watch ends
@@ -334,7 +335,9 @@ impl<C: Component> Context<C> {
         match node {
             None => {
                 let (who, incarnation) = (self.name().clone(), self.state.token.clone());
-                registry.watch(object, Watcher { who, incarnation, tell: Box::new(tell) });
+                let tell = Box::new(tell);
+                let watcher = Watcher { who, incarnation, outlasts_object: true, tell };
+                registry.watch(object, watcher);
             }
             #[cfg(feature = "network")]
             Some(node) => self.watch_elsewhere(ObjectAddress { node, object }, Box::new(tell)),

@@ -1,23 +1,106 @@
 //! What takes encoded messages for a component of this node, and encodes its replies.
 
-use crate::component::Handle;
-use crate::component::cell::ComponentCell;
+use crate::component::cell::{CellCore, ComponentCell};
 use crate::component::envelope::arrived_posting_time;
-use crate::messaging::error::SendError;
-use crate::messaging::reply::Responder;
+use crate::component::{Component, Handle};
+use crate::messaging::error::{Receiver, RequestError, SendError};
+use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sender::Sender;
-use crate::registry::encoding::encoded_reply;
+use crate::messaging::sink::MessageSink;
+use crate::registry::encoding::{encoded_reply, read_result};
 use crate::registry::{CapacityFuture, ContractPort, MessageMetadata, ReplyTo, Skeleton};
 use blastema_core::contract::codec;
-use blastema_core::{Contract, DeliveryError, FaultKind, Lifecycle, PeerIdentity, PreviousVersion};
+use blastema_core::{
+    Contract, DeliveryError, FaultKind, Lifecycle, MessageId, PeerIdentity, PreviousVersion,
+};
 use bytes::Bytes;
+use std::future::Future;
+use std::pin::Pin;
 use std::sync::Arc;
+use std::time::Duration;
 
 impl ContractPort {
     /// The port of a component for one contract.
     pub(crate) fn open<C: Handle<M>, M: Contract>(cell: &Arc<ComponentCell<C>>) -> Self {
         let skeleton = LocalSkeleton::<C, M> { cell: cell.clone(), former: None };
-        ContractPort::new::<M>(Sender(cell.clone()), Arc::new(skeleton))
+        ContractPort::new::<M>(Sender(Arc::new(NamedSink(cell.clone()))), Arc::new(skeleton))
+    }
+}
+
+/// What stands behind a sender by name: this component, and once it has been removed the one that
+/// has its name.
+struct NamedSink<C: Component>(Arc<ComponentCell<C>>);
+
+impl<C: Component> NamedSink<C> {
+    /// The way to another component that has the name now.
+    fn successor<M: Contract>(&self) -> Option<Sender<M>> {
+        let CellCore { name, environment, .. } = &self.0.record;
+        let present = environment.registry.cell(name)?.downcast::<ComponentCell<C>>();
+        let is_own = present.is_ok_and(|present| Arc::ptr_eq(&present, &self.0));
+        environment.registry.sender(name.as_str()).ok().filter(|_| !is_own)
+    }
+}
+
+impl<C: Handle<M>, M: Contract> MessageSink<M> for NamedSink<C> {
+    #[inline]
+    fn tell(&self, message: M) -> Result<(), SendError<M>> {
+        match self.0.tell(message) {
+            Err(SendError { kind: DeliveryError::Stopped, message, .. }) => {
+                match self.successor() {
+                    Some(successor) => successor.0.tell(message),
+                    None => Err(SendError::new(DeliveryError::Stopped, message)),
+                }
+            }
+            told => told,
+        }
+    }
+
+    #[inline]
+    fn offer(&self, message: M) -> Result<(), SendError<M>> {
+        match self.0.offer(message) {
+            Err(SendError { kind: DeliveryError::Stopped, message, .. }) => {
+                match self.successor() {
+                    Some(successor) => successor.0.offer(message),
+                    None => Err(SendError::new(DeliveryError::Stopped, message)),
+                }
+            }
+            offered => offered,
+        }
+    }
+
+    fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+        Box::pin(async move {
+            match self.successor::<M>() {
+                Some(successor) => successor.0.space().await,
+                None => MessageSink::<M>::space(&*self.0).await,
+            }
+        })
+    }
+
+    fn overdue(&self) {
+        MessageSink::<M>::overdue(&*self.0);
+    }
+
+    fn receiver(&self) -> Option<Receiver> {
+        MessageSink::<M>::receiver(&*self.0)
+    }
+
+    #[inline]
+    fn ask(
+        &self,
+        message: M,
+        id: Option<MessageId>,
+        within: Option<Duration>,
+    ) -> Result<ReplyFuture<M>, RequestError<M>> {
+        match self.0.ask(message, id, within) {
+            Err(RequestError { kind: DeliveryError::Stopped, message: Some(message), .. }) => {
+                match self.successor() {
+                    Some(successor) => successor.0.ask(message, id, within),
+                    None => Err(RequestError::new(DeliveryError::Stopped, Some(message))),
+                }
+            }
+            asked => asked,
+        }
     }
 }
 
@@ -85,11 +168,9 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
             None => codec::decode_shared::<M>(message),
             Some(former) => former.read(message),
         };
-        let read = self.cell.record.guard(what, read);
-        match read.and_then(|read| read.map_err(|error| error.to_string())) {
+        match read_result(self.cell.record.guard(what, read)) {
             Ok(message) => self.hand_over(message, metadata, reply_to),
-            Err(reason) => {
-                let why = DeliveryError::Undecodable { reason };
+            Err(why) => {
                 self.cell.record.record_dead_letter(M::NAME, &why);
                 if let Some(reply_to) = reply_to {
                     reply_to(Err(why.clone()));

@@ -7,7 +7,7 @@ use crate::component::Component;
 use crate::component::cell::ComponentCell;
 use crate::component::control::{CommandQueue, HostCommand};
 use crate::liveness::{label, sampler};
-use crate::messaging::death_watch::{Down, DownReason, NumberedEnd, Watchable, Watcher};
+use crate::messaging::death_watch::{DownReason, Watchable};
 use crate::messaging::injection::Injection;
 use actix::Recipient;
 use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
@@ -281,18 +281,8 @@ impl<C: Component> Watchable for ComponentCell<C> {
         self.remove_subscription(topic);
     }
 
-    fn watch(&self, watcher: Watcher) -> Option<NumberedEnd> {
-        let watcher = Arc::new(watcher);
-        let last = self.record.cold().watchers.join(watcher.clone());
-        if self.queue.owner().is_none() {
-            (watcher.tell)(Down {
-                object: self.record.name.clone(),
-                node: None,
-                incarnation: self.record.incarnation(),
-                ending: DownReason::NotAlive,
-            });
-        }
-        last
+    fn absent(&self) -> Option<Incarnation> {
+        self.queue.owner().is_none().then(|| self.record.incarnation())
     }
 }
 

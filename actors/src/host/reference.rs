@@ -6,7 +6,7 @@ use crate::component::{Component, Handle};
 use crate::messaging::death_watch::Watchable;
 use crate::messaging::error::{RequestError, SendError};
 use crate::messaging::retry;
-use crate::messaging::sender::{Sender, deliver};
+use crate::messaging::sender::{Sender, deliver, not_answered};
 use crate::messaging::sink::MessageSink;
 use crate::settings::DEFAULT_DEADLINE;
 use blastema_core::{Contract, Incarnation, Lifecycle, ObjectName};
@@ -86,7 +86,7 @@ impl<C: Component> ActorRef<C> {
             }
             MessageSink::ask(&*self.0, message, None, Some(deadline))?.within(deadline).await
         };
-        asked.await.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
+        asked.await.map_err(|error| not_answered(&*self.0, error, deadline))
     }
 
     /// Returns a sender for one contract, without the component's type.

@@ -87,6 +87,8 @@ pub(crate) struct Watcher {
     pub(crate) who: ObjectName,
     /// The incarnation that asked. Once it has ended, it gets no notice.
     pub(crate) incarnation: Arc<IncarnationToken>,
+    /// It waits for the next object of the name where the present one is removed.
+    pub(crate) outlasts_object: bool,
     pub(crate) tell: Box<dyn Fn(Down) + Send + Sync>,
 }
 
@@ -107,61 +109,32 @@ pub(crate) struct NumberedEnd {
     pub(crate) down: Down,
 }
 
-/// The watchers of one object, and its last end.
-#[derive(Default)]
-pub(crate) struct Watchers(Mutex<WatcherList>);
+/// The ends of a node's objects, and their watchers, by name. A name is watched whether or not an
+/// object has it: one that comes later, or after another one of that name, is watched as well.
+/// Clones share it.
+#[derive(Clone, Default)]
+pub(crate) struct Deaths(Arc<Mutex<SortedMap<ObjectName, Watched>>>);
 
+/// As many as the node has objects that ended, are watched, or are no components.
 #[derive(Default)]
-struct WatcherList {
-    /// At most one entry for each object of the node.
+struct Watched {
+    /// The present incarnation of a supervisor, or of one of the middleware's own, and whether it
+    /// lives.
+    actor: Option<(Incarnation, bool)>,
+    /// At most one for each object of the node.
     watchers: Vec<Arc<Watcher>>,
     last: Option<NumberedEnd>,
 }
 
-impl Watchers {
-    fn lock(&self) -> MutexGuard<'_, WatcherList> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+impl Watched {
+    fn prune(&mut self) {
+        self.watchers.retain(|watcher| !watcher.incarnation.has_ended());
     }
 
-    /// Adds a watcher, and returns the last end, which the watcher is not told.
-    pub(crate) fn join(&self, watcher: Arc<Watcher>) -> Option<NumberedEnd> {
-        let mut list = self.lock();
-        list.watchers.retain(|known| known.who != watcher.who && !known.incarnation.has_ended());
-        list.watchers.push(watcher);
-        list.last.clone()
+    fn is_needed(&self) -> bool {
+        let is_alive = |watcher: &Arc<Watcher>| !watcher.incarnation.has_ended();
+        self.actor.is_some() || self.last.is_some() || self.watchers.iter().any(is_alive)
     }
-
-    /// Keeps this end, and sends it to all of them.
-    pub(crate) fn tell(&self, down: &Down) {
-        let watchers = {
-            let mut list = self.lock();
-            let number = ENDS.fetch_add(1, SeqCst) + 1;
-            list.last = Some(NumberedEnd { number, down: down.clone() });
-            list.watchers.retain(|watcher| !watcher.incarnation.has_ended());
-            list.watchers.clone()
-        };
-        // Outside of the lock: a watcher may be watched by the object that it watches.
-        watchers.iter().for_each(|watcher| (watcher.tell)(down.clone()));
-    }
-
-    /// How many entries there are.
-    #[cfg(test)]
-    pub(crate) fn count(&self) -> usize {
-        self.lock().watchers.len()
-    }
-}
-
-/// The ends of objects that are not components: supervisors, and the middleware's own. Clones share
-/// it.
-#[derive(Clone, Default)]
-pub(crate) struct Deaths(Arc<Mutex<SortedMap<ObjectName, Watched>>>);
-
-/// As many as the node has such objects.
-#[derive(Default)]
-struct Watched {
-    incarnation: Incarnation,
-    is_alive: bool,
-    watchers: Arc<Watchers>,
 }
 
 impl Deaths {
@@ -169,14 +142,12 @@ impl Deaths {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// An incarnation of the object begins.
+    /// An incarnation of an object that is no component begins.
     pub(crate) fn begin(&self, object: &ObjectName, incarnation: Incarnation) {
-        let mut objects = self.lock();
-        let watched = objects.entry(object.clone()).or_default();
-        (watched.incarnation, watched.is_alive) = (incarnation, true);
+        self.lock().entry(object.clone()).or_default().actor = Some((incarnation, true));
     }
 
-    /// An incarnation of the object is in this state.
+    /// An incarnation of such an object is in this state.
     pub(crate) fn enter(&self, object: &ObjectName, incarnation: Incarnation, state: Lifecycle) {
         match state {
             Lifecycle::Active => self.begin(object, incarnation),
@@ -185,50 +156,74 @@ impl Deaths {
         }
     }
 
-    /// The present incarnation of the object has ended; without effect where none is.
+    /// The present incarnation of such an object has ended; without effect where none is.
     pub(crate) fn end(&self, object: &ObjectName, ending: DownReason) {
         let mut objects = self.lock();
-        let alive = objects.get_mut(object).filter(|watched| watched.is_alive);
-        let Some(Watched { incarnation, is_alive, watchers }) = alive else { return };
+        let actor = objects.get_mut(object).and_then(|watched| watched.actor.as_mut());
+        let Some((incarnation, is_alive)) = actor.filter(|(_, is_alive)| *is_alive) else { return };
         *is_alive = false;
-        let (incarnation, watchers) = (*incarnation, watchers.clone());
+        let incarnation = *incarnation;
         drop(objects);
-        watchers.tell(&Down { object: object.clone(), node: None, incarnation, ending });
+        self.tell(&Down { object: object.clone(), node: None, incarnation, ending });
     }
 
-    /// The object is no more: its name is that of none.
+    /// Keeps this end of an object, and sends it to all that watch its name.
+    pub(crate) fn tell(&self, down: &Down) {
+        let watchers = {
+            let mut objects = self.lock();
+            let watched = objects.entry(down.object.clone()).or_default();
+            let number = ENDS.fetch_add(1, SeqCst) + 1;
+            watched.last = Some(NumberedEnd { number, down: down.clone() });
+            watched.prune();
+            watched.watchers.clone()
+        };
+        // Outside of the lock: a watcher may be watched by the object that it watches.
+        watchers.iter().for_each(|watcher| (watcher.tell)(down.clone()));
+    }
+
+    /// The object is no more: its name is free.
     pub(crate) fn forget(&self, object: &ObjectName) {
         self.end(object, DownReason::Stopped);
-        self.lock().remove(object);
+        let mut objects = self.lock();
+        let Some(watched) = objects.get_mut(object) else { return };
+        (watched.actor, watched.last) = (None, None);
+        watched.watchers.retain(|watcher| watcher.outlasts_object);
+        if !watched.is_needed() {
+            objects.remove(object);
+        }
     }
 
-    /// As [`Watchable::watch`]. A name that never was an object's gives the watcher back.
-    pub(crate) fn watch(
-        &self,
-        object: &ObjectName,
-        watcher: Watcher,
-    ) -> Result<Option<NumberedEnd>, Watcher> {
-        let objects = self.lock();
-        let Some(Watched { incarnation, is_alive, watchers }) = objects.get(object) else {
-            return Err(watcher);
-        };
-        let (incarnation, is_alive, watchers) = (*incarnation, *is_alive, watchers.clone());
-        drop(objects);
-        let watcher = Arc::new(watcher);
-        let last = watchers.join(watcher.clone());
-        if !is_alive {
-            let (object, ending) = (object.clone(), DownReason::NotAlive);
-            (watcher.tell)(Down { object, node: None, incarnation, ending });
+    /// Adds a watcher. Returns the last end of the object, which the watcher is not told.
+    pub(crate) fn join(&self, object: &ObjectName, watcher: Arc<Watcher>) -> Option<NumberedEnd> {
+        let mut objects = self.lock();
+        if !objects.contains_key(object) {
+            objects.retain(|_, watched| watched.is_needed());
         }
-        Ok(last)
+        let watched = objects.entry(object.clone()).or_default();
+        watched.watchers.retain(|known| known.who != watcher.who);
+        watched.prune();
+        watched.watchers.push(watcher);
+        watched.last.clone()
+    }
+
+    /// The present incarnation of an object that is no component, and whether it lives.
+    pub(crate) fn actor(&self, object: &ObjectName) -> Option<(Incarnation, bool)> {
+        self.lock().get(object)?.actor
+    }
+
+    /// How many watch this name.
+    #[cfg(test)]
+    pub(crate) fn watchers(&self, object: &ObjectName) -> usize {
+        self.lock().get(object).map_or(0, |watched| watched.watchers.len())
     }
 }
 
 /// What can be watched.
 pub(crate) trait Watchable: Send + Sync {
-    /// Reports at once if it is not alive, and whenever an incarnation of it ends. Returns its last
-    /// end.
-    fn watch(&self, watcher: Watcher) -> Option<NumberedEnd>;
+    /// Its last incarnation, where none is there now.
+    fn absent(&self) -> Option<Incarnation> {
+        None
+    }
     /// Its cell, where it is a component.
     fn cell(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {
         None

@@ -15,7 +15,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// Sends messages of contract `M` to one receiver, local or remote. It stays valid across the
-/// receiver's restarts.
+/// receiver's restarts; one that was found by name reaches the component that has the name now.
 ///
 /// Messages from one sender to one receiver arrive in order. An accepted message is served unless
 /// the receiver dies while it serves it, is stopped, or its queue's policy drops it; all of these
@@ -84,7 +84,7 @@ impl<M: Contract> Sender<M> {
             }
             self.0.ask(message, None, Some(deadline))?.within(deadline).await
         };
-        asked.await.map_err(|error| error.at(|| awaited(self.0.receiver(), deadline)))
+        asked.await.map_err(|error| not_answered(&*self.0, error, deadline))
     }
 
     /// Asks, and asks again by this rule where the request was not taken up, or, if its contract is
@@ -148,7 +148,7 @@ impl<M: Contract + Clone> Repeatable<M> {
         let (inlet, message) = (&self.sender.0, self.message.clone());
         let asked =
             async { inlet.ask(message, Some(self.id), Some(deadline))?.within(deadline).await };
-        asked.await.map_err(|error| error.at(|| awaited(inlet.receiver(), deadline)))
+        asked.await.map_err(|error| not_answered(&**inlet, error, deadline))
     }
 
     /// Its identity.
@@ -157,9 +157,17 @@ impl<M: Contract + Clone> Repeatable<M> {
     }
 }
 
-/// The receiver, with the deadline of the request.
-fn awaited(receiver: Option<Receiver>, deadline: Duration) -> Option<Receiver> {
-    receiver.map(|receiver| Receiver { deadline: Some(deadline), ..receiver })
+/// Names the receiver and the deadline of a request.
+#[cold]
+pub(crate) fn not_answered<M: Contract>(
+    inlet: &(impl MessageSink<M> + ?Sized),
+    error: RequestError<M>,
+    deadline: Duration,
+) -> RequestError<M> {
+    if error.kind == DeliveryError::DeadlinePassed {
+        inlet.overdue();
+    }
+    error.at(|| Some(Receiver { deadline: Some(deadline), ..inlet.receiver()? }))
 }
 
 pub(crate) async fn deliver<M: Contract>(

@@ -27,6 +27,9 @@ pub(crate) trait MessageSink<M: Contract>: Send + Sync {
         within: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>>;
 
+    /// A request of the component that runs on this thread has not been answered by its deadline.
+    fn overdue(&self) {}
+
     /// The receiver that its errors name.
     fn receiver(&self) -> Option<Receiver> {
         None

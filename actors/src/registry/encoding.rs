@@ -17,6 +17,15 @@ pub(crate) fn encoded_reply<M: Contract>(
     })
 }
 
+/// What was read of a message. Bytes that are no such message are the sender's mistake; a panic is
+/// the receiver's own, whose checks have failed.
+pub(crate) fn read_result<M>(
+    read: Result<Result<M, codec::DecodeError>, String>,
+) -> Result<M, DeliveryError> {
+    read.map_err(|reason| DeliveryError::CheckFailed { reason })?
+        .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
+}
+
 pub(super) fn encoding(error: codec::EncodeError, limit: usize) -> DeliveryError {
     match error {
         codec::EncodeError::TooLarge { .. } => DeliveryError::TooLarge { limit },

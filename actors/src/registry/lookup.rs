@@ -79,6 +79,12 @@ impl<M: Contract, R: CurrentReceiver> MessageSink<M> for CurrentSender<M, R> {
         })
     }
 
+    fn overdue(&self) {
+        if let Ok(sender) = self.present() {
+            sender.0.overdue();
+        }
+    }
+
     fn ask(
         &self,
         message: M,

@@ -35,6 +35,7 @@ use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, Incarnation, ObjectAddress, ObjectName};
 use blastema_macros::{Request, Structure};
 use std::future::Future;
+use std::mem::replace;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tracing::warn;
@@ -108,7 +109,7 @@ impl From<Down> for LastEnd {
 }
 
 /// Tells of every end of that object, and of the loss of its node, for as long as it is polled.
-/// Completes when the node knows no such object.
+/// A name that no object has is asked for again and again.
 pub(crate) fn follow(
     registry: Registry,
     ObjectAddress { node, object }: ObjectAddress,
@@ -143,10 +144,10 @@ async fn ask_on<O: Future<Output = ()>>(
     lost: impl Fn(String),
     opening: impl Fn() -> O,
 ) {
-    let mut is_lost = false;
+    let (mut is_lost, mut is_unknown) = (false, false);
     loop {
         let question = AwaitEnd { object: object.clone(), after };
-        let why = match sender.ask_within(question, WATCH_TIMEOUT).await {
+        match sender.ask_within(question, WATCH_TIMEOUT).await.map_err(|error| error.kind) {
             Ok(Watched { seen, ended }) => {
                 let is_other =
                     matches!(after, EndsAfter::Seen(known) if known.service != seen.service);
@@ -154,28 +155,30 @@ async fn ask_on<O: Future<Output = ()>>(
                     lost("its node has started again".to_owned());
                 }
                 (after, is_lost) = (EndsAfter::Seen(seen), false);
-                if let Some(ended) = ended {
-                    let is_unknown = ended.ending == DownReason::Unknown;
+                let unknown = |ended: &LastEnd| ended.ending == DownReason::Unknown;
+                let was_unknown = replace(&mut is_unknown, ended.as_ref().is_some_and(unknown));
+                if let Some(ended) = ended.filter(|_| !(was_unknown && is_unknown)) {
                     down(ended);
-                    if is_unknown {
-                        return;
-                    }
                 }
-                continue;
+                if !is_unknown {
+                    continue;
+                }
+                // It is looked for again until an object has the name.
+                after = EndsAfter::Question;
             }
-            Err(error) => error.kind,
-        };
-        match why {
-            DeliveryError::DeadlinePassed => continue, // No incarnation has ended.
+            Err(DeliveryError::DeadlinePassed) => continue, // No incarnation has ended.
             // Of no concern to the object: for want of room, or because the watcher itself is
             // fenced.
-            DeliveryError::Full | DeliveryError::WayFull { .. } | DeliveryError::Fenced => {}
-            why => {
+            Err(DeliveryError::Full | DeliveryError::WayFull { .. } | DeliveryError::Fenced) => {}
+            Err(why) => {
                 if after == EndsAfter::Question {
                     after = EndsAfter::Opening;
                 }
                 if !is_lost && why != DeliveryError::Restarting {
-                    lost(why.to_string());
+                    lost(match why {
+                        DeliveryError::OutcomeUnknown { reason } => reason,
+                        why => why.to_string(),
+                    });
                     is_lost = true;
                 }
             }
@@ -322,7 +325,7 @@ impl DeathWatchService {
         };
         let who = ObjectName::new(OBJECT).expect("a name of letters");
         let incarnation = Arc::new(IncarnationToken::default());
-        let watcher = Watcher { who, incarnation, tell: Box::new(tell) };
+        let watcher = Watcher { who, incarnation, outlasts_object: false, tell: Box::new(tell) };
         let last = registry.watch(object.clone(), watcher);
         (last, absent.lock().unwrap_or_else(PoisonError::into_inner).take())
     }

@@ -8,7 +8,7 @@ use super::words::{
     Task, WhoServes,
 };
 use crate::component::environment::ComponentEnvironment;
-use crate::messaging::death_watch::{Down, DownReason, NumberedEnd, Watcher};
+use crate::messaging::death_watch::{Down, DownReason, Watcher};
 use crate::messaging::error::encode_kind;
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
@@ -65,11 +65,7 @@ pub(crate) struct Carried {
 /// Nobody mourns a service: its component has lives of its own.
 struct Undying;
 
-impl crate::messaging::death_watch::Watchable for Undying {
-    fn watch(&self, _: Watcher) -> Option<NumberedEnd> {
-        None
-    }
-}
+impl crate::messaging::death_watch::Watchable for Undying {}
 
 /// The body.
 pub(crate) struct ReplicaBody {
@@ -140,8 +136,12 @@ impl ReplicaBody {
             }
         };
         let life = Arc::new(IncarnationToken::default());
-        let mourner =
-            Watcher { who: carried.name.clone(), incarnation: life, tell: Box::new(tell) };
+        let mourner = Watcher {
+            who: carried.name.clone(),
+            incarnation: life,
+            outlasts_object: true,
+            tell: Box::new(tell),
+        };
         registry.watch(carried.component.clone(), mourner);
         Ok(body.recipient())
     }

@@ -4,6 +4,7 @@ use super::{Latched, RemoteForward, Times, Topic, TopicKey, TopicRow, lock, nano
 use crate::messaging::message_log;
 use crate::platform;
 use crate::platform::panics;
+use crate::registry::encoding::read_result;
 use blastema_core::contract::codec;
 use blastema_core::{ContractIdentity, DeliveryError, Event, Instant};
 use bytes::Bytes;
@@ -111,7 +112,7 @@ impl<E: Event> AnyTopic for Topic<E> {
                 "to read an event {panicked}"
             );
         }
-        match read.and_then(|read| read.map_err(|error| error.to_string())) {
+        match read_result(read) {
             Ok(event) => {
                 let now = platform::now();
                 let captured_at = now.as_nanos().saturating_sub(nanos(age));
@@ -126,8 +127,7 @@ impl<E: Event> AnyTopic for Topic<E> {
                 );
                 Ok(())
             }
-            Err(reason) => {
-                let why = DeliveryError::Undecodable { reason };
+            Err(why) => {
                 self.record_dead_letter(&why);
                 Err(why)
             }

@@ -302,7 +302,9 @@ impl VariableStore {
         };
         let who = ObjectName::new("blastema/variables").expect("a name of letters");
         let incarnation = Arc::new(IncarnationToken::default());
-        registry.watch(object.clone(), Watcher { who, incarnation, tell: Box::new(tell) });
+        let tell = Box::new(tell);
+        let watcher = Watcher { who, incarnation, outlasts_object: false, tell };
+        registry.watch(object.clone(), watcher);
     }
 
     /// The object is gone.

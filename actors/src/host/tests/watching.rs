@@ -1,6 +1,6 @@
 //! Death watch: no notice is lost to a full queue, and no watch outlives its watcher.
 
-use super::{Acc, Boom, Stage, acc, boom, order};
+use super::{Acc, Add, Boom, Stage, acc, boom, order};
 use crate::messaging::queue::WhenFull;
 use crate::{
     ActorRef, ChildSpec, Component, Context, DeliveryError, Down, DownReason, Event, Failure,
@@ -190,7 +190,7 @@ fn a_notice_that_was_not_taken_ends_with_the_incarnation_that_watched() {
 
 /// How many watch this component.
 fn watchers<C: Component>(of: &ActorRef<C>) -> usize {
-    of.0.record.cold().watchers.count()
+    of.0.record.environment.registry.deaths().watchers(of.name())
 }
 
 #[test]
@@ -261,5 +261,50 @@ fn two_that_watch_each_other_do_not_keep_each_other() {
         settle().await;
 
         assert_eq!((kept.0.strong_count(), kept.1.strong_count()), (0, 0));
+    });
+}
+
+#[test]
+fn a_watch_is_of_a_name_and_of_each_object_that_has_it() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, reported) = widow("widow", &["arm"]);
+        let _widow = stage.start(spec).await;
+        settle().await;
+        assert_eq!(taken(&reported), [Received::Down("arm".into(), 0, DownReason::Unknown)]);
+
+        for _ in 0..2 {
+            let (child, arm) = stage.start::<Acc>(acc("arm").0).await;
+            arm.tell(boom("x")).unwrap();
+            stage.reports.wait(|report| report.object == *child.name()).await;
+            let told = taken(&reported);
+            let panicked = |down: &Received| matches!(down, Received::Down(of, 1, DownReason::Panicked { .. }) if of == "arm");
+            assert!(told.iter().all(panicked) && told.len() == 1, "{told:?}");
+            drop(child);
+            settle().await;
+            taken(&reported);
+        }
+    });
+}
+
+#[test]
+fn a_sender_by_name_reaches_the_component_that_has_the_name_and_a_reference_means_one() {
+    paused(async {
+        let stage = Stage::new();
+        let (first, arm) = stage.start::<Acc>(acc("arm").0).await;
+        let by_name = stage.environment.registry.sender::<Add>("arm").unwrap();
+        assert_eq!(by_name.ask(Add(1)).await, Ok(1));
+        drop(first);
+        assert_eq!(by_name.tell(Add(1)).unwrap_err().kind, DeliveryError::Stopped, "none has it");
+
+        let (_second, _) = stage.start::<Acc>(acc("arm").0).await;
+
+        by_name.tell(Add(2)).unwrap();
+        by_name.deliver(Add(3)).await.unwrap();
+        assert_eq!(by_name.ask(Add(4)).await, Ok(9));
+        assert_eq!(arm.tell(Add(1)).unwrap_err().kind, DeliveryError::Stopped);
+        assert_eq!(arm.ask(Add(1)).await.unwrap_err().kind, DeliveryError::Stopped);
+        let of_the_first = arm.sender::<Add>().tell(Add(1)).unwrap_err();
+        assert_eq!((of_the_first.kind, of_the_first.message), (DeliveryError::Stopped, Add(1)));
     });
 }

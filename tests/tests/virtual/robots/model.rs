@@ -396,7 +396,9 @@ fn explains(cause: Cause, kind: &FaultKind) -> bool {
         ),
         FaultKind::Unavailable => cause == Cause::Unavailable,
         FaultKind::CheckFailed => {
-            matches!(cause, Cause::Declare | Cause::DropPanic | Cause::Condition(_))
+            // Two that consult each other wait in a circle, which is told.
+            let causes = [Cause::Declare, Cause::DropPanic, Cause::Consult];
+            causes.contains(&cause) || matches!(cause, Cause::Condition(_))
         }
         FaultKind::Overload => matches!(
             cause,

@@ -145,7 +145,12 @@ async fn who_asks_somebody_that_asks_back_gets_a_deadline_and_not_a_knot() {
 
     assert_eq!(arm.ask_within(Do(Deed::Nothing), hour).await.unwrap(), 1);
     assert_eq!(leg.ask_within(Do(Deed::Nothing), hour).await.unwrap(), 1);
-    node.expect_no_faults().await;
+    let faults = node.faults().await.entries;
+    let told = faults.iter().map(|entry| (entry.fault.location.to_string(), &*entry.fault.detail));
+    let circle = "components wait for each other until their deadlines: arm asks leg asks arm; reply \
+                  before asking, or `tell`";
+    assert_eq!(told.collect::<Vec<_>>(), [("module1:arm".to_owned(), circle)]);
+    assert_eq!(faults[0].fault.severity, Severity::Warning);
 }
 
 #[blastema_testkit::test]

@@ -2,8 +2,9 @@
 
 use crate::scenarios::puppet::{Deed, Strings, ask, strike};
 use blastema::prelude::*;
-use blastema::{Direction, MemoryMedium, Network};
+use blastema::{Direction, Down, MemoryMedium, Network};
 use blastema_testkit::TestNode;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 const SECOND: Duration = Duration::from_secs(1);
@@ -256,5 +257,69 @@ async fn an_end_right_after_the_start_of_the_next_process_of_its_node_is_told() 
         ask(&robot.module2, "laser", Deed::Stop).await.unwrap();
 
         assert_eq!(robot.mourned().await, ["widow#1 mourns module2:laser#1: Returned"]);
+    }
+}
+
+/// Watches a supervisor from its first hook on.
+struct Sentinel(Arc<Mutex<Vec<String>>>);
+
+impl Component for Sentinel {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Down>();
+    }
+
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        cx.watch("group").map_err(|error| error.to_string().into())
+    }
+}
+
+impl Handle<Down> for Sentinel {
+    async fn handle(&mut self, down: Down, _: &mut Context<Self>) {
+        self.0
+            .lock()
+            .unwrap()
+            .push(format!("{}{}: {:?}", down.object, down.incarnation, down.ending));
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_supervisor_that_starts_later_is_not_alive_yet_and_its_end_is_told() {
+    let (strings, told) = (Strings::default(), Arc::<Mutex<Vec<String>>>::default());
+    let group = SupervisorSpec::new("group", Strategy::OneForOne)
+        .intensity(0, SECOND)
+        .when_exceeded(WhenExceeded::Escalate)
+        .child(strings.spec("arm"));
+    let kept = told.clone();
+    let sentinel = ChildSpec::new("sentinel", move || Sentinel(kept.clone()));
+    let builder = Node::builder("module1").child(sentinel).supervisor(group);
+    let node = TestNode::start(builder).await;
+    node.advance(SECOND).await;
+
+    strike(&node, "arm").await;
+    node.advance(SECOND).await;
+
+    assert_eq!(*told.lock().unwrap(), ["group#0: NotAlive", "group#1: Fatal"]);
+}
+
+#[blastema_testkit::test]
+async fn a_name_of_another_node_is_watched_before_an_object_has_it_and_after() {
+    let robot = Robot::start().await;
+    robot.watch("module2:later").await;
+    assert_eq!(robot.mourned().await, ["widow#1 mourns module2:later#0: Unknown"]);
+    robot.module1.advance(10 * SECOND).await;
+    assert_eq!(robot.mourned().await, [""; 0], "it is said once");
+
+    for _ in 0..2 {
+        robot.module2.add(None, robot.strings.spec("later")).await.unwrap();
+        robot.module1.advance(3 * SECOND).await;
+        strike(&robot.module2, "later").await;
+        let told = robot.mourned().await;
+        let expected = "widow#1 mourns module2:later#1: Panicked";
+        assert!(told.len() == 1 && told[0].starts_with(expected), "{told:?}");
+        robot.module2.remove_child("later").await.unwrap();
+        robot.module1.advance(3 * SECOND).await;
+        let removed = robot.mourned().await;
+        let expected = ["later#2: Stopped", "later#0: Unknown"];
+        assert_eq!(removed, expected.map(|of| format!("widow#1 mourns module2:{of}")));
     }
 }
