@@ -54,6 +54,8 @@ impl<T: PartialOrd + Debug, D> Setting<T, D> {
 /// How long [`Sender::ask`](crate::Sender::ask) waits for a reply: longer than any healthy handler
 /// takes.
 pub const DEFAULT_DEADLINE: Duration = SECOND;
+/// How long a fault stands that a component has declared, and neither declares again nor clears.
+pub(crate) const FAULT_HOLD: Duration = Duration::from_secs(10 * 60);
 
 /// Shared arbiters: more than computers have cores. Each is a thread with its stack.
 pub(crate) const WORK_THREADS: Setting<usize, ()> = Setting {

@@ -310,10 +310,12 @@ impl fmt::Display for Fault {
 impl Fault {
     /// Whether restored service means that the cause is away.
     ///
-    /// It does for an object: a component that was restarted is as good as new. A link or a node is
+    /// It does for an object: a component that was restarted is as good as new. What a component
+    /// found itself is over when it says so, or has not found it for long. A link or a node is
     /// repaired only when it is there again, whatever path the traffic takes meanwhile.
     pub fn is_repaired_by_recovery(&self) -> bool {
-        matches!(self.location, FaultLocation::Object(_))
+        let is_own = matches!(self.kind, FaultKind::CheckFailed | FaultKind::Custom(_));
+        matches!(self.location, FaultLocation::Object(_)) && !is_own
     }
 
     /// The fault as the reason of what follows from it, such as `hang: Move has kept its thread for

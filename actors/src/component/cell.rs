@@ -28,6 +28,7 @@ use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sink::MessageSink;
 use crate::platform;
 use crate::platform::panics::{self, PanicRecord};
+use crate::settings::FAULT_HOLD;
 use blastema_contract::child::RestartGrant;
 use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, FaultDeclared};
 use blastema_core::detection::hang::QueueReading;
@@ -326,9 +327,14 @@ impl CellCore {
 
     /// A fault of the component, or of what was sent to it.
     pub(crate) fn declare(&self, kind: FaultKind, detail: String) {
+        self.declare_for(None, kind, detail);
+    }
+
+    /// The same, where the fault ends so long after it was declared last.
+    pub(crate) fn declare_for(&self, hold: Option<Duration>, kind: FaultKind, detail: String) {
         if let Some(faults) = &self.environment.reports.faults {
             let (object, incarnation) = (self.name.clone(), self.incarnation());
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold });
         }
     }
 
@@ -364,7 +370,7 @@ impl CellCore {
         panics::caught(run).map_err(|panicked| {
             let detail = format!("{} {panicked}", what());
             warn!(object = %self.name, "{detail}");
-            self.declare(FaultKind::CheckFailed, detail.clone());
+            self.declare_for(Some(FAULT_HOLD), FaultKind::CheckFailed, detail.clone());
             detail
         })
     }

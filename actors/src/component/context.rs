@@ -13,6 +13,7 @@ use crate::messaging::death_watch::{Down, Watcher};
 use crate::messaging::sender::{DetachedSender, Sender};
 use crate::messaging::sink::MessageSink;
 use crate::platform;
+use crate::settings::FAULT_HOLD;
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::{
@@ -28,6 +29,9 @@ use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
+
+/// Of so many failed checks is known which; a fault of more ends with these.
+const FAILED_CHECKS_MAX: usize = 64;
 
 /// The type of a handle, the port that it is for, and the handle.
 pub(crate) type KeptHandle = (TypeId, Option<Box<str>>, Rc<dyn Any>);
@@ -220,15 +224,26 @@ impl<C: Component> Context<C> {
         self.state.defer(|wishes| wishes.interval = Some(interval));
     }
 
-    /// Reports a fault that the component found in itself or in its data. It goes on working.
+    /// Reports a fault that the component found in itself or in its data. It goes on working. The
+    /// fault ends when it is [cleared](Self::clear_fault), when the next incarnation is at work, or
+    /// ten minutes after it was declared last; see [`latch_fault`](Self::latch_fault).
     ///
     /// A code of the application's own that the plan has no answer to is reported with the codes
     /// that it has, and only observed: see [the manual](crate::manual::faults).
     pub fn declare_fault(&self, kind: FaultKind, detail: impl Into<String>) {
+        self.declare(Some(FAULT_HOLD), kind, detail.into());
+    }
+
+    /// The same, where the fault does not end by itself: for one that is not looked for again and
+    /// again.
+    pub fn latch_fault(&self, kind: FaultKind, detail: impl Into<String>) {
+        self.declare(None, kind, detail.into());
+    }
+
+    fn declare(&self, hold: Option<Duration>, kind: FaultKind, mut detail: String) {
         if heartbeat::send_refusal() == Some(DeliveryError::Fenced) {
             return;
         }
-        let mut detail = detail.into();
         if let FaultKind::Custom(code) = &kind {
             detail = self.cell.record.environment.checked_detail(code, detail);
         }
@@ -238,12 +253,16 @@ impl<C: Component> Context<C> {
                 incarnation: self.incarnation(),
                 kind,
                 detail,
+                hold,
             });
         }
     }
 
     /// Ends a fault of this kind that the component has declared.
     pub fn clear_fault(&self, kind: FaultKind) {
+        if let (FaultKind::CheckFailed, Some(failed)) = (&kind, self.state.failed_checks.get()) {
+            failed.borrow_mut().clear();
+        }
         self.cell.record.clear(kind);
     }
 
@@ -257,16 +276,13 @@ impl<C: Component> Context<C> {
         }
     }
 
-    /// Reports [`FaultKind::CheckFailed`] unless the condition holds. Returns whether it holds.
+    /// Reports [`FaultKind::CheckFailed`] unless the condition holds. Returns whether it holds. The
+    /// fault ends when all checks that have failed pass again; a check is known by its text.
     pub fn check(&self, holds: bool, invariant: &str) -> bool {
-        if !holds {
-            self.declare_fault(FaultKind::CheckFailed, invariant);
-        }
-        holds
+        self.note_check(holds, invariant, || invariant.to_owned())
     }
 
-    /// Reports [`FaultKind::CheckFailed`] unless the value lies in the range. Returns whether it
-    /// does.
+    /// The same for a value that is to lie in the range; a check is known by `what`.
     pub fn check_range<T: PartialOrd + Debug>(
         &self,
         what: &str,
@@ -274,9 +290,25 @@ impl<C: Component> Context<C> {
         range: impl RangeBounds<T> + Debug,
     ) -> bool {
         let holds = range.contains(value);
+        self.note_check(holds, what, || format!("{what} is {value:?}, outside of {range:?}"))
+    }
+
+    fn note_check(&self, holds: bool, check: &str, detail: impl FnOnce() -> String) -> bool {
         if !holds {
-            let detail = format!("{what} is {value:?}, outside of {range:?}");
-            self.declare_fault(FaultKind::CheckFailed, detail);
+            let mut failed = self.state.failed_checks.get_or_init(Box::default).borrow_mut();
+            if failed.len() < FAILED_CHECKS_MAX {
+                failed.insert(check.to_owned());
+            }
+            drop(failed);
+            self.declare_fault(FaultKind::CheckFailed, detail());
+        } else if let Some(failed) = self.state.failed_checks.get() {
+            let mut failed = failed.borrow_mut();
+            let passes_again = failed.remove(check);
+            let is_last = failed.is_empty();
+            drop(failed);
+            if passes_again && is_last {
+                self.clear_fault(FaultKind::CheckFailed);
+            }
         }
         holds
     }

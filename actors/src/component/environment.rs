@@ -6,6 +6,7 @@ use crate::liveness::sampler::SampledComponents;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::registry::Registry;
 use crate::runtime::reports::FaultReports;
+use crate::settings::FAULT_HOLD;
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
@@ -63,8 +64,8 @@ impl ComponentEnvironment {
             "components wait for each other until their deadlines: {}; reply before asking, or `tell`",
             names.join(" asks ")
         );
-        let kind = FaultKind::CheckFailed;
-        faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+        let (kind, hold) = (FaultKind::CheckFailed, Some(FAULT_HOLD));
+        faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold });
     }
 
     /// An environment of its own, whose components live on `arbiters`.

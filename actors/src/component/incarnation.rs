@@ -5,7 +5,7 @@ use crate::component::long_operation::LongOperations;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::ActivityRecord;
 use crate::messaging::incarnation::IncarnationToken;
-use blastema_core::sorted::SortedMap;
+use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{Incarnation, Instant};
 use std::cell::{Cell, OnceCell, RefCell};
 use std::future::Future;
@@ -99,6 +99,8 @@ pub(crate) struct IncarnationState<C: Component> {
     wished: Cell<bool>,
     /// There only where one was set.
     pub(crate) timers: OnceCell<Rc<TimerTable<C>>>,
+    /// Checks that failed and have not passed since. There only where one has failed.
+    pub(crate) failed_checks: OnceCell<Box<RefCell<SortedSet<String>>>>,
 }
 
 impl<C: Component> IncarnationState<C> {
@@ -114,6 +116,7 @@ impl<C: Component> IncarnationState<C> {
             wishes: Cell::default(),
             wished: Cell::new(false),
             timers: OnceCell::new(),
+            failed_checks: OnceCell::new(),
         }
     }
 

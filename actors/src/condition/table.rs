@@ -272,7 +272,7 @@ impl Entry {
             match (found, &reports.faults, &reports.cleared) {
                 (true, Some(faults), _) => {
                     let detail = cause.to_owned();
-                    faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+                    faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold: None });
                 }
                 (false, _, Some(cleared)) => {
                     cleared.do_send(DeclaredFaultCleared { object, incarnation, kind });

@@ -239,21 +239,17 @@ impl DirectoryActor {
         self.untold = untold;
     }
 
-    /// Raises an alarm for a node whose messages are refused for seconds, and clears it when none
-    /// was refused for a while.
+    /// Raises an alarm for a node whose messages are refused for seconds.
     fn look_at_refusals(&mut self) {
         let now = platform::now();
         let looks: Vec<(NodeName, Refusals)> =
             self.machine.refusals().map(|(node, refusals)| (node.clone(), refusals)).collect();
         for (node, refusals) in looks {
-            if let Some(since) = self.complaints.handle_look(node.clone(), refusals, now) {
+            if let Some(since) = self.complaints.handle_look(node.clone(), refusals) {
                 let detail =
                     format!("what {node} says that it has is refused all the time: {since}");
-                self.declare(FaultKind::CheckFailed, detail);
+                self.faults.declare_refusals(detail);
             }
-        }
-        if self.complaints.take_over(now) {
-            self.faults.clear(FaultKind::CheckFailed);
         }
         if !self.lost.take_over(now).is_empty() {
             self.clear();

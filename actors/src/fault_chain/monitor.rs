@@ -159,8 +159,8 @@ impl Handler<FaultDeclared> for MonitorActor {
     type Result = ();
 
     fn handle(&mut self, message: FaultDeclared, context: &mut Context<Self>) {
-        let FaultDeclared { object, incarnation, kind, detail } = message;
-        self.machine.handle_declared(&object, incarnation, kind, detail, platform::now());
+        let FaultDeclared { object, incarnation, kind, detail, hold } = message;
+        self.machine.handle_declared(&object, incarnation, kind, detail, hold, platform::now());
         self.drive(context);
     }
 }

@@ -175,7 +175,7 @@ impl SupervisorActor {
         kind: FaultKind,
         detail: String,
     ) {
-        self.monitor.do_send(FaultDeclared { object, incarnation, kind, detail });
+        self.monitor.do_send(FaultDeclared { object, incarnation, kind, detail, hold: None });
     }
 
     fn declare_storm(&self, reason: &str) {

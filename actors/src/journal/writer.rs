@@ -274,7 +274,7 @@ impl Now {
     }
 
     fn line_of_entry(&self, entry: FaultEntry) -> JournalRow {
-        let FaultEntry { fault, decided, recovered_at, repaired_at, given_up } = entry;
+        let FaultEntry { fault, decided, recovered_at, repaired_at, given_up, .. } = entry;
         JournalRow {
             action: decided.map(|(_, action)| action),
             recovered: recovered_at.map(|at| self.moment(at)),

@@ -13,6 +13,7 @@ use blastema_contract::router::InjectPanic;
 use blastema_contract::transport::{
     Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
+use blastema_core::NodeName;
 use blastema_core::net::LinkId;
 use blastema_core::net::discovery::{
     Discovery, DiscoveryAdmission, DiscoveryConfig, DiscoveryOutput,
@@ -20,7 +21,6 @@ use blastema_core::net::discovery::{
 use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::trust::beacon::{BeaconKeys, CheckedBeacon};
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_core::{FaultKind, NodeName};
 use bytes::Bytes;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
@@ -137,19 +137,14 @@ impl DiscoveryActor {
         }
     }
 
-    /// Raises an alarm while beacons are refused for seconds, and clears it when none was refused
-    /// for a while.
+    /// Raises an alarm while beacons are refused for seconds.
     fn look_at_refusals(&mut self) {
-        let now = platform::now();
-        if let Some(since) = self.complaints.handle_look((), self.machine.refusals(), now) {
+        if let Some(since) = self.complaints.handle_look((), self.machine.refusals()) {
             let detail = format!(
                 "of the neighbours that are told by beacons, many are refused all the time: {since}"
             );
             warn!("{detail}");
-            self.wiring.faults.declare(FaultKind::CheckFailed, detail);
-        }
-        if self.complaints.take_over(now) {
-            self.wiring.faults.clear(FaultKind::CheckFailed);
+            self.wiring.faults.declare_refusals(detail);
         }
     }
 

@@ -3,7 +3,9 @@
 use crate::runtime::guardian::alive;
 use actix::prelude::*;
 use blastema_contract::reports::{DeclaredFaultCleared, FaultDeclared};
+use blastema_core::net::active_alarms::QUIET;
 use blastema_core::{FaultKind, ObjectName};
+use std::time::Duration;
 
 /// Reports the faults of one object of the network. Without recipients, reports are dropped.
 #[derive(Clone)]
@@ -25,9 +27,18 @@ impl FaultReporter {
 
     /// Something is wrong.
     pub(crate) fn declare(&self, kind: FaultKind, detail: String) {
+        self.declare_for(None, kind, detail);
+    }
+
+    /// Much is refused. The fault ends when that was not so for a minute.
+    pub(crate) fn declare_refusals(&self, detail: String) {
+        self.declare_for(Some(QUIET), FaultKind::CheckFailed, detail);
+    }
+
+    fn declare_for(&self, hold: Option<Duration>, kind: FaultKind, detail: String) {
         if let Some(declared) = &self.declared {
             let (object, incarnation) = (self.object.clone(), alive().incarnation);
-            declared.do_send(FaultDeclared { object, incarnation, kind, detail });
+            declared.do_send(FaultDeclared { object, incarnation, kind, detail, hold });
         }
     }
 

@@ -18,7 +18,7 @@ use blastema_core::net::{
     ByteRates, MachineSet, NodeId, Refusals, Session, SessionConfig, SessionOutput,
 };
 use blastema_core::sorted::SortedMap;
-use blastema_core::{DeliveryError, FaultKind, Incarnation, NodeName, TrafficClass};
+use blastema_core::{DeliveryError, Incarnation, NodeName, TrafficClass};
 use bytes::Bytes;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
@@ -155,16 +155,14 @@ impl SessionsActor {
         }
     }
 
-    /// Raises an alarm for a peer whose packets are refused for seconds, and clears it when none
-    /// was refused for a while.
+    /// Raises an alarm for a peer whose packets are refused for seconds.
     fn look_at_refusals(&mut self) {
-        let now = platform::now();
         let peers = self.machines.iter().map(|(id, session)| (Some(id), session.refusals()));
         let looks: Vec<_> = peers.chain([(None, self.strangers)]).collect();
         for (peer, refusals) in looks {
             let known = peer.and_then(|id| self.peers.get_mut(&id));
             let relayed = known.is_none_or(|known| std::mem::take(&mut known.relayed));
-            let alarm = self.complaints.handle_look(peer, refusals, now);
+            let alarm = self.complaints.handle_look(peer, refusals);
             let Some(since) = alarm else { continue };
             let name = peer.and_then(|id| self.peers.get(&id)).map(|peer| peer.node.to_string());
             let name = name.unwrap_or_else(|| "nodes that no route leads to".to_owned());
@@ -181,10 +179,7 @@ impl SessionsActor {
                 let condition = NodeCondition::Offends { what };
                 nodes.do_send(NodeReported { node, incarnation, condition });
             }
-            self.faults.declare(FaultKind::CheckFailed, detail);
-        }
-        if self.complaints.take_over(now) {
-            self.faults.clear(FaultKind::CheckFailed);
+            self.faults.declare_refusals(detail);
         }
     }
 

@@ -44,6 +44,7 @@ impl NetworkRow {
                 "network {} ({}) is insecure: every station on it can command this robot",
                 self.network, self.medium
             ),
+            hold: None,
         })
     }
 }

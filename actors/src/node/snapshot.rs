@@ -257,6 +257,7 @@ fn fault(entry: &FaultEntry, now: Instant) -> Value {
         "location": fault.location.to_string(),
         "incarnation": fault.incarnation.0,
         "detail": fault.detail,
+        "first_detail": entry.first_detail,
         "count": fault.count,
         "symptom_of": fault.symptom_of.map(|root| root.to_string()),
         "age_ms": millis(now - fault.found_at),

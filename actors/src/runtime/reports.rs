@@ -19,7 +19,7 @@ impl FaultReports {
     pub(crate) fn declare(&self, object: &str, detail: String) {
         if let (Some(faults), Ok(object)) = (&self.faults, ObjectName::new(object)) {
             let (incarnation, kind) = (guardian::alive().incarnation, FaultKind::CheckFailed);
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold: None });
         }
     }
 

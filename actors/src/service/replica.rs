@@ -260,7 +260,7 @@ impl ReplicaBody {
             let (object, incarnation) =
                 (self.carried.body.clone(), crate::runtime::guardian::alive().incarnation);
             let detail = format!("service {name}: {detail}");
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold: None });
         }
     }
 

@@ -7,6 +7,7 @@ use crate::host::executor;
 use crate::host::executor::ComponentExecutor;
 use crate::liveness::label::CONDITION;
 use crate::platform::panics;
+use crate::settings::FAULT_HOLD;
 use blastema_core::{DeliveryError, Event, FaultKind};
 use std::any::Any;
 use std::cell::RefCell;
@@ -105,7 +106,7 @@ impl<C: Handle<E>, E: Event> EventListener<E> for Resident<C> {
         if let Some(payload) = payload {
             let panics::PanicRecord { text, at } = panics::read(payload);
             let detail = format!("{} panicked at {at}: {text}", CONDITION.name);
-            self.cell.record.declare(FaultKind::CheckFailed, detail);
+            self.cell.record.declare_for(Some(FAULT_HOLD), FaultKind::CheckFailed, detail);
         }
     }
 

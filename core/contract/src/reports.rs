@@ -67,6 +67,8 @@ pub struct FaultDeclared {
     pub kind: FaultKind,
     /// The particulars.
     pub detail: String,
+    /// How long it stands after it was declared last; `None` where its end is declared.
+    pub hold: Option<Duration>,
 }
 
 /// What an object had declared is over.

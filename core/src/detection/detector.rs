@@ -352,7 +352,8 @@ impl Detector {
         entry.fault.count = entry.fault.count.saturating_add(1);
         entry.fault.incarnation = scene.incarnation;
         if entry.fault.detail != detail {
-            detail.clone_into(&mut entry.fault.detail);
+            let before = std::mem::replace(&mut entry.fault.detail, detail.to_owned());
+            entry.first_detail.get_or_insert(before);
         }
         if entry.fault.count.is_power_of_two() {
             let fault = entry.fault.clone();

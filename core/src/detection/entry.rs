@@ -85,7 +85,7 @@ impl MonitoredObject {
     }
 
     /// The note of this cause.
-    fn noted(&self, cause: &NoteCause) -> Option<String> {
+    pub(super) fn noted(&self, cause: &NoteCause) -> Option<String> {
         let remarks = self.remarks.as_ref()?;
         let note = remarks.notes.iter().find(|(known, _)| known == cause);
         note.map(|(_, text)| text.clone())

@@ -15,6 +15,7 @@ use crate::{
 };
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Keeps the table of all monitored objects, and reports its observations to the detector.
 ///
@@ -33,10 +34,19 @@ pub struct Monitor {
     pings: PingMonitor,
     handover: ConfirmedQueue<Observation>,
     asks: VecDeque<ObjectName>,
+    /// Declared faults that end by themselves.
+    holds: SortedMap<(ObjectName, FaultKind), Hold>,
     /// The node ends.
     ending: bool,
     stale: u64,
     refused: u64,
+}
+
+/// For how long a fault stands that its object does not declare again.
+#[derive(Clone, Copy, Debug)]
+struct Hold {
+    span: Duration,
+    due: Instant,
 }
 
 /// The bounds of a [`Monitor`].
@@ -101,6 +111,7 @@ impl Monitor {
             pings: PingMonitor::new(),
             handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
             asks: VecDeque::new(),
+            holds: SortedMap::new(),
             ending: false,
             stale: 0,
             refused: 0,
@@ -261,13 +272,16 @@ impl Monitor {
         self.settle(now);
     }
 
-    /// An object declares a fault of its own; also one that has ended, for what is left of it.
+    /// An object declares a fault of its own; also one that has ended, for what is left of it. With a
+    /// `hold` the fault ends so long after it was declared last; without one, when the object says
+    /// so.
     pub fn handle_declared(
         &mut self,
         object: &ObjectName,
         incarnation: Incarnation,
         kind: FaultKind,
         detail: String,
+        hold: Option<Duration>,
         now: Instant,
     ) {
         let Some(entry) = self.admit(object, incarnation, now) else { return };
@@ -275,6 +289,11 @@ impl Monitor {
             entry.last_sign = Some(now);
         }
         entry.note(NoteCause::Declared(kind.clone()), detail.clone());
+        let key = (object.clone(), kind.clone());
+        match hold.map(|span| Hold { span, due: now + span }) {
+            Some(hold) => self.holds.insert(key, hold),
+            None => self.holds.remove(&key),
+        };
         self.observe_object(object, incarnation, Finding::Declared { kind, detail }, now);
         self.settle(now);
     }
@@ -292,8 +311,30 @@ impl Monitor {
             entry.last_sign = Some(now);
         }
         entry.erase(&NoteCause::Declared(kind.clone()));
+        self.holds.remove(&(object.clone(), kind.clone()));
         self.observe_object(object, incarnation, Finding::Cleared { kind }, now);
         self.settle(now);
+    }
+
+    fn next_hold(&self) -> Option<(Instant, &(ObjectName, FaultKind))> {
+        self.holds.iter().map(|(key, hold)| (hold.due, key)).min()
+    }
+
+    /// A fault was not declared again within its hold: it is over, unless its object is kept from
+    /// declaring it, or has begun another incarnation meanwhile.
+    fn end_hold(&mut self, (object, kind): (ObjectName, FaultKind), now: Instant) {
+        let cause = NoteCause::Declared(kind.clone());
+        let entry = self.objects.get_mut(&object).filter(|entry| entry.noted(&cause).is_some());
+        let hold = self.holds.remove(&(object.clone(), kind.clone()));
+        let (Some(entry), Some(Hold { span, .. })) = (entry, hold) else { return };
+        let is_at_work = entry.state.is_none_or(|state| state == Lifecycle::Active);
+        if entry.end.is_none() && (entry.isolated || !is_at_work) {
+            self.holds.insert((object, kind), Hold { span, due: now + span });
+            return;
+        }
+        let incarnation = entry.incarnation;
+        entry.erase(&cause);
+        self.observe_object(&object, incarnation, Finding::Cleared { kind }, now);
     }
 
     /// A link reports how it is. The same condition again is no news.
@@ -539,10 +580,16 @@ impl Machine for Monitor {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        [self.pings.poll_timeout(), self.handover.poll_timeout()].into_iter().flatten().min()
+        let hold = self.next_hold().map(|(due, _)| due);
+        [self.pings.poll_timeout(), self.handover.poll_timeout(), hold].into_iter().flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
+        while let Some((due, key)) = self.next_hold()
+            && due <= now
+        {
+            self.end_hold(key.clone(), now);
+        }
         self.pings.handle_timeout(now);
         self.handover.handle_timeout(now);
         self.settle(now);

@@ -120,8 +120,10 @@ impl FaultNotice {
 /// not. See [`Fault::is_repaired_by_recovery`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultEntry {
-    /// The fault; [`Fault::found_at`] is when it was found.
+    /// The fault; [`Fault::found_at`] is when it was found, and [`Fault::detail`] the newest one.
     pub fault: Fault,
+    /// The detail with which it was found, where the newest is another one.
+    pub first_detail: Option<String>,
     /// The action that was chosen last, and when.
     pub decided: Option<(Instant, String)>,
     /// When service was restored.
@@ -136,7 +138,14 @@ pub struct FaultEntry {
 impl FaultEntry {
     /// An entry for a fault that was just found.
     pub fn new(fault: Fault) -> Self {
-        FaultEntry { fault, decided: None, recovered_at: None, repaired_at: None, given_up: None }
+        FaultEntry {
+            fault,
+            first_detail: None,
+            decided: None,
+            recovered_at: None,
+            repaired_at: None,
+            given_up: None,
+        }
     }
 
     /// Whether the cause is not known to be away.

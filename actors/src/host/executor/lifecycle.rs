@@ -54,7 +54,8 @@ impl<C: Component> ComponentExecutor<C> {
                     self.cell.record.set_unavailable(&reason);
                     let object = self.cell.record.name.clone();
                     let (incarnation, kind) = (self.state.incarnation, FaultKind::Unavailable);
-                    let declared = FaultDeclared { object, incarnation, kind, detail: reason };
+                    let declared =
+                        FaultDeclared { object, incarnation, kind, detail: reason, hold: None };
                     self.outbox.push(DeferredReport::Declared(declared));
                 }
                 LifecycleReport::Child(event) => {

@@ -240,10 +240,9 @@ impl GatewayActor {
     /// Raises an alarm for a peer that sends on for seconds although it was told to stop, and
     /// clears it when none did for a while.
     pub(super) fn look_at_refusals(&mut self) {
-        let now = platform::now();
         let looks: Vec<_> = self.queues.backlog.refusals().collect();
         for (peer, refusals) in looks {
-            let alarm = self.queues.complaints.handle_look(peer, refusals, now);
+            let alarm = self.queues.complaints.handle_look(peer, refusals);
             let Some(since) = alarm else { continue };
             let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
             let lost = since.too_large;
@@ -253,10 +252,7 @@ impl GatewayActor {
             );
             warn!("{detail}");
             self.offends(peer, "it did not stop sending to what has no room");
-            self.wiring.faults.declare(FaultKind::CheckFailed, detail);
-        }
-        if self.queues.complaints.take_over(now) {
-            self.wiring.faults.clear(FaultKind::CheckFailed);
+            self.wiring.faults.declare_refusals(detail);
         }
     }
 }

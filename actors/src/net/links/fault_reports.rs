@@ -21,7 +21,6 @@ impl LinksActor {
     /// Frames that are refused for seconds are a fault until none was refused for a while: another
     /// node sends with the neighbour's address, or the neighbour is broken.
     pub(super) fn look_at_refusals(&mut self) {
-        let now = platform::now();
         let links = self.bundle.iter().map(|(number, _)| number);
         let links = links.map(|number| (Some(number), self.bundle.refused_of(number)));
         let others = match self.bundle.seal_refusals() {
@@ -30,7 +29,7 @@ impl LinksActor {
         };
         let looks: Vec<_> = links.chain([(None, others)]).collect();
         for (number, refusals) in looks {
-            let alarm = self.complaints.handle_look(number, refusals, now);
+            let alarm = self.complaints.handle_look(number, refusals);
             let Some(since) = alarm else { continue };
             let network = &self.wiring.network;
             let detail = match number.and_then(|number| self.specs.get(&number)) {
@@ -49,10 +48,7 @@ impl LinksActor {
                 ),
             };
             warn!(%network, "{detail}");
-            self.wiring.faults.declare(FaultKind::CheckFailed, detail);
-        }
-        if self.complaints.take_over(now) {
-            self.wiring.faults.clear(FaultKind::CheckFailed);
+            self.wiring.faults.declare_refusals(detail);
         }
     }
 

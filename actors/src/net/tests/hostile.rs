@@ -104,26 +104,8 @@ fn forged_and_replayed_sessions_are_refused_counted_and_named_and_the_forged_one
     });
 }
 
-/// A minute without it, and a second until it is looked at.
-const QUIET: Duration = Duration::from_secs(62);
-
-/// What is declared of this object has an end by itself, and is told again when `again` repeats it.
-async fn ends_and_is_told_again(victim: &Module, object: &str, again: impl AsyncFn()) {
-    advance(QUIET - 10_000 * MS).await;
-    victim.declared.drain();
-    assert_eq!(victim.cleared.drain(), [], "it may not be over yet");
-    advance(10_000 * MS).await;
-    let cleared = victim.cleared.drain();
-    let over = |fault: &DeclaredFaultCleared| (fault.object.to_string(), fault.kind.clone());
-    assert_eq!(
-        cleared.iter().map(over).collect::<Vec<_>>(),
-        [(object.into(), FaultKind::CheckFailed)]
-    );
-    advance(QUIET).await;
-    assert_eq!((victim.declared.drain(), victim.cleared.drain()), (vec![], vec![]));
-
-    again().await;
-}
+/// How long it stands after it was told last.
+const QUIET: Duration = Duration::from_secs(60);
 
 #[test]
 fn that_a_session_must_be_refused_ends_by_itself_and_is_told_again() {
@@ -133,9 +115,15 @@ fn that_a_session_must_be_refused_ends_by_itself_and_is_told_again() {
         let fire = async || {
             let declared = under_fire((&left, &middle), ("right", false), &words).await;
             assert_eq!(declared.len(), 1, "{declared:?}");
+            assert_eq!(
+                (declared[0].object.as_str(), declared[0].hold),
+                ("net/sessions", Some(QUIET))
+            );
         };
         fire().await;
-        ends_and_is_told_again(&left, "net/sessions", fire).await;
+        advance(2 * QUIET).await;
+        assert_eq!(left.declared.drain(), []);
+        fire().await;
     });
 }
 
@@ -264,11 +252,12 @@ fn lasting_garbage_from_a_neighbours_address_is_a_fault_of_the_links_and_passing
         let detail = &declared[0].detail;
         assert!(detail.contains("a/right") && detail.contains("100 foreign"), "{detail}");
 
-        ends_and_is_told_again(&left, "net/links/a", async || {
-            garbage(&sender, &[100, 100, 100, 100]).await;
-            assert_eq!(left.declared.drain().len(), 1);
-        })
-        .await;
+        assert_eq!(declared[0].hold, Some(QUIET));
+
+        advance(2 * QUIET).await;
+        assert_eq!(left.declared.drain(), []);
+        garbage(&sender, &[100, 100, 100, 100]).await;
+        assert_eq!(left.declared.drain().len(), 1);
     });
 }
 

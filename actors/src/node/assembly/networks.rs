@@ -125,6 +125,7 @@ impl NodeAssembly {
             incarnation: Incarnation::FIRST,
             kind: FaultKind::Insecure,
             detail,
+            hold: None,
         });
         let faults = rows.filter_map(NetworkRow::fault).chain(of_keys);
         faults.for_each(|fault| self.parts.monitor.do_send(fault));

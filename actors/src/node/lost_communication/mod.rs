@@ -139,7 +139,7 @@ impl KeptPolicy {
         if let (Some(faults), ConditionState::Lost) = (&self.faults, state) {
             let (object, incarnation) = (self.object.clone(), Incarnation::FIRST);
             let kind = FaultKind::ConnectionLost;
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold: None });
         }
     }
 

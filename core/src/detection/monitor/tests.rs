@@ -234,7 +234,14 @@ fn feed(monitor: &mut Monitor, input: &str, incarnation: Incarnation, now: Insta
         "stopped" => monitor.handle_exited(&laser, incarnation, ExitReason::Stopped, None, now),
         "state" => monitor.handle_state(&laser, incarnation, Lifecycle::Active, None, now),
         "declared" => {
-            monitor.handle_declared(&laser, incarnation, FaultKind::CheckFailed, "1".into(), now);
+            monitor.handle_declared(
+                &laser,
+                incarnation,
+                FaultKind::CheckFailed,
+                "1".into(),
+                None,
+                now,
+            );
         }
         "waits" => monitor.handle_liveness(waits(incarnation, TENTH), now),
         "silent" => monitor.handle_liveness(silent(incarnation), now),
@@ -384,7 +391,7 @@ fn a_note_goes_when_its_cause_goes_and_no_earlier() {
         monitor.handle_state(&laser, TWO, state, reason.map(str::to_owned), at(1));
     };
     let declare = |monitor: &mut Monitor, kind, detail: &str| {
-        monitor.handle_declared(&laser, TWO, kind, detail.to_owned(), at(2));
+        monitor.handle_declared(&laser, TWO, kind, detail.to_owned(), None, at(2));
     };
     state(&mut monitor, Lifecycle::Active, None);
     declare(&mut monitor, FaultKind::CheckFailed, "it is dark");
@@ -586,7 +593,7 @@ fn a_fault_right_after_the_start_of_many_objects_is_handed_over_at_once() {
         monitor.enrol(Registration::new(name), at(0)).expect("there is room");
     }
     let failed = "it is broken".to_owned();
-    monitor.handle_declared(&object("part/7"), ONE, FaultKind::CheckFailed, failed, at(0));
+    monitor.handle_declared(&object("part/7"), ONE, FaultKind::CheckFailed, failed, None, at(0));
 
     let mut reported = 0;
     while let Some(MonitorOutput::Observe { number, observation }) = monitor.poll_output() {
@@ -594,4 +601,34 @@ fn a_fault_right_after_the_start_of_many_objects_is_handed_over_at_once() {
         monitor.handle_confirmed(number, at(0));
     }
     assert_eq!(reported, 1);
+}
+
+#[test]
+fn a_declared_fault_ends_when_it_is_not_declared_again_within_its_hold() {
+    let mut monitor = monitor();
+    let laser = object("laser");
+    let declare = |monitor: &mut Monitor, hold, millis| {
+        let detail = "it is dark".to_owned();
+        monitor.handle_declared(&laser, TWO, FaultKind::CheckFailed, detail, hold, at(millis));
+        seen(monitor, millis);
+    };
+    let cleared = [(150, "m:laser Cleared".to_owned())];
+    monitor.handle_state(&laser, TWO, Lifecycle::Active, None, at(0));
+    declare(&mut monitor, Some(TENTH), 0);
+    declare(&mut monitor, Some(TENTH), 50);
+    assert_eq!(run(&mut monitor, 149), [], "it was declared again");
+    assert_eq!(run(&mut monitor, 160), cleared);
+    assert_eq!(row(&monitor, "m:laser", 160).note, None);
+
+    declare(&mut monitor, Some(TENTH), 200);
+    monitor.handle_isolation(&laser, true, at(210));
+    seen(&mut monitor, 210);
+    assert_eq!(run(&mut monitor, 390), [], "it may declare nothing");
+    monitor.handle_isolation(&laser, false, at(390));
+    seen(&mut monitor, 390);
+    assert_eq!(run(&mut monitor, 410), [(400, "m:laser Cleared".to_owned())]);
+
+    declare(&mut monitor, Some(TENTH), 600);
+    declare(&mut monitor, None, 610);
+    assert_eq!(run(&mut monitor, 10_000), [], "its end is declared");
 }

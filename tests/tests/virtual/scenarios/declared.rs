@@ -33,6 +33,37 @@ async fn a_failed_check_is_answered_as_the_plan_says() {
 }
 
 #[blastema_testkit::test]
+async fn a_check_that_passes_again_ends_its_fault_and_what_is_not_declared_again_ends_in_time() {
+    let strings = Strings::default();
+    let builder = Node::builder("module1")
+        .fault_kind("GRIP")
+        .plan(Plan::default().on(grip(), Ladder::first(RecoveryAction::Observe)))
+        .child(strings.spec("arm"));
+    let node = TestNode::start(builder).await;
+    let minutes = |count: u64| Duration::from_secs(60 * count);
+    let standing = async || {
+        node.settle().await;
+        let entries = node.faults().await.entries.into_iter().filter(|entry| entry.stands());
+        entries.map(|entry| entry.fault.detail).collect::<Vec<_>>()
+    };
+    ask(&node, "arm", Deed::Check(7.5)).await.unwrap();
+    ask(&node, "arm", Deed::Check(8.5)).await.unwrap();
+    assert_eq!(standing().await, ["the value is 8.5, outside of 0.0..=1.0"]);
+    let first = node.faults().await.entries[0].first_detail.clone();
+    assert_eq!(first.as_deref(), Some("the value is 7.5, outside of 0.0..=1.0"));
+    ask(&node, "arm", Deed::Check(0.5)).await.unwrap();
+    assert_eq!(standing().await, [""; 0]);
+
+    ask(&node, "arm", Deed::Declare("GRIP".into())).await.unwrap();
+    node.advance(minutes(6)).await;
+    ask(&node, "arm", Deed::Declare("GRIP".into())).await.unwrap();
+    node.advance(minutes(6)).await;
+    assert_eq!(standing().await, ["as it was told"]);
+    node.advance(minutes(5)).await;
+    assert_eq!(standing().await, [""; 0]);
+}
+
+#[blastema_testkit::test]
 async fn a_storm_of_one_fault_is_one_fault_one_report_and_a_count() {
     let strings = Strings::default();
     let plan = Plan::default().on(FaultKind::CheckFailed, Ladder::first(RecoveryAction::Observe));

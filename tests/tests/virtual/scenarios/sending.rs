@@ -150,7 +150,7 @@ async fn who_asks_somebody_that_asks_back_gets_a_deadline_and_not_a_knot() {
     let circle = "components wait for each other until their deadlines: arm asks leg asks arm; reply \
                   before asking, or `tell`";
     assert_eq!(told.collect::<Vec<_>>(), [("module1:arm".to_owned(), circle)]);
-    assert_eq!(faults[0].fault.severity, Severity::Warning);
+    assert_eq!(faults[0].fault.severity, blastema::Severity::Warning);
 }
 
 #[blastema_testkit::test]

@@ -13,7 +13,28 @@ fn an_incarnation_that_becomes_active_ends_the_faults_of_the_incarnations_before
     assert_eq!(bench.outputs(), [""; 0]);
     bench.see("arm", TWO, state(Lifecycle::Active));
 
-    assert_eq!(bench.outputs(), ["Recovered 1", "Recovered 2", "-1", "-2"]);
+    assert_eq!(bench.outputs(), ["Recovered 1", "Recovered 2", "Cleared 2", "-1", "-2"]);
+}
+
+#[test]
+fn what_a_component_declared_stands_after_its_recovery_until_it_says_that_it_is_over() {
+    let mut bench = Bench::new();
+    let declared = |detail: &str| Finding::Declared {
+        kind: FaultKind::Custom("OIL".into()),
+        detail: detail.into(),
+    };
+    bench.see("arm", ONE, declared("10 % left"));
+    bench.see("arm", ONE, declared("9 % left"));
+    bench.detector.handle_outcome(FaultId(1), at(1), RecoveryOutcome::Recovered);
+    assert_eq!(bench.outputs(), ["Found 1", "Repeated 1", "Recovered 1", "+1"]);
+    let entry = bench.entries().remove(0);
+    assert!(entry.stands());
+    let details = (entry.first_detail.as_deref(), entry.fault.detail.as_str());
+    assert_eq!(details, (Some("10 % left"), "9 % left"));
+
+    bench.see("arm", ONE, Finding::Cleared { kind: FaultKind::Custom("OIL".into()) });
+    assert_eq!(bench.outputs(), ["Cleared 1"]);
+    assert!(!bench.entries()[0].stands());
 }
 
 #[test]
@@ -229,7 +250,7 @@ fn a_fault_whose_reset_waits_is_recovered_when_active_again() {
 
     bench.see("arm", ONE, state(Lifecycle::Active));
     let outputs = bench.outputs();
-    assert_eq!(outputs[..3], ["Recovered 2", "Recovered 1", "Recovered 3"]);
+    assert_eq!(outputs[..4], ["Recovered 2", "Recovered 1", "Cleared 1", "Recovered 3"]);
 }
 
 #[test]
