@@ -12,7 +12,7 @@ pub(crate) trait Cancel: Send + Sync {
     /// Resolves the request with this reason, unless it is resolved already.
     fn cancel(&self, why: DeliveryError);
 
-    /// The slot of the component that asks, while it waits.
+    /// The slot of the component that asks.
     fn asker(&self) -> Option<u32> {
         None
     }

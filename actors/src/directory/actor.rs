@@ -248,7 +248,7 @@ impl DirectoryActor {
             if let Some(since) = self.complaints.handle_look(node.clone(), refusals) {
                 let detail =
                     format!("what {node} says that it has is refused all the time: {since}");
-                self.faults.declare_refusals(detail);
+                self.faults.declare_passing(FaultKind::CheckFailed, detail);
             }
         }
         if !self.lost.take_over(now).is_empty() {

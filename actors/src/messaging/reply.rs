@@ -79,7 +79,7 @@ impl<M: Contract> Cancel for ReplySlot<M> {
     }
 
     fn asker(&self) -> Option<u32> {
-        self.asker.filter(|_| self.open.load(Relaxed))
+        self.asker
     }
 }
 

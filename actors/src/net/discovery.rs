@@ -13,7 +13,6 @@ use blastema_contract::router::InjectPanic;
 use blastema_contract::transport::{
     Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
-use blastema_core::NodeName;
 use blastema_core::net::LinkId;
 use blastema_core::net::discovery::{
     Discovery, DiscoveryAdmission, DiscoveryConfig, DiscoveryOutput,
@@ -21,6 +20,7 @@ use blastema_core::net::discovery::{
 use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::trust::beacon::{BeaconKeys, CheckedBeacon};
 use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::{FaultKind, NodeName};
 use bytes::Bytes;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
@@ -144,7 +144,7 @@ impl DiscoveryActor {
                 "of the neighbours that are told by beacons, many are refused all the time: {since}"
             );
             warn!("{detail}");
-            self.wiring.faults.declare_refusals(detail);
+            self.wiring.faults.declare_passing(FaultKind::CheckFailed, detail);
         }
     }
 

@@ -30,9 +30,9 @@ impl FaultReporter {
         self.declare_for(None, kind, detail);
     }
 
-    /// Much is refused. The fault ends when that was not so for a minute.
-    pub(crate) fn declare_refusals(&self, detail: String) {
-        self.declare_for(Some(QUIET), FaultKind::CheckFailed, detail);
+    /// The same, where the fault ends when it was not declared for a minute.
+    pub(crate) fn declare_passing(&self, kind: FaultKind, detail: String) {
+        self.declare_for(Some(QUIET), kind, detail);
     }
 
     fn declare_for(&self, hold: Option<Duration>, kind: FaultKind, detail: String) {

@@ -30,14 +30,11 @@ use blastema_contract::session::{
 };
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
-use blastema_core::net::active_alarms::ActiveAlarms;
 use blastema_core::net::peer_protocol::{
     PeerProtocol, PeerProtocolOutput, SessionEpoch, TopicContract,
 };
 use blastema_core::sorted::SortedMap;
-use blastema_core::{
-    DeliveryError, FaultKind, FaultLocation, GatherBuffer, Incarnation, NodeName, ObjectName,
-};
+use blastema_core::{DeliveryError, FaultKind, FaultLocation, GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
 use forbidden::ForbiddenAlarm;
 use inbound::{InboundBacklog, PeerBinding, REFUSAL_CHECK_INTERVAL};
@@ -100,8 +97,6 @@ pub(super) struct GatewayActor {
     forbidden: ForbiddenAlarm,
     /// Lost messages, of all peers, that the fault tells of.
     lost_declared: u64,
-    /// Topics that lose events for lack of capacity.
-    overloads: ActiveAlarms<ObjectName>,
     /// The node ends; the sessions follow once nothing waits here.
     leaving: bool,
 }
@@ -161,7 +156,6 @@ impl GatewayActor {
             of_isolated: 0,
             forbidden: ForbiddenAlarm::default(),
             lost_declared: 0,
-            overloads: ActiveAlarms::default(),
             leaving: false,
         }
     }

@@ -18,7 +18,7 @@ use blastema_core::net::{
     ByteRates, MachineSet, NodeId, Refusals, Session, SessionConfig, SessionOutput,
 };
 use blastema_core::sorted::SortedMap;
-use blastema_core::{DeliveryError, Incarnation, NodeName, TrafficClass};
+use blastema_core::{DeliveryError, FaultKind, Incarnation, NodeName, TrafficClass};
 use bytes::Bytes;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
@@ -179,7 +179,7 @@ impl SessionsActor {
                 let condition = NodeCondition::Offends { what };
                 nodes.do_send(NodeReported { node, incarnation, condition });
             }
-            self.faults.declare_refusals(detail);
+            self.faults.declare_passing(FaultKind::CheckFailed, detail);
         }
     }
 

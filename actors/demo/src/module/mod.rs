@@ -67,6 +67,8 @@ pub(crate) fn run(options: &ModuleOptions) -> Result<(), Box<dyn Error>> {
             _ = signals.next() => return Ok(()),
         };
         signals.next().await;
+        // Who stops it may kill it before it has ended.
+        remove_orphan(&options.folder);
         let [control, robot] = nodes;
         let _ =
             timeout(FAREWELL, async { tokio::join!(control.shutdown(), robot.shutdown()) }).await;

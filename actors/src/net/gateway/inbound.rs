@@ -252,7 +252,7 @@ impl GatewayActor {
             );
             warn!("{detail}");
             self.offends(peer, "it did not stop sending to what has no room");
-            self.wiring.faults.declare_refusals(detail);
+            self.wiring.faults.declare_passing(FaultKind::CheckFailed, detail);
         }
     }
 }

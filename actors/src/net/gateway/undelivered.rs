@@ -3,7 +3,6 @@
 use super::GatewayActor;
 use super::peer::GatewayPeer;
 use crate::messaging::dead_letters::DeadLetterLog;
-use crate::platform;
 use crate::topic::TopicKey;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::net::NodeId;
@@ -180,28 +179,18 @@ impl GatewayActor {
         }
     }
 
-    /// Declares the topics that lose more than a share of their events for lack of capacity. Clears
-    /// the fault when no topic has for a minute.
-    pub(super) fn look_at_topics(&mut self) {
-        let now = platform::now();
+    /// Declares the topics that lose more than a share of their events for lack of capacity.
+    pub(super) fn look_at_topics(&self) {
         for (topic, [events, lost]) in self.wiring.topics.take_losses() {
             if lost < LOST_MIN || lost * LOST_SHARE < events {
                 continue;
             }
-            if !self.overloads.iter().any(|known| *known == topic) {
-                let detail = format!(
-                    "of {events} events on {topic} in a second, {lost} found no capacity with a \
-                     listener or on the way to another node: publish less, use `deliver`, or make \
-                     the listeners' queues larger; the dead letters name who lost them"
-                );
-                warn!("{detail}");
-                self.wiring.faults.declare(FaultKind::Overload, detail);
-            }
-            self.overloads.raise(topic, now);
-        }
-        let ended = !self.overloads.take_over(now).is_empty();
-        if ended && self.overloads.iter().next().is_none() {
-            self.wiring.faults.clear(FaultKind::Overload);
+            let detail = format!(
+                "of {events} events on {topic} in a second, {lost} found no capacity with a listener \
+                 or on the way to another node: publish less, use `deliver`, or make the listeners' \
+                 queues larger; the dead letters name who lost them"
+            );
+            self.wiring.faults.declare_passing(FaultKind::Overload, detail);
         }
     }
 

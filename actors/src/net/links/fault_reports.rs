@@ -48,7 +48,7 @@ impl LinksActor {
                 ),
             };
             warn!(%network, "{detail}");
-            self.wiring.faults.declare_refusals(detail);
+            self.wiring.faults.declare_passing(FaultKind::CheckFailed, detail);
         }
     }
 
