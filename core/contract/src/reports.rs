@@ -10,6 +10,7 @@ use actix::Message;
 pub use blastema_core::detection::ExitReason;
 use blastema_core::detection::hang::LivenessEvent;
 use blastema_core::{FaultKind, Incarnation, Lifecycle, ObjectName};
+use std::time::Duration;
 
 /// Asked of an object of the middleware. Components are not asked: what they do is seen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
