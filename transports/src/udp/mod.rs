@@ -133,7 +133,7 @@ impl Udp {
                 self.reopening.reset();
                 (self.socket, self.ear) = (Some(socket), ear);
                 let (local, mtu) = (MediumAddress::Ip(local), self.config.mtu());
-                self.outlet.announce(TransportReport::Opened { local, mtu });
+                self.outlet.announce(TransportReport::Opened { local, mtu, is_probed: false });
             }
             Err(error) => {
                 self.lose(explain("udp", address, self.config.interface.as_deref(), &error))
