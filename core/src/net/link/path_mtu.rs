@@ -28,8 +28,8 @@ const BASE: usize = 1_200;
 const FLOOR: usize = 548;
 /// A search ends when no more is open than this: a smaller step costs more probes than it gains.
 const STEP: usize = 16;
-/// How often the size that was found is probed: three of them are lost within the least session
-/// timeout.
+/// How often the size that was found is probed: with three probes after it, a path that becomes
+/// smaller is found before a session of the usual timeout, 2 s, ends.
 const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// When a larger size is tried again (RFC 8899, PMTU_RAISE_TIMER).
 const RAISE_INTERVAL: Duration = Duration::from_secs(600);
