@@ -66,7 +66,8 @@ impl FrameTransport {
                 Ok(()) => {
                     self.reopening.reset();
                     self.open = self.opening.take();
-                    self.outlet.announce(TransportReport::Opened { local, mtu });
+                    let is_probed = false;
+                    self.outlet.announce(TransportReport::Opened { local, mtu, is_probed });
                     if let Some(all) = self.medium.to_all() {
                         self.outlet.announce_bus(all);
                     }

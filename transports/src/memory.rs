@@ -81,7 +81,8 @@ impl Memory {
             self.inbox = Some(inbox);
             self.reopening.reset();
             let local = MediumAddress::Memory(name.clone());
-            self.outlet.announce(TransportReport::Opened { local, mtu: *mtu });
+            let (mtu, is_probed) = (*mtu, false);
+            self.outlet.announce(TransportReport::Opened { local, mtu, is_probed });
         } else {
             self.reopening.failed();
             self.outlet.announce_closed(format!(

@@ -36,7 +36,7 @@ use blastema_core::net::routing::{LinkHealth, LinkStatus, MTU_MIN};
 use blastema_core::net::seal::{ChannelStatus, CipherSuite, FrameLane, NoiseCrypto, SealProfile};
 use blastema_core::net::{
     AddLinkError, ByteRates, Link, LinkConfig, LinkId, LinkLayer, LinkLayerOutput, LinkOutput,
-    LinkState, Quality,
+    LinkState,
 };
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{GatherBuffer, Instant, NodeName};
@@ -95,8 +95,9 @@ pub(super) struct LinksActor {
     bundle: LinkLayer<NoiseCrypto, MediumAddress>,
     rates: ByteRates<LinkId>,
     wake: WakeTimer,
-    /// The largest frame; `None` while the medium is closed.
-    mtu: Option<usize>,
+    /// The largest frame with its seal, and whether paths may drop it; `None` while the medium is
+    /// closed.
+    mtu: Option<(usize, bool)>,
     /// Where this node is reached, for display.
     local: String,
     /// How much the medium carries; `None` where it is plenty.
@@ -158,7 +159,9 @@ impl LinksActor {
         if let Some(all) = self.bus.clone() {
             self.bundle.handle_bus(all);
         }
-        self.bundle.handle_mtu(self.mtu.map_or(0, |mtu| mtu + self.bundle.overhead()));
+        if let Some((mtu, is_probed)) = self.mtu {
+            self.bundle.handle_mtu(mtu, is_probed);
+        }
         if let Some(rate) = self.bytes_per_second {
             self.bundle.handle_rate(rate);
         }
@@ -225,7 +228,7 @@ impl LinksActor {
             (LinkState::Suspect, Some(_)) => LinkHealth::Suspect,
             _ => LinkHealth::Down,
         };
-        let status = LinkStatus { neighbour, health, cost, mtu: self.mtu.unwrap_or(0) };
+        let status = LinkStatus { neighbour, health, cost, mtu: link.frame_limit() };
         self.reported.insert(number, status.clone());
         let remote = self.remote(number);
         self.wiring.router_changes.do_send(LinkChanged { link: number, status, remote });
@@ -286,7 +289,7 @@ impl LinksActor {
         match state {
             LinkState::Up => {
                 self.forget_namesake(number);
-                self.tell_monitor(number, LinkCondition::Up);
+                self.tell_condition(number);
             }
             LinkState::Down => {
                 let refusal = self.bundle.get(number).and_then(Link::refusal);
@@ -298,18 +301,13 @@ impl LinksActor {
         }
     }
 
-    fn quality(&mut self, number: LinkId, quality: Quality) {
+    /// The quality of a link, or the frames that it carries, are others now.
+    fn judged(&mut self, number: LinkId) {
         self.tell_router(number);
-        let Quality { round_trip, loss_permille, degraded, .. } = quality;
-        let condition = if degraded {
-            let round_trip = round_trip.unwrap_or_default();
-            let lost = f32::from(loss_permille) / 10.0;
-            let reason = format!("{lost:.1} % of the hellos lost, round trip {round_trip:.1?}");
-            LinkCondition::Degraded { reason }
-        } else {
-            LinkCondition::Up
-        };
-        self.tell_monitor(number, condition);
+        let state = self.bundle.get(number).map(Link::state);
+        if let Some(LinkState::Up | LinkState::Suspect) = state {
+            self.tell_condition(number);
+        }
     }
 
     /// The links are to be built again: the router must not use them until they are up.
@@ -420,7 +418,7 @@ impl LinksActor {
             LinkOutput::Packet(bytes) => arrived(LinkPayload::Packet(bytes.into())),
             LinkOutput::Changed { state, reason, .. } => self.changed(link, state, reason),
             LinkOutput::Missing { hello_received } => self.missing(link, hello_received),
-            LinkOutput::Quality(quality) => self.quality(link, quality),
+            LinkOutput::Quality(_) | LinkOutput::FrameLimit => self.judged(link),
             LinkOutput::Refused(refusal) => self.refused(link, &refusal),
             LinkOutput::Taken(holder) => self.taken(link, &holder),
             LinkOutput::Transmit(_) => unreachable!("the layer transmits"),
@@ -444,7 +442,7 @@ impl Handler<TransportReport> for LinksActor {
     fn handle(&mut self, message: TransportReport, context: &mut Context<Self>) {
         let now = platform::now();
         match message {
-            TransportReport::Opened { local, mtu } => {
+            TransportReport::Opened { local, mtu, is_probed } => {
                 info!(network = %self.wiring.network, %local, mtu, "open");
                 // What the seal takes is not left for the router.
                 let left = mtu.saturating_sub(self.bundle.overhead());
@@ -456,10 +454,10 @@ impl Handler<TransportReport> for LinksActor {
                          at least"
                     );
                 }
-                self.mtu = Some(left);
+                self.mtu = Some((mtu, is_probed));
                 self.local = local.to_string();
                 self.tell_port(&local);
-                self.bundle.handle_mtu(mtu);
+                self.bundle.handle_mtu(mtu, is_probed);
                 self.tell_router_all();
                 for number in std::mem::take(&mut self.unheard) {
                     let hello_received =

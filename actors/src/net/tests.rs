@@ -11,6 +11,7 @@ mod losses;
 mod messages;
 mod nodes;
 mod panics;
+mod paths;
 mod pressure;
 mod versions;
 

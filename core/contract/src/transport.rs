@@ -158,6 +158,9 @@ pub enum TransportReport {
         local: MediumAddress,
         /// The largest frame it carries, in bytes.
         mtu: usize,
+        /// A path over it, as through a VPN, may drop such frames and say nothing: each link finds
+        /// by probes what passes.
+        is_probed: bool,
     },
     /// The medium cannot be opened, or is gone. The transport tries again by itself where that can
     /// help; the text says what the user may do.

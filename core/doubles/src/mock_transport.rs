@@ -58,7 +58,7 @@ impl MockTransport {
             name: name.clone(),
             network: network.clone(),
             attach: None,
-            state: TransportReport::Opened { local, mtu: MTU },
+            state: TransportReport::Opened { local, mtu: MTU, is_probed: false },
             sent: sent.clone(),
             adopted: adopted.clone(),
             counters: TransportCounters::default(),

@@ -81,8 +81,7 @@ impl PeerTable {
         self.nodes.contains_key(node)
     }
 
-    /// A link reports how it is. The same condition again is no change, but that it is down for
-    /// another reason is.
+    /// A link reports how it is. The same condition again, for the same reason, is no change.
     pub(super) fn handle_link(
         &mut self,
         node: NodeName,
@@ -99,12 +98,7 @@ impl PeerTable {
                 (FaultLocation::Link { node, link, neighbour }, Incarnation(0));
             return Some(PeerChange { location, incarnation, finding: Finding::Link(condition) });
         }
-        let known = before.as_ref().is_some_and(|seen| match (&seen.condition, &condition) {
-            (LinkCondition::Down { reason: before }, LinkCondition::Down { reason }) => {
-                before == reason
-            }
-            (before, now) => discriminant(before) == discriminant(now),
-        });
+        let known = before.as_ref().is_some_and(|seen| seen.condition == condition);
         let last_sign = if carries { Some(now) } else { before.as_ref().and_then(|b| b.last_sign) };
         // A link that is down does not report the node at its other end.
         let neighbour = neighbour.or(before.and_then(|seen| seen.neighbour));
@@ -377,13 +371,14 @@ mod tests {
         Instant::from_millis(millis)
     }
 
-    fn conditions() -> [LinkCondition; 4] {
-        let reason = "because".to_string();
+    fn conditions() -> [LinkCondition; 5] {
+        let [reason, another] = ["because", "for another reason"].map(str::to_string);
         [
             LinkCondition::Up,
             LinkCondition::Degraded { reason: reason.clone() },
+            LinkCondition::Degraded { reason: another.clone() },
             LinkCondition::Down { reason },
-            LinkCondition::Down { reason: "for another reason".to_string() },
+            LinkCondition::Down { reason: another },
         ]
     }
 
@@ -591,7 +586,7 @@ mod tests {
     #[test]
     fn the_cables_of_a_node_that_left_go_down_without_news() {
         let mut around = PeerTable::default();
-        let [up, _, down, _] = conditions();
+        let [up, _, _, down, _] = conditions();
         let reported = |around: &mut PeerTable, condition: &LinkCondition| {
             let (here, there) = (node("a"), Some(node("b")));
             around.handle_link(here, "eth".into(), there, condition.clone(), at(1)).is_some()
@@ -611,7 +606,7 @@ mod tests {
     #[test]
     fn a_node_that_the_roster_lists_no_more_is_missed_by_none_until_it_is_listed_again() {
         let mut around = PeerTable::default();
-        let [up, _, down, _] = conditions();
+        let [up, _, _, down, _] = conditions();
         let link = |around: &mut PeerTable, condition: &LinkCondition| {
             let (here, there) = (node("a"), Some(node("b")));
             around.handle_link(here, "eth".into(), there, condition.clone(), at(1)).is_some()
@@ -638,7 +633,7 @@ mod tests {
     #[test]
     fn rows_show_what_is_down_and_for_how_long_nothing_was_heard() {
         let mut around = PeerTable::default();
-        let [up, _, down, _] = conditions();
+        let [up, _, _, down, _] = conditions();
         around.handle_link(node("a"), "eth".into(), Some(node("b")), up, at(0));
         around.handle_link(node("a"), "eth".into(), None, down, at(50));
         let _ = around.handle_node(node("b"), Incarnation(7), NodeCondition::Reachable, at(60));

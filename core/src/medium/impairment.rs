@@ -40,6 +40,9 @@ pub struct Impairment {
     /// How many bytes the medium carries in a second; 0 is any number. Frames wait for each other,
     /// up to the limit of what is held back.
     pub rate: u64,
+    /// The largest frame that arrives, in bytes; 0 is any size. A larger one is lost, as on a path
+    /// through a VPN.
+    pub largest: usize,
 }
 
 /// What becomes of one frame.
@@ -66,6 +69,7 @@ impl Impairment {
         reordering: 0.0,
         corruption: 0.0,
         rate: 0,
+        largest: 0,
     };
 
     /// Decides whether one frame is lost, and how often and when it arrives.
@@ -167,7 +171,7 @@ pub struct ImpairedDirection<T: Impairable> {
 pub struct Injected {
     /// Frames that passed at once and once.
     pub passed: u64,
-    /// Frames thrown away by chance.
+    /// Frames thrown away by chance, or because they are too large.
     pub lost: u64,
     /// Frames thrown away because the cable is cut, those under way included.
     pub cut: u64,
@@ -257,7 +261,8 @@ impl<T: Impairable> ImpairedDirection<T> {
             return;
         }
         let fate = self.impairment.fate(&mut self.random);
-        if fate == FrameFate::Lost {
+        let Impairment { largest, .. } = self.impairment;
+        if fate == FrameFate::Lost || largest > 0 && frame.length() > largest {
             self.injected.lost += 1;
             return;
         }
@@ -461,6 +466,20 @@ mod tests {
 
         assert_eq!(arrivals(&mut medium), [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]);
         assert_eq!(medium.injected().overflowed, 190);
+    }
+
+    #[test]
+    fn a_frame_that_is_larger_than_the_largest_is_lost() {
+        let mut medium = ImpairedDirection::<Bytes>::new(1, 10);
+        medium.impair(Impairment { largest: 1_300, ..Impairment::NONE });
+
+        for length in [1_301, 1_300, 0] {
+            medium.handle_frame(vec![0; length].into(), Instant::ORIGIN);
+        }
+
+        let arrived = std::iter::from_fn(|| medium.poll_output()).map(|frame| frame.len());
+        assert_eq!(arrived.collect::<Vec<_>>(), [1_300, 0]);
+        assert_eq!(medium.injected().lost, 1);
     }
 
     #[test]

@@ -424,9 +424,10 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         self.collect(now);
     }
 
-    /// The medium's largest frame has so many bytes.
-    pub fn handle_mtu(&mut self, mtu: usize) {
-        self.links.handle_mtu(mtu.saturating_sub(self.overhead()));
+    /// The medium's largest frame has so many bytes. Where paths may drop it, each link finds by
+    /// probes what passes.
+    pub fn handle_mtu(&mut self, mtu: usize, is_probed: bool) {
+        self.links.handle_mtu(mtu.saturating_sub(self.overhead()), is_probed);
     }
 
     /// The medium carries so many bytes in a second.

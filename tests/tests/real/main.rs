@@ -19,6 +19,7 @@ mod large_messages;
 mod media;
 mod mesh;
 mod namesakes;
+mod narrow_path;
 mod node_start;
 mod outages;
 mod overload;

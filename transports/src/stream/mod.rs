@@ -216,8 +216,8 @@ impl<F: StreamFamily> Streams<F> {
             Ok((socket, local)) => {
                 self.reopening.reset();
                 self.listener = Some(Listener { socket, local: local.clone(), pause: None });
-                let (local, mtu) = (local.into(), self.bounds.mtu);
-                self.outlet.announce(TransportReport::Opened { local, mtu });
+                let (local, mtu, is_probed) = (local.into(), self.bounds.mtu, false);
+                self.outlet.announce(TransportReport::Opened { local, mtu, is_probed });
             }
             Err(reason) => {
                 self.reopening.failed();

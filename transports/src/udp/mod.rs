@@ -52,8 +52,8 @@ pub struct UdpConfig {
     /// Over how many routers frames to the group may go, less one: 1 is this network only.
     pub hops: u32,
     /// The largest frame, in bytes. By default what fits: 65,507 on loopback, elsewhere what an
-    /// Ethernet frame carries (1,472 over IPv4, 1,452 over IPv6): a larger one is cut up by IP, and
-    /// lost with any of its parts.
+    /// Ethernet frame carries (1,472 over IPv4, 1,452 over IPv6). No frame is cut up by IP off
+    /// loopback: links find by probes what a path carries, from 1,200 bytes up to this.
     pub mtu: Option<usize>,
     /// The kernel's receive buffer, in bytes (Linux halves it for its own use and caps it at
     /// `net.core.rmem_max`). Larger bridges a longer stall of the arbiter, before frames are lost.
@@ -82,11 +82,15 @@ impl Default for UdpConfig {
 impl UdpConfig {
     fn mtu(&self) -> usize {
         let fitting = match self.bind {
-            bind if bind.ip().is_loopback() => LARGEST,
+            _ if !self.leaves_the_computer() => LARGEST,
             SocketAddr::V4(_) => 1_472,
             SocketAddr::V6(_) => 1_452,
         };
         self.mtu.unwrap_or(fitting).min(LARGEST)
+    }
+
+    fn leaves_the_computer(&self) -> bool {
+        !self.bind.ip().is_loopback()
     }
 }
 
@@ -133,7 +137,8 @@ impl Udp {
                 self.reopening.reset();
                 (self.socket, self.ear) = (Some(socket), ear);
                 let (local, mtu) = (MediumAddress::Ip(local), self.config.mtu());
-                self.outlet.announce(TransportReport::Opened { local, mtu });
+                let is_probed = self.config.leaves_the_computer();
+                self.outlet.announce(TransportReport::Opened { local, mtu, is_probed });
             }
             Err(error) => {
                 self.lose(explain("udp", address, self.config.interface.as_deref(), &error))
@@ -351,6 +356,51 @@ fn bind(address: SocketAddr, config: &UdpConfig) -> io::Result<UdpSocket> {
     socket.set_recv_buffer_size(config.receive_buffer)?;
     socket.set_send_buffer_size(config.send_buffer)?;
     confine(&socket, config.interface.as_deref())?;
+    if config.leaves_the_computer() {
+        forbid_fragments(&socket, address)?;
+    }
     socket.bind(&address.into())?;
     UdpSocket::from_std(socket.into())
+}
+
+/// A datagram that is too large for a network on its path is lost, not cut up, whatever routers have
+/// said of the path: their messages may be forged, and links probe it (RFC 8899, 4.1).
+#[cfg(target_os = "linux")]
+fn forbid_fragments(socket: &Socket, address: SocketAddr) -> io::Result<()> {
+    use rustix::net::sockopt::{
+        Ipv4PathMtuDiscovery, Ipv6PathMtuDiscovery, set_ip_mtu_discover, set_ipv6_mtu_discover,
+    };
+    match address {
+        SocketAddr::V4(_) => set_ip_mtu_discover(socket, Ipv4PathMtuDiscovery::PROBE)?,
+        SocketAddr::V6(_) => set_ipv6_mtu_discover(socket, Ipv6PathMtuDiscovery::PROBE)?,
+    }
+    Ok(())
+}
+
+#[cfg(not(target_os = "linux"))]
+fn forbid_fragments(_: &Socket, _: SocketAddr) -> io::Result<()> {
+    Ok(())
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+    use rustix::net::sockopt::{ip_mtu_discover, ipv6_mtu_discover};
+
+    #[test]
+    fn no_datagram_is_cut_up_that_leaves_the_computer() {
+        use rustix::net::sockopt::{Ipv4PathMtuDiscovery, Ipv6PathMtuDiscovery};
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build().unwrap();
+        let _entered = runtime.enter();
+        let socket = |address: &str| {
+            let config = UdpConfig { bind: address.parse().unwrap(), ..UdpConfig::default() };
+            bind(config.bind, &config).unwrap()
+        };
+
+        let discovery = |address| ip_mtu_discover(socket(address)).unwrap();
+        assert_eq!(discovery("0.0.0.0:0"), Ipv4PathMtuDiscovery::PROBE);
+        assert_ne!(discovery("127.0.0.1:0"), Ipv4PathMtuDiscovery::PROBE);
+        let discovery = ipv6_mtu_discover(socket("[::]:0")).unwrap();
+        assert_eq!(discovery, Ipv6PathMtuDiscovery::PROBE);
+    }
 }

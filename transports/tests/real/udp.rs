@@ -64,7 +64,7 @@ fn peers_who_do_not_listen_or_cannot_be_reached_keep_nobody_from_the_others() {
 fn the_limit_fits_the_medium_unless_told() {
     let _turn = blastema_doubles::turn();
     actix_rt::System::new().block_on(async {
-        let check = async |bind: &str, mtu| {
+        let check = async |bind: &str, expected: (usize, bool)| {
             let mut config = UdpConfig::default();
             config.bind = bind.parse().unwrap();
             let transport = Udp::new(config).start();
@@ -72,12 +72,14 @@ fn the_limit_fits_the_medium_unless_told() {
             let attach = Attach::new(frames.recipient(), reports.recipient());
             transport.do_send(attach);
             match reports.expect().await {
-                TransportReport::Opened { mtu: reported, .. } => assert_eq!(reported, mtu),
+                TransportReport::Opened { mtu, is_probed, .. } => {
+                    assert_eq!((mtu, is_probed), expected);
+                }
                 other => panic!("{other:?}"),
             }
         };
-        check("127.0.0.1:0", 65_507).await;
-        check("0.0.0.0:0", 1_472).await;
+        check("127.0.0.1:0", (65_507, false)).await;
+        check("0.0.0.0:0", (1_472, true)).await;
     });
 }
 

@@ -121,7 +121,7 @@ impl End {
         let [name, other] = [name, other].map(|name| NodeName::new(name).unwrap());
         let config = LinkConfig::new(name.clone(), Incarnation(1));
         bundle.insert(LINK, Link::new(config, now()));
-        bundle.handle_mtu(mtu);
+        bundle.handle_mtu(mtu, false);
         bundle.handle_rate(rate);
         let session = Session::new(SessionConfig::new(name, Incarnation(1), other), now());
         End {

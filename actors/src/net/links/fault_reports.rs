@@ -9,7 +9,7 @@ use blastema_core::detection::LinkCondition;
 use blastema_core::net::link::PeerRefusal;
 use blastema_core::net::seal::SealRefusals;
 use blastema_core::net::wire::frame::NameHolder;
-use blastema_core::net::{Link, LinkId, Refusals};
+use blastema_core::net::{Link, LinkId, Quality, Refusals};
 use blastema_core::{FaultKind, Incarnation};
 use std::time::Duration;
 use tracing::{error, warn};
@@ -97,6 +97,35 @@ impl LinksActor {
         };
         warn!(network = %self.wiring.network, link = %spec.name, "{reason}");
         self.tell_monitor(number, LinkCondition::Down { reason });
+    }
+
+    /// Reports how a link that carries is.
+    pub(super) fn tell_condition(&self, number: LinkId) {
+        let (Some(link), Some(spec)) = (self.bundle.get(number), self.specs.get(&number)) else {
+            return;
+        };
+        let Quality { round_trip, loss_permille, degraded, .. } = link.quality();
+        let lossy = degraded.then(|| {
+            let round_trip = round_trip.unwrap_or_default();
+            let lost = f32::from(loss_permille) / 10.0;
+            format!("{lost:.1} % of the hellos lost, round trip {round_trip:.1?}")
+        });
+        let narrow = link.shortfall().map(|sizes| {
+            let (passes, configured) = sizes;
+            let [passes, configured] = [passes, configured].map(|size| size + self.bundle.overhead());
+            format!(
+                "the path to {} drops frames of {configured} bytes, the network's mtu, and carries \
+                 {passes}, as large as they are sent now: check the VPN or tunnel on the path, or set \
+                 mtu={passes} in the endpoint on both nodes",
+                spec.remote
+            )
+        });
+        let reasons: Vec<_> = [lossy, narrow].into_iter().flatten().collect();
+        let condition = match reasons[..] {
+            [] => LinkCondition::Up,
+            _ => LinkCondition::Degraded { reason: reasons.join("; ") },
+        };
+        self.tell_monitor(number, condition);
     }
 
     /// Another process with the neighbour's key is there, at this address, and the neighbour has

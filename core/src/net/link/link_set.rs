@@ -10,6 +10,7 @@
 //! link to d ─┘ entry for d waits for its turn
 //! ```
 
+use super::path_mtu::PathMtu;
 use super::{Link, LinkOutput};
 use crate::machine_set::MachineSet;
 use crate::net::wire::bus_hello::{CompactEcho, NeighbourEntry};
@@ -29,6 +30,8 @@ pub struct LinkSet {
     bytes_per_second: Option<u64>,
     /// The largest frame; 0 while that is not known.
     mtu: usize,
+    /// What links begin with, where paths may drop it.
+    path: Option<PathMtu>,
     /// The last entry of each link's neighbour; `None` where there is no bus.
     bus: Option<SortedMap<LinkId, SentState>>,
     greetings: VecDeque<GatherBuffer>,
@@ -85,7 +88,7 @@ impl LinkSet {
             link.join_bus();
             bus.remove(&number);
         }
-        link.handle_mtu(self.mtu);
+        link.handle_mtu(self.mtu, self.path.clone());
         self.machines.insert(number, link);
         self.pace();
     }
@@ -136,11 +139,13 @@ impl LinkSet {
         self.pace();
     }
 
-    /// The largest frame has so many bytes. On a slow medium the hello interval is at least its
-    /// duration, so that a hello which waits for it is not late by an interval.
-    pub fn handle_mtu(&mut self, mtu: usize) {
-        self.mtu = mtu;
-        self.each(|link| link.handle_mtu(mtu));
+    /// The largest frame has so many bytes. Where paths may drop it, each link finds by probes what
+    /// passes. On a slow medium the hello interval is at least its duration, so that a hello which
+    /// waits for it is not late by an interval.
+    pub fn handle_mtu(&mut self, mtu: usize, is_probed: bool) {
+        let path = is_probed.then(|| PathMtu::new(mtu, self.overhead));
+        (self.mtu, self.path) = (mtu, path.clone());
+        self.each(|link| link.handle_mtu(mtu, path.clone()));
         self.pace();
     }
 

@@ -23,6 +23,7 @@ mod acquaintance;
 mod arrival;
 mod bus;
 mod flap_damping;
+mod path_mtu;
 mod quality;
 mod reassembly;
 mod timers;
@@ -37,6 +38,7 @@ pub use self::types::{
 };
 
 use self::acquaintance::Contradiction;
+use self::path_mtu::PathMtu;
 use self::quality::{QualityEstimator, QualityLimits};
 use self::reassembly::RoutingReassembly;
 
@@ -83,6 +85,8 @@ pub struct Link {
     greeting: Option<u32>,
     /// The medium's largest frame; 0 while it is not known.
     mtu: usize,
+    /// What passes of that, where the path may drop large frames.
+    path: Option<PathMtu>,
     parts: RoutingReassembly,
     gauge: QualityEstimator,
     /// The last refusal, and the last that was reported: a single one may be an accident.
@@ -160,6 +164,7 @@ impl Link {
             on_bus: false,
             greeting: None,
             mtu: 0,
+            path: None,
             parts: RoutingReassembly::default(),
             gauge: QualityEstimator::default(),
             doubted: None,
@@ -190,6 +195,17 @@ impl Link {
         self.gauge.quality()
     }
 
+    /// The largest frame that it carries at present, in bytes; 0 while the medium is not known.
+    pub fn frame_limit(&self) -> usize {
+        self.path.as_ref().map_or(self.mtu, PathMtu::limit)
+    }
+
+    /// The largest frame that passes, and the medium's largest one, in bytes, once probes have shown
+    /// that the path drops the latter.
+    pub fn shortfall(&self) -> Option<(usize, usize)> {
+        self.path.as_ref().and_then(PathMtu::shortfall)
+    }
+
     /// What was refused so far.
     pub fn refusals(&self) -> Refusals {
         self.refusals
@@ -202,7 +218,7 @@ impl Link {
 
     /// Sends a message of the router. Dropped and counted when the link is not up.
     pub fn handle_routing(&mut self, bytes: Bytes) {
-        for frame in reassembly::frames_of(bytes, self.mtu) {
+        for frame in reassembly::frames_of(bytes, self.frame_limit()) {
             self.carry(frame);
         }
     }
@@ -242,6 +258,7 @@ impl Link {
             // Where the neighbour has proved itself, it says so instead of taking this node's
             // hellos.
             Frame::Taken(_) => self.carries() || self.authenticated.is_some(),
+            Frame::Probe(_) | Frame::ProbeAnswer(_) => self.neighbour.is_some(),
         }
     }
 
@@ -279,12 +296,39 @@ impl Link {
             },
             Frame::Data(packet) => self.outputs.push_back(LinkOutput::Packet(packet.into_bytes())),
             Frame::Taken(holder) => self.outputs.push_back(LinkOutput::Taken(holder)),
+            Frame::Probe(size) => {
+                self.outputs.push_back(LinkOutput::Transmit(Frame::ProbeAnswer(size).parcel()));
+            }
+            Frame::ProbeAnswer(size) => {
+                self.with_path(|path| path.handle_answer(size, now));
+            }
         }
     }
 
-    /// The medium's largest frame has so many bytes.
-    pub(super) fn handle_mtu(&mut self, mtu: usize) {
-        self.mtu = mtu;
+    /// The medium's largest frame has so many bytes; a path that may drop it has `path`.
+    fn handle_mtu(&mut self, mtu: usize, path: Option<PathMtu>) {
+        (self.mtu, self.path) = (mtu, path);
+    }
+
+    fn with_path<T>(&mut self, input: impl FnOnce(&mut PathMtu) -> T) -> Option<T> {
+        let path = self.path.as_mut()?;
+        let before = (path.limit(), path.shortfall());
+        let result = input(path);
+        if before != (path.limit(), path.shortfall()) {
+            self.outputs.push_back(LinkOutput::FrameLimit);
+        }
+        Some(result)
+    }
+
+    /// Probes the path while the neighbour receives this node's hellos.
+    fn probe_path(&mut self, now: Instant) {
+        let record = self.neighbour.as_ref().filter(|record| record.echoed.is_some());
+        let Some(heard) = record.map(|record| record.answered) else { return };
+        // A probe and its answer: both directions may lose one.
+        let tries = 3 + hellos_beyond_three(2 * self.quality().loss_permille);
+        if let Some(size) = self.with_path(|path| path.poll_probe(heard, tries, now)).flatten() {
+            self.outputs.push_back(LinkOutput::Transmit(Frame::Probe(size).parcel()));
+        }
     }
 
     /// The transport knows that the medium, or the connection, is gone: no need to wait for
@@ -478,6 +522,7 @@ impl Link {
         } else {
             self.outputs.push_back(LinkOutput::Transmit(Frame::Hello(hello).parcel()));
         }
+        self.probe_path(now);
     }
 
     fn interval(&self) -> Duration {

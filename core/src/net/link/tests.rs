@@ -4,6 +4,7 @@ use super::*;
 use crate::{Incarnation, NodeName};
 
 mod incarnations;
+mod paths;
 mod repeated;
 
 fn at(millis: u64) -> Instant {
@@ -22,6 +23,8 @@ struct Cable {
     ends: [Link; 2],
     now: u64,
     cut: [bool; 2],
+    /// Larger frames are lost.
+    carries: usize,
     in_flight: Vec<(u64, usize, Bytes)>,
     outputs: Vec<(u64, usize, LinkOutput)>,
     /// What the ends have sent.
@@ -31,7 +34,15 @@ struct Cable {
 impl Cable {
     fn new(left: LinkConfig, right: LinkConfig) -> Self {
         let ends = [Link::new(left, at(0)), Link::new(right, at(0))];
-        Cable { ends, now: 0, cut: [false; 2], in_flight: vec![], outputs: vec![], sent: vec![] }
+        Cable {
+            ends,
+            now: 0,
+            cut: [false; 2],
+            carries: usize::MAX,
+            in_flight: vec![],
+            outputs: vec![],
+            sent: vec![],
+        }
     }
 
     fn run_until(&mut self, end: u64) {
@@ -50,7 +61,9 @@ impl Cable {
                         LinkOutput::Transmit(frame) => {
                             let frame = frame.into_bytes();
                             self.sent.push((from, frame.clone()));
-                            self.in_flight.push((self.now + 1, 1 - from, frame));
+                            if frame.len() <= self.carries {
+                                self.in_flight.push((self.now + 1, 1 - from, frame));
+                            }
                         }
                         other => self.outputs.push((self.now, from, other)),
                     }

@@ -153,6 +153,8 @@ pub enum LinkOutput {
     },
     /// The link became degraded, or good again, or dearer or cheaper to use.
     Quality(Quality),
+    /// Its frames are larger or smaller from now on, or it is known now what the path drops.
+    FrameLimit,
     /// The node at the other end is refused.
     Refused(PeerRefusal),
     /// For the router: a message of the neighbour's router.

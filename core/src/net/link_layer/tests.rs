@@ -51,7 +51,7 @@ fn end(node: usize, incarnation: u64, now: u64) -> End {
     let crypto = NoiseCrypto::new([node as u8 + 1; 32]);
     let seed = [node as u8 + 10 * incarnation as u8; 32];
     let mut end = LinkLayer::new(Some(Sealer::new(config, crypto, seed, at(now))));
-    end.handle_mtu(1_000);
+    end.handle_mtu(1_000, false);
     let added = end.insert(
         LINK,
         link(node, incarnation, now),
@@ -504,4 +504,20 @@ fn what_a_link_carries_is_counted_with_its_seal_and_what_it_cannot_carry_as_drop
     assert!(frame >= 10 + world.ends[0].overhead() as u64, "{frame} bytes");
     assert_eq!(after[1].frames_received - before[1].frames_received, 1);
     assert_eq!(after[1].bytes_received - before[1].bytes_received, frame);
+}
+
+#[test]
+fn a_probe_is_as_large_as_the_medium_allows_with_its_seal() {
+    let mut world = World::new();
+    for end in &mut world.ends {
+        end.handle_mtu(1_472, true);
+    }
+
+    world.run(50);
+    let overhead = world.ends[0].overhead();
+    assert_eq!(world.ends[0].get(LINK).unwrap().frame_limit(), 1_200 - overhead);
+    world.run(450);
+
+    assert_eq!(world.ends[0].get(LINK).unwrap().frame_limit(), 1_472 - overhead);
+    assert_eq!(world.sent.iter().map(|(.., frame)| frame.len()).max(), Some(1_472));
 }

@@ -26,6 +26,9 @@
 //! A node whose name another one has is told so by a frame of kind 5: the incarnation of the other
 //! one, 8 bytes, and where that is reached, as text.
 //!
+//! A probe, kind 6, asks whether a frame of its own size passes; the rest of it is padding. Kind 7
+//! answers it: the size of the probe that arrived, 2 bytes.
+//!
 //! A frame ends where the transport says that it ends; integrity is the transport's business.
 
 use super::bus_hello::BusHello;
@@ -48,6 +51,8 @@ const DATA: u8 = 2;
 const GREETING: u8 = 3;
 const ROUTING_PART: u8 = 4;
 const TAKEN: u8 = 5;
+const PROBE: u8 = 6;
+const PROBE_ANSWER: u8 = 7;
 
 /// What one link says to the link at the other end.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -64,6 +69,10 @@ pub enum Frame {
     RoutingPart(RoutingFragment),
     /// Another node has the receiver's name.
     Taken(NameHolder),
+    /// A frame of so many bytes, which asks for an answer.
+    Probe(u16),
+    /// A probe of so many bytes has arrived.
+    ProbeAnswer(u16),
 }
 
 /// The node that has a name, as its neighbour tells another one of that name.
@@ -166,6 +175,17 @@ impl Frame {
                 bytes.put_slice(address.as_bytes());
                 bytes.freeze().into()
             }
+            Frame::Probe(size) => {
+                let mut bytes = BytesMut::zeroed(usize::from(*size).max(FRAME_HEADER));
+                bytes[..FRAME_HEADER].copy_from_slice(&[MAGIC | VERSION, PROBE]);
+                bytes.freeze().into()
+            }
+            Frame::ProbeAnswer(size) => {
+                let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 2);
+                bytes.put_slice(&[MAGIC | VERSION, PROBE_ANSWER]);
+                bytes.put_u16(*size);
+                bytes.freeze().into()
+            }
         }
     }
 
@@ -200,6 +220,15 @@ impl Frame {
                 let malformed = WireError::Malformed { what: "a node's address" };
                 let address = std::str::from_utf8(&address).map_err(|_| malformed)?;
                 Ok(Frame::Taken(NameHolder::new(incarnation, address)))
+            }
+            PROBE => {
+                let size = u16::try_from(FRAME_HEADER + reader.rest().len());
+                size.map(Frame::Probe).map_err(|_| WireError::TooLarge { what: "a probe" })
+            }
+            PROBE_ANSWER => {
+                let size = reader.u16()?;
+                reader.end("a probe's answer")?;
+                Ok(Frame::ProbeAnswer(size))
             }
             _ => Err(WireError::Malformed { what: "a frame's kind" }),
         }
@@ -313,6 +342,8 @@ mod tests {
         assert_eq!(&Frame::Routing(Bytes::from_static(b"z")).encode()[..], b"\xb1\x01z");
         let part = RoutingFragment { index: 3, last: true, bytes: Bytes::from_static(b"z") };
         assert_eq!(&Frame::RoutingPart(part).encode()[..], b"\xb1\x04\x83z");
+        assert_eq!(&Frame::Probe(5).encode()[..], b"\xb1\x06\0\0\0");
+        assert_eq!(&Frame::ProbeAnswer(0x0102).encode()[..], b"\xb1\x07\x01\x02");
     }
 
     #[test]
@@ -326,6 +357,8 @@ mod tests {
             Frame::RoutingPart(part(false)),
             Frame::RoutingPart(part(true)),
             Frame::Taken(NameHolder::new(Incarnation(7), "udp 127.0.0.1:7400")),
+            Frame::Probe(1_472),
+            Frame::ProbeAnswer(u16::MAX),
         ] {
             assert_eq!(Frame::decode(frame.encode()), Ok(frame));
         }
@@ -364,6 +397,11 @@ mod tests {
         check(b"GET / HTTP/1.1", WireError::Foreign { first: b'G' });
         check(&[0xb2, 0], WireError::Version { theirs: 2, ours: 1 });
         check(&[0xb1, 9], WireError::Malformed { what: "a frame's kind" });
+        check(&[0xb1, 7, 1, 2, 3], WireError::TooLarge { what: "a probe's answer" });
+        check(
+            &[[0xb1, 6].as_slice(), &[0; 65_534]].concat(),
+            WireError::TooLarge { what: "a probe" },
+        );
         let good = Frame::Hello(hello()).encode();
         for cut in 1..good.len() {
             check(&good[..cut], WireError::Truncated);

@@ -319,7 +319,7 @@ impl World {
                     }
                     LinkOutput::Routing(bytes) => router.handle_routing(number, bytes, self.now),
                     LinkOutput::Packet(packet) => router.handle_packet(number, packet, self.now),
-                    LinkOutput::Missing { .. } | LinkOutput::Taken(_) => {}
+                    LinkOutput::Missing { .. } | LinkOutput::FrameLimit | LinkOutput::Taken(_) => {}
                     LinkOutput::Refused(refusal) => panic!("{refusal}"),
                 }
             }

@@ -131,7 +131,7 @@ impl Relay {
             let key = Some(NeighbourKey { node, public });
             links.insert(number, link, End(place), key, now).expect("a key");
         }
-        links.handle_mtu(MTU);
+        links.handle_mtu(MTU, false);
         let keys = RouterKeys::new(&key.seed, &roster, config, [4; 32], now);
         let router = Router::new(RouterConfig::new(own, incarnation), now).with_keys(keys);
         let passed = [Vec::new(), Vec::new()];

@@ -67,7 +67,7 @@ impl End {
     async fn opened(&self) -> (MediumAddress, usize) {
         let opened = |report: &TransportReport| matches!(report, TransportReport::Opened { .. });
         match self.reports.wait(opened).await {
-            TransportReport::Opened { local, mtu } => (local, mtu),
+            TransportReport::Opened { local, mtu, .. } => (local, mtu),
             other => unreachable!("{other:?} was not waited for"),
         }
     }

@@ -98,7 +98,7 @@ pub(crate) async fn attaching_replaces_who_was_attached_and_tells_the_present_st
     assert_eq!(b.frames.expect().await.frame, "to the first");
 
     let (frames, reports) = attach(&b.transport);
-    let opened = TransportReport::Opened { local: at_b.clone(), mtu };
+    let opened = TransportReport::Opened { local: at_b.clone(), mtu, is_probed: false };
     assert_eq!(reports.expect().await, opened);
     a.send(&at_b, "to the second");
 
