@@ -214,12 +214,19 @@ impl Link {
 
     /// Tells the neighbour that another node has its name.
     pub fn handle_taken(&mut self, holder: NameHolder) {
-        self.carry(Frame::Taken(holder));
+        if let Some(refused) = self.neighbour().map(|neighbour| neighbour.incarnation) {
+            self.carry(Frame::Taken { refused, by: holder });
+        }
     }
 
     /// Whether the neighbour has answered a hello that was sent after this.
     pub(super) fn has_answered(&self, since: Instant) -> bool {
         self.neighbour.as_ref().is_some_and(|record| record.answered > since)
+    }
+
+    /// How long the echo of a hello takes on a link that is up: twice the detection time.
+    pub(super) fn answer_within(&self) -> Duration {
+        percent(self.interval(), 2 * (100 + self.down_after_percent()))
     }
 
     fn carry(&mut self, frame: Frame) {
@@ -240,8 +247,11 @@ impl Link {
             // Routers know no link that is not up; the neighbour's router retransmits.
             Frame::Routing(_) | Frame::RoutingPart(_) => self.carries(),
             // Where the neighbour has proved itself, it says so instead of taking this node's
-            // hellos.
-            Frame::Taken(_) => self.carries() || self.authenticated.is_some(),
+            // hellos. Who has not received hellos of this node does not know its incarnation.
+            Frame::Taken { refused, .. } => {
+                *refused == self.config.incarnation
+                    && (self.carries() || self.authenticated.is_some())
+            }
         }
     }
 
@@ -278,7 +288,7 @@ impl Link {
                 Err(error) => self.refusals.count(&error),
             },
             Frame::Data(packet) => self.outputs.push_back(LinkOutput::Packet(packet.into_bytes())),
-            Frame::Taken(holder) => self.outputs.push_back(LinkOutput::Taken(holder)),
+            Frame::Taken { by, .. } => self.outputs.push_back(LinkOutput::Taken(by)),
         }
     }
 

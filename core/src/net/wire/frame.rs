@@ -23,8 +23,8 @@
 //! What a router says and no frame of the medium carries whole goes in parts, kind 4: one byte,
 //! which part it is from 0, with 128 added to the last, then the bytes.
 //!
-//! A node whose name another one has is told so by a frame of kind 5: the incarnation of the other
-//! one, 8 bytes, and where that is reached, as text.
+//! A node whose name another one has is told so by a frame of kind 5: its own incarnation, 8 bytes,
+//! that of the other one, 8 bytes, and where the other one is reached, as text.
 //!
 //! A frame ends where the transport says that it ends; integrity is the transport's business.
 
@@ -63,7 +63,12 @@ pub enum Frame {
     /// A part of what the neighbour's router should know, where no frame carries it whole.
     RoutingPart(RoutingFragment),
     /// Another node has the receiver's name.
-    Taken(NameHolder),
+    Taken {
+        /// The incarnation that is told so: who sends this has received its hellos.
+        refused: Incarnation,
+        /// The other node.
+        by: NameHolder,
+    },
 }
 
 /// The node that has a name, as its neighbour tells another one of that name.
@@ -77,7 +82,7 @@ pub struct NameHolder {
 
 impl NameHolder {
     /// The longest address, in bytes: with it, the frame fits into the smallest one of a medium.
-    pub const ADDRESS_MAX: usize = 80;
+    pub const ADDRESS_MAX: usize = 72;
 
     /// An address that is too long loses its end.
     pub fn new(incarnation: Incarnation, address: impl fmt::Display) -> Self {
@@ -158,10 +163,11 @@ impl Frame {
                 bytes.put_slice(&part.bytes);
                 bytes.freeze().into()
             }
-            Frame::Taken(NameHolder { incarnation, address }) => {
-                let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 8 + address.len());
+            Frame::Taken { refused, by: NameHolder { incarnation, address } } => {
+                let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 16 + address.len());
                 bytes.put_u8(MAGIC | VERSION);
                 bytes.put_u8(TAKEN);
+                bytes.put_u64(refused.0);
                 bytes.put_u64(incarnation.0);
                 bytes.put_slice(address.as_bytes());
                 bytes.freeze().into()
@@ -195,11 +201,12 @@ impl Frame {
                 Ok(Frame::RoutingPart(RoutingFragment { index, last, bytes: reader.rest() }))
             }
             TAKEN => {
+                let refused = Incarnation(reader.u64()?);
                 let incarnation = Incarnation(reader.u64()?);
                 let address = reader.rest();
                 let malformed = WireError::Malformed { what: "a node's address" };
                 let address = std::str::from_utf8(&address).map_err(|_| malformed)?;
-                Ok(Frame::Taken(NameHolder::new(incarnation, address)))
+                Ok(Frame::Taken { refused, by: NameHolder::new(incarnation, address) })
             }
             _ => Err(WireError::Malformed { what: "a frame's kind" }),
         }
@@ -325,7 +332,10 @@ mod tests {
             Frame::Data(Bytes::new().into()),
             Frame::RoutingPart(part(false)),
             Frame::RoutingPart(part(true)),
-            Frame::Taken(NameHolder::new(Incarnation(7), "udp 127.0.0.1:7400")),
+            Frame::Taken {
+                refused: Incarnation(6),
+                by: NameHolder::new(Incarnation(7), "udp 127.0.0.1:7400"),
+            },
         ] {
             assert_eq!(Frame::decode(frame.encode()), Ok(frame));
         }
