@@ -17,7 +17,8 @@
 //!
 //! The echo says which hello of the neighbour arrived last and how long ago: the neighbour learns
 //! that it is heard, and the round trip without any clock in common. Stance and loss say what this
-//! end thinks of the link, so that both ends use it, or neither. Numbers are big-endian. On a bus
+//! end thinks of the link, so that both ends use it, or neither; beside the stance stand six bits: how
+//! many hellos before this one were not sent, since their node was not run. Numbers are big-endian. On a bus
 //! one [greeting](super::bus_hello), kind 3, goes to all in place of a hello to each.
 //!
 //! What a router says and no frame of the medium carries whole goes in parts, kind 4: one byte,
@@ -116,6 +117,9 @@ pub struct Hello {
     pub sequence: u32,
     /// How long an interval is, in microseconds.
     pub interval_us: u32,
+    /// So many hellos directly before this one were not sent, since their node was not run in time:
+    /// they are not lost. At most [`SKIPPED_MAX`](Hello::SKIPPED_MAX).
+    pub skipped: u8,
     /// Whether it would use the link.
     pub stance: HelloState,
     /// How many of a thousand of the other's hellos it has lost lately.
@@ -247,6 +251,9 @@ fn wrap(kind: u8, payload: &GatherBuffer) -> GatherBuffer {
 }
 
 impl Hello {
+    /// What six bits hold.
+    pub const SKIPPED_MAX: u8 = 63;
+
     fn encode(&self) -> Bytes {
         let nothing = Echo { incarnation: Incarnation(0), sequence: 0, held_us: 0 };
         let echo = self.echo.unwrap_or(nothing);
@@ -256,7 +263,7 @@ impl Hello {
         bytes.put_u64(self.incarnation.0);
         bytes.put_u32(self.sequence);
         bytes.put_u32(self.interval_us);
-        bytes.put_u8(self.stance as u8);
+        bytes.put_u8(self.skipped.min(Hello::SKIPPED_MAX) << 2 | self.stance as u8);
         bytes.put_u16(self.loss_permille);
         bytes.put_u64(echo.incarnation.0);
         bytes.put_u32(echo.sequence);
@@ -269,7 +276,9 @@ impl Hello {
         let incarnation = Incarnation(reader.u64()?);
         let sequence = reader.u32()?;
         let interval_us = reader.u32()?;
-        let stance = match reader.u8()? {
+        let state = reader.u8()?;
+        let skipped = state >> 2;
+        let stance = match state & 3 {
             0 => HelloState::Unproved,
             1 => HelloState::Down,
             2 => HelloState::Ready,
@@ -287,7 +296,7 @@ impl Hello {
             return Err(WireError::Malformed { what: "an incarnation" });
         }
         let echo = (echo.incarnation != Incarnation(0)).then_some(echo);
-        Ok(Hello { node, incarnation, sequence, interval_us, stance, loss_permille, echo })
+        Ok(Hello { node, incarnation, sequence, interval_us, skipped, stance, loss_permille, echo })
     }
 }
 
@@ -303,6 +312,7 @@ mod tests {
             incarnation: Incarnation(0x0102),
             sequence: 3,
             interval_us: 50_000,
+            skipped: 0,
             stance: HelloState::Ready,
             loss_permille: 0x0102,
             echo: Some(Echo { incarnation: Incarnation(0x0a), sequence: 9, held_us: 0x100 }),
@@ -325,10 +335,12 @@ mod tests {
     #[test]
     fn a_frame_comes_back_as_it_was() {
         let nothing_received = Hello { echo: None, ..hello() };
+        let late = Hello { skipped: Hello::SKIPPED_MAX, ..hello() };
         let part = |last| RoutingFragment { index: 127, last, bytes: Bytes::from_static(b"z") };
         for frame in [
             Frame::Hello(hello()),
             Frame::Hello(nothing_received),
+            Frame::Hello(late),
             Frame::Data(Bytes::new().into()),
             Frame::RoutingPart(part(false)),
             Frame::RoutingPart(part(true)),
