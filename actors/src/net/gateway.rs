@@ -98,8 +98,6 @@ pub(super) struct GatewayActor {
     /// Messages of isolated nodes.
     of_isolated: u64,
     forbidden: ForbiddenAlarm,
-    /// Lost messages, of all peers, that the fault tells of.
-    lost_declared: u64,
     /// Topics that lose events for lack of capacity.
     overloads: ActiveAlarms<ObjectName>,
     /// The node ends; the sessions follow once nothing waits here.
@@ -160,7 +158,6 @@ impl GatewayActor {
             next: 0,
             of_isolated: 0,
             forbidden: ForbiddenAlarm::default(),
-            lost_declared: 0,
             overloads: ActiveAlarms::default(),
             leaving: false,
         }

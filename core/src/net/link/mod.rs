@@ -253,7 +253,8 @@ impl Link {
             // Routers know no link that is not up; the neighbour's router retransmits.
             Frame::Routing(_) | Frame::RoutingPart(_) => self.carries(),
             // Where the neighbour has proved itself, it says so instead of taking this node's
-            // hellos. Who has not received hellos of this node does not know its incarnation.
+            // hellos. A sender that has received no hello of this node does not know its
+            // incarnation.
             Frame::Taken { refused, .. } => {
                 *refused == self.config.incarnation
                     && (self.carries() || self.authenticated.is_some())

@@ -65,7 +65,7 @@ pub enum Frame {
     RoutingPart(RoutingFragment),
     /// Another node has the receiver's name.
     Taken {
-        /// The incarnation that is told so: who sends this has received its hellos.
+        /// The incarnation that is told so, as its hellos name it.
         refused: Incarnation,
         /// The other node.
         by: NameHolder,
