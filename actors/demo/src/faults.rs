@@ -215,8 +215,6 @@ impl DemoFault {
             (Blow::Cut(_) | Blow::Blackout, FaultLocation::Link { link, .. }) => {
                 (is_cut(link) && *kind == FaultKind::LinkDown, is_cut(link))
             }
-            // Messages on the way to a node are lost with it.
-            (Blow::Blackout | Blow::Kill, _) if *kind == FaultKind::ConnectionLost => (false, true),
             // Each side loses all that it reached through the other one.
             (Blow::Blackout, _) => (is_kind, is_kind),
             (Blow::Router, FaultLocation::Object(at)) => {
@@ -319,7 +317,7 @@ mod tests {
         check(FaultKind::LinkDown, link("module1", "ieee1394"), FaultMatch::Companion);
         check(FaultKind::LinkDown, link("module1", "ethernet"), FaultMatch::Foreign);
         check(FaultKind::Silence, object("module3", "motors"), FaultMatch::Companion);
-        let lost = object("module1", "net/gateway");
+        let lost = FaultLocation::Node(node("module3"));
         check(FaultKind::ConnectionLost, lost, FaultMatch::Companion);
     }
 

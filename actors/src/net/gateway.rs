@@ -95,8 +95,6 @@ pub(super) struct GatewayActor {
     /// Messages of isolated nodes.
     of_isolated: u64,
     forbidden: ForbiddenAlarm,
-    /// Lost messages, of all peers, that the fault tells of.
-    lost_declared: u64,
     /// The node ends; the sessions follow once nothing waits here.
     leaving: bool,
 }
@@ -155,7 +153,6 @@ impl GatewayActor {
             next: 0,
             of_isolated: 0,
             forbidden: ForbiddenAlarm::default(),
-            lost_declared: 0,
             leaving: false,
         }
     }

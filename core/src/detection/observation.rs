@@ -192,6 +192,13 @@ pub enum NodeCondition {
     },
     /// The node is no longer isolated.
     Admitted,
+    /// Messages to its objects, which this node had accepted, were lost with a session.
+    MessagesLost {
+        /// How many, in words.
+        detail: String,
+    },
+    /// A session is open with it.
+    InSession,
     /// The node reports that it is in the safe state: it can be reached, and no component of it
     /// serves.
     InSafeState {

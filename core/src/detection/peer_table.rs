@@ -137,8 +137,13 @@ impl PeerTable {
         now: Instant,
     ) -> Result<Option<PeerChange>, Incarnation> {
         use NodeCondition::{Admitted, AtWork, InSafeState, Isolated, Listed, Offends, Removed};
+        use NodeCondition::{InSession, MessagesLost};
         if let Offends { .. } | Isolated { .. } | Admitted = condition {
             return Ok(self.handle_offences(node, condition));
+        }
+        if let MessagesLost { .. } | InSession = condition {
+            let (location, finding) = (FaultLocation::Node(node), Finding::Node(condition));
+            return Ok(Some(PeerChange { location, incarnation, finding }));
         }
         if let InSafeState { .. } | AtWork = condition {
             return self.handle_rest(node, incarnation, condition, now);

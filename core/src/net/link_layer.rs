@@ -22,8 +22,8 @@
 //! ([`LinkLayerOutput::Adopt`]).
 
 use super::link::Link;
-use super::link::LinkOutput;
 use super::link::link_set::{LinkSet, LinkSetOutput};
+use super::link::{LinkOutput, LinkState};
 use super::link_traffic::LinkTraffic;
 use super::seal::cipher::PUBLIC_KEY;
 use super::seal::{
@@ -460,6 +460,7 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
                     self.transmit(link, frame, now);
                 }
                 LinkSetOutput::Of(link, output) => {
+                    self.reopen(link, &output, now);
                     self.outputs.push_back(LinkLayerOutput::Of(link, output));
                 }
                 LinkSetOutput::Greet(frame) => {
@@ -500,6 +501,25 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         end.traffic.bytes_sent += frame.len() as u64;
         let to = end.address.clone();
         self.outputs.push_back(LinkLayerOutput::Transmit { to, frame, lane });
+    }
+
+    /// A neighbour that is not heard is asked for new keys. If it has stopped for a while, and
+    /// another process with its key has its place, that one answers.
+    fn reopen(&mut self, link: LinkId, output: &LinkOutput, now: Instant) {
+        let (Some(sealer), Some(end)) = (&mut self.sealer, self.ends.get(&link)) else { return };
+        let Some(peer) = end.peer else { return };
+        let open = sealer.channel(peer).map(|channel| channel.peer.incarnation);
+        let is_silent = match output {
+            LinkOutput::Missing { .. } => true,
+            // Where it has restarted, the keys of its new incarnation are open already.
+            LinkOutput::Changed { state: LinkState::Down, neighbour, .. } => {
+                open.is_some() && neighbour.as_ref().map(|known| known.incarnation) == open
+            }
+            _ => false,
+        };
+        if is_silent {
+            sealer.connect(peer, end.address.clone(), now);
+        }
     }
 
     fn collect_sealer(&mut self, now: Instant) {
@@ -543,7 +563,7 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
 
     /// Another node with a neighbour's key is there. It waits until the neighbour has answered a
     /// hello, and is told so then; only the neighbour reads hellos, so the answer is no earlier
-    /// one.
+    /// one. If no answer comes within the detection time, the other node is the neighbour.
     fn refuse_other(
         &mut self,
         (peer, address): (NodeId, A),
@@ -554,11 +574,18 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         let before = self.others.get(&link).filter(|(other, _)| *other == refused);
         let since = before.map_or(now, |(_, since)| *since);
         self.others.insert(link, (refused, since));
-        let has_answered = self.links.get(link).is_some_and(|link| link.has_answered(since));
-        let Some(end) = self.ends.get(&link).filter(|_| has_answered) else { return };
-        let taken = Frame::Taken(NameHolder::new(open, &end.address)).encode();
-        let sealed = self.sealer.as_mut().and_then(|sealer| sealer.seal_for_other(peer, &taken));
-        if let Some(sealed) = sealed {
+        let (Some(machine), Some(end)) = (self.links.get(link), self.ends.get(&link)) else {
+            return;
+        };
+        let Some(sealer) = &mut self.sealer else { return };
+        if !machine.has_answered(since) {
+            if now >= since + machine.answer_within() {
+                sealer.accept_other(peer, address, now);
+            }
+            return;
+        }
+        let taken = Frame::Taken { refused, by: NameHolder::new(open, &end.address) }.encode();
+        if let Some(sealed) = sealer.seal_for_other(peer, &taken) {
             let (to, frame, lane) = (address.clone(), sealed.into(), FrameLane::Hello);
             self.outputs.push_back(LinkLayerOutput::Transmit { to, frame, lane });
         }

@@ -54,6 +54,7 @@ fn genuine() -> Vec<Bytes> {
         incarnation: Incarnation(1),
         sequence: 7,
         interval_us: 10_000,
+        skipped: 0,
         stance: HelloState::Ready,
         loss_permille: 3,
         echo: Some(Echo { incarnation: Incarnation(1), sequence: 1, held_us: 5 }),

@@ -17,6 +17,11 @@ const SETTLE: Duration = Duration::from_secs(12);
 /// Whole rounds of the routers' refresh.
 const MEASURED: Duration = Duration::from_secs(20);
 
+/// A node that is connected has no fault any more by then.
+const HEALTHY_WITHIN: Duration = Duration::from_secs(120);
+/// If this variable is set, each process writes the faults that stand on its standard error.
+const SHOW: &str = "BLASTEMA_BENCH_FAULTS";
+
 /// One of the processes: its number, and all addresses.
 pub(crate) fn child(arguments: &[String]) {
     let [number, addresses @ ..] = arguments else { return };
@@ -47,10 +52,14 @@ pub(crate) fn child(arguments: &[String]) {
             if !asked.await.expect("reading does not panic") {
                 return;
             }
-            let standing = node.faults().await.entries.iter().filter(|e| e.stands()).count();
+            let entries = node.faults().await.entries;
+            let standing: Vec<_> = entries.iter().filter(|entry| entry.stands()).collect();
+            for entry in standing.iter().filter(|_| std::env::var_os(SHOW).is_some()) {
+                eprintln!("module{own}: {}", entry.fault);
+            }
             let sent: u64 = node.media().await.iter().map(|row| row.counters.sent).sum();
             let safe = u8::from(matches!(node.state(), NodeState::InSafeState { .. }));
-            say(&format!("{} {sent} {safe} {standing}", cpu_seconds()));
+            say(&format!("{} {sent} {safe} {}", cpu_seconds(), standing.len()));
         }
     });
 }
@@ -96,6 +105,17 @@ pub(crate) fn run(count: usize) {
          faults stand"
     );
     std::thread::sleep(SETTLE);
+    let healthy = loop {
+        let [_, _, safe, faults] = totals(&mut peers);
+        if safe + faults == 0.0 {
+            break format!("no fault stands after {:.0} s", start.elapsed().as_secs_f64());
+        }
+        if start.elapsed().as_secs_f64() > seconds + HEALTHY_WITHIN.as_secs_f64() {
+            break format!("{faults} faults stand after {HEALTHY_WITHIN:?}, {safe} in safe state");
+        }
+        std::thread::sleep(Duration::from_secs(1));
+    };
+    println!("{healthy}");
     let ([before, sent_before, ..], start) = (totals(&mut peers), Instant::now());
     std::thread::sleep(MEASURED);
     let ([after, sent, safe, faults], span) = (totals(&mut peers), start.elapsed().as_secs_f64());

@@ -5,9 +5,11 @@
 //! ```
 
 use blastema::prelude::*;
-use blastema::{Fault, FaultEvents, Network, NodeBuilder};
-use blastema_tests::RobotKeys;
+use blastema::{Fault, FaultEvents, LinkState, Network, NodeBuilder};
+use blastema_tests::{Process, RobotKeys, addresses, free_addresses, role};
+use std::fs::File;
 use std::net::{SocketAddr, UdpSocket};
+use std::path::Path;
 use std::time::Duration;
 
 /// For nodes to find each other on a computer that is busy with other tests.
@@ -192,6 +194,96 @@ fn a_second_node_on_the_other_of_two_networks_takes_no_request_from_the_first() 
         let keys = RobotKeys::new(folder.path(), &["base", "arm"], 1);
         for keys in [None, Some(&keys)] {
             second_on_the_other_network(keys).await;
+        }
+    });
+}
+
+/// Is an arm: with the address of the base, its own, and the file of its keys, if it has any.
+#[test]
+fn a_process_plays_its_role() {
+    let Some(scheme) = role() else { return };
+    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
+    let at = addresses();
+    blastema::run(async {
+        let mut arm = Node::builder("arm").work_threads(1).child(ChildSpec::new("sum", || Sum(0)));
+        if !at[2].is_empty() {
+            arm = arm.keys(&at[2]);
+        }
+        let network = Network::new("lan", &format!("{scheme}://{}", at[1])).peer("base", &at[0]);
+        let arm = arm.network(network).start().await.expect("it starts");
+        arm.run_until_signal().await.expect("the system tells of signals");
+    });
+}
+
+/// A second arm has the name while the first is stopped; the base has a network with each.
+async fn first_is_stopped_for_a_while(scheme: &str, folder: &Path, keys: Option<&RobotKeys>) {
+    let at: [String; 4] = match scheme {
+        "unix" => [0, 1, 2, 3].map(|end| folder.join(end.to_string()).display().to_string()),
+        _ => free_addresses(4)
+            .iter()
+            .map(ToString::to_string)
+            .collect::<Vec<_>>()
+            .try_into()
+            .unwrap(),
+    };
+    let [on_one, on_two, first, second] = &at;
+    let mut base = Node::builder("base");
+    if let Some(keys) = keys {
+        base = base.keys(keys.of("base"));
+    }
+    for (name, own, arm) in [("one", on_one, first), ("two", on_two, second)] {
+        base = base.network(Network::new(name, &format!("{scheme}://{own}")).peer("arm", arm));
+    }
+    let base = base.start().await.expect("the base starts");
+    let key = keys.map(|keys| keys.of("arm").display().to_string()).unwrap_or_default();
+    let errors = folder.join("errors");
+    let start = |on: &String, own: &String| {
+        let errors = File::create(&errors).expect("a folder");
+        Process::start_into(errors, module_path!(), scheme, &[on.clone(), own.clone(), key.clone()])
+    };
+    let mut stopped = start(on_one, first);
+    assert!(base.connected("arm", PATIENCE).await, "{scheme}");
+    let sum: Sender<Add> = base.sender("arm:sum").expect("a name");
+    assert_eq!(first_answer(&sum).await, 1);
+
+    stopped.signal("-STOP");
+    let is_up = async |link: usize| base.links().await[link].state == LinkState::Up;
+    until(async || !is_up(0).await, "the base finds it silent").await;
+    std::fs::rename(&errors, folder.join("first")).expect("it was made");
+    let mut other = start(on_two, second);
+    until(async || is_up(1).await, "the other is there").await;
+    let mut expected = first_answer(&sum).await;
+    assert_eq!(expected, 1, "{scheme}: it is the other that serves");
+    stopped.signal("-CONT");
+    let mut status = None;
+    let ends = async || {
+        expected += 1;
+        let answer = sum.ask_within(Add(1), PATIENCE).await;
+        assert_eq!(answer.expect("it is answered"), expected);
+        status = stopped.exit_status();
+        status.is_some()
+    };
+    until(ends, "the first stops").await;
+
+    let text = std::fs::read_to_string(folder.join("first")).expect("it was made");
+    assert_eq!(status, Some(3), "{scheme}: {text}");
+    for part in [first, second, "base reaches another process called arm"] {
+        assert!(text.contains(part), "{scheme}: {part} is not in {text}");
+    }
+    assert_eq!(other.exit_status(), None, "{scheme}");
+    base.shutdown().await;
+}
+
+#[test]
+fn a_process_that_was_stopped_while_another_took_its_name_is_the_one_that_stops() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        for scheme in ["udp", "tcp", "unix"] {
+            let folder = tempfile::tempdir().expect("a folder");
+            let keys = RobotKeys::new(folder.path(), &["base", "arm"], 1);
+            for keys in [None, Some(&keys)] {
+                first_is_stopped_for_a_while(scheme, folder.path(), keys).await;
+            }
         }
     });
 }

@@ -10,11 +10,13 @@ use crate::net::isolation::IsolationChanged;
 use crate::net::stub::PeerCondition;
 use crate::platform;
 use actix::prelude::*;
+use blastema_contract::monitor::NodeReported;
 use blastema_contract::router::InjectPanic;
 use blastema_contract::session::{
     CloseSessions, PeerStatusChanged, ReadDifferences, ResetSession, SessionReported,
 };
 use blastema_contract::strategy::IsolateNode;
+use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::{Call, TransmitState};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
@@ -78,7 +80,11 @@ impl GatewayActor {
         self.wiring.deaths.handle_opening(id);
         self.exchange.handle_opened(id, incarnation, platform::now());
         send_state.begin();
-        self.report_peer(&PeerStatusChanged::Opened { node, incarnation });
+        self.report_peer(&PeerStatusChanged::Opened { node: node.clone(), incarnation });
+        if let Some(nodes) = &self.wiring.nodes {
+            // What a gateway before this one has found lost is over, too.
+            nodes.do_send(NodeReported { node, incarnation, condition: NodeCondition::InSession });
+        }
     }
 
     fn session_ended(&mut self, peer: NodeId, why: DeliveryError) {

@@ -16,6 +16,8 @@ pub(super) struct GatewayPeer {
     pub(super) left: bool,
     /// Messages to its objects that had been accepted and did not arrive, since sessions ended.
     pub(super) lost: u64,
+    /// How many of them the fault tells of.
+    pub(super) lost_reported: u64,
     /// Contracts that it does not mean as this node does, in this incarnation.
     differences: Vec<String>,
 }
@@ -26,8 +28,16 @@ impl GatewayPeer {
 
     /// One that no session was open with yet.
     pub(super) fn new(node: NodeName, send_state: Arc<PeerSendState>) -> Self {
-        let (session, incarnation, left, lost) = (0, Incarnation::default(), false, 0);
-        GatewayPeer { node, send_state, session, incarnation, left, lost, differences: Vec::new() }
+        GatewayPeer {
+            node,
+            send_state,
+            session: 0,
+            incarnation: Incarnation::default(),
+            left: false,
+            lost: 0,
+            lost_reported: 0,
+            differences: Vec::new(),
+        }
     }
 
     /// A session begins. Says whether that ends what differed in an earlier incarnation.

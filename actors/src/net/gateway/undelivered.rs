@@ -4,7 +4,9 @@ use super::GatewayActor;
 use super::peer::GatewayPeer;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::topic::TopicKey;
+use blastema_contract::monitor::NodeReported;
 use blastema_core::delivery::dead_letters::DeadReason;
+use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::MessageTarget;
 use blastema_core::{DeliveryError, FaultKind, NodeName, ObjectName};
@@ -157,25 +159,28 @@ impl GatewayActor {
         }
     }
 
-    /// Declares how many accepted messages were lost with sessions. Clears the fault when a second
-    /// has added none and a session is open with each of those peers.
+    /// Reports how many accepted messages were lost with the sessions of each peer, until a session
+    /// is open with it and no more are found.
     pub(super) fn look_at_losses(&mut self) {
-        let lossy = || self.peers.values().filter(|peer| peer.lost > 0);
-        let lost = lossy().map(|peer| peer.lost).sum();
-        if lost > self.lost_declared {
-            let by_peer = lossy().map(|peer| format!("{} for {}", peer.lost, peer.node));
-            let detail = format!(
-                "messages that had been accepted did not arrive, since sessions ended: {}; the dead \
-                 letters name their receivers",
-                by_peer.collect::<Vec<_>>().join(", ")
-            );
-            warn!("{detail}");
-            self.wiring.faults.declare(FaultKind::ConnectionLost, detail);
-            self.lost_declared = lost;
-        } else if lost > 0 && lossy().all(|peer| peer.send_state.has_session()) {
-            self.peers.values_mut().for_each(|peer| peer.lost = 0);
-            self.lost_declared = 0;
-            self.wiring.faults.clear(FaultKind::ConnectionLost);
+        let Some(nodes) = &self.wiring.nodes else { return };
+        for peer in self.peers.values_mut().filter(|peer| peer.lost > 0) {
+            let condition = if peer.lost > peer.lost_reported {
+                peer.lost_reported = peer.lost;
+                let detail = format!(
+                    "{} messages for {} that had been accepted did not arrive, since sessions ended; \
+                     the dead letters name their receivers",
+                    peer.lost, peer.node
+                );
+                warn!("{detail}");
+                NodeCondition::MessagesLost { detail }
+            } else if peer.send_state.has_session() {
+                (peer.lost, peer.lost_reported) = (0, 0);
+                NodeCondition::InSession
+            } else {
+                continue;
+            };
+            let (node, incarnation) = (peer.node.clone(), peer.incarnation);
+            nodes.do_send(NodeReported { node, incarnation, condition });
         }
     }
 

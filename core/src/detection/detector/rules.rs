@@ -352,6 +352,7 @@ impl Detector {
                 self.end_kind(&scene, &FaultKind::CrashLoop);
                 self.end_kind(&scene, &FaultKind::NodeLost);
                 self.end_kind(&scene, &FaultKind::NodeInSafeState);
+                self.end_kind(&scene, &FaultKind::ConnectionLost);
                 self.end_links_to(&node, scene.at);
             }
             NodeCondition::InSafeState { reason } => {
@@ -385,6 +386,11 @@ impl Detector {
                 self.nodes.handle_admitted(&node);
                 self.end_kind(&scene, &FaultKind::NodeFaulty);
             }
+            NodeCondition::MessagesLost { detail } => {
+                let cause = self.cause_of_lost_messages(&node, &scene);
+                self.find(&scene, FaultKind::ConnectionLost, detail, cause);
+            }
+            NodeCondition::InSession => self.end_kind(&scene, &FaultKind::ConnectionLost),
             NodeCondition::Restarted => {
                 self.end_kind(&scene, &FaultKind::NodeInSafeState);
                 if let Some(count) = self.nodes.handle_restarted(&node, scene.at) {
@@ -406,6 +412,27 @@ impl Detector {
                 self.withdraw(id, scene.at);
             }
         }
+    }
+
+    /// Why messages to a node were lost: the node was lost, or is, or a link to it is down. A session
+    /// shows what it has lost when the node is back.
+    fn cause_of_lost_messages(&self, node: &NodeName, scene: &Scene) -> Cause {
+        let lately = |fault: &&Fault| {
+            let entry = self.fault_log.entry(fault.id);
+            let ended = entry.and_then(|entry| entry.repaired_at);
+            ended.is_none_or(|at| scene.at - at <= self.limits.after_pause)
+        };
+        let is_cause = |fault: &&Fault| match &fault.location {
+            FaultLocation::Node(_) => {
+                fault.location == scene.location && fault.kind == FaultKind::NodeLost
+            }
+            FaultLocation::Link { neighbour, .. } => {
+                neighbour.as_ref() == Some(node) && fault.kind == FaultKind::LinkDown
+            }
+            FaultLocation::Object(_) => false,
+        };
+        let mut causes = self.fault_log.latest_first().filter(is_cause).filter(lately);
+        causes.next().map_or(Cause::Itself, |fault| Cause::Known(fault.id))
     }
 
     /// A node that has stayed up for long enough is in a crash loop no more.

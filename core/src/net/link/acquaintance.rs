@@ -83,7 +83,7 @@ impl Link {
         let stalled = if now < record.excused_until { record.stalled } else { Duration::ZERO };
         let (highest, passed) = (record.arrivals.highest(), now - record.received_at + stalled);
         if same && !is_far_off(highest, hello.sequence, passed, interval) {
-            let arrival = record.arrivals.handle(hello.sequence, now);
+            let arrival = record.arrivals.handle(hello.sequence, hello.skipped, now);
             match arrival {
                 HelloArrival::New { .. } => self.contradiction = None,
                 HelloArrival::Old => self.refusals.stale += 1,

@@ -65,7 +65,8 @@ impl ArrivalEstimator {
         self.highest as u32
     }
 
-    pub(crate) fn handle(&mut self, number: u32, now: Instant) -> HelloArrival {
+    /// The one with this number; so many directly before it were not sent.
+    pub(crate) fn handle(&mut self, number: u32, skipped: u8, now: Instant) -> HelloArrival {
         // Serial-number arithmetic (RFC 1982): the nearer way round decides.
         let step = number.wrapping_sub(self.highest()).cast_signed();
         if step <= 0 {
@@ -76,15 +77,16 @@ impl ArrivalEstimator {
             return HelloArrival::Old;
         }
         let step = step.unsigned_abs();
+        let skipped = u32::from(skipped).min(step - 1);
         if step > Self::OUTAGE {
             self.forget_loss();
         } else {
-            self.seen = self.seen << step | 1;
+            self.seen = self.seen << step | ((2 << skipped) - 1);
             self.span = (self.span + step).min(64);
         }
         self.highest += u64::from(step);
         self.learn(now);
-        HelloArrival::New { missed: step - 1 }
+        HelloArrival::New { missed: step - 1 - skipped }
     }
 
     /// What was missing so far belongs to an outage, and says nothing of what is to come.
@@ -165,7 +167,7 @@ mod tests {
         let mut arrivals = ArrivalEstimator::new(INTERVAL, 100, Instant::from_millis(1000));
         assert_eq!(arrivals.expected(), Instant::from_millis(1010));
 
-        arrivals.handle(101, Instant::from_millis(1014));
+        arrivals.handle(101, 0, Instant::from_millis(1014));
 
         assert_eq!(arrivals.expected(), Instant::from_millis(1022));
     }
@@ -190,7 +192,7 @@ mod tests {
     fn the_longer_the_silence_the_greater_is_phi() {
         let mut arrivals = ArrivalEstimator::new(INTERVAL, 0, Instant::ORIGIN);
         for number in 1..=40 {
-            arrivals.handle(number, Instant::from_millis(10 * u64::from(number)));
+            arrivals.handle(number, 0, Instant::from_millis(10 * u64::from(number)));
         }
         let phi = [400, 405, 410, 412, 415].map(|at| arrivals.phi(Instant::from_millis(at)));
         assert!(phi.is_sorted() && phi[0] < 0.01 && phi[4] > 5.0, "{phi:?}");
@@ -198,10 +200,23 @@ mod tests {
     }
 
     #[test]
+    fn what_was_not_sent_is_not_lost() {
+        let mut arrivals = ArrivalEstimator::new(INTERVAL, 0, Instant::ORIGIN);
+        let mut arrive = |number: u32, skipped| {
+            let now = Instant::from_millis(10 * u64::from(number));
+            (arrivals.handle(number, skipped, now), arrivals.loss_permille())
+        };
+        (1..=20).for_each(|number| drop(arrive(number * 4, 3)));
+        assert_eq!(arrive(84, 3), (HelloArrival::New { missed: 0 }, Some(0)));
+        assert_eq!(arrive(88, 2), (HelloArrival::New { missed: 1 }, Some(15)));
+        assert_eq!(arrive(90, 63).0, HelloArrival::New { missed: 0 });
+    }
+
+    #[test]
     fn an_outage_is_no_loss() {
         let mut arrivals = ArrivalEstimator::new(INTERVAL, 0, Instant::ORIGIN);
         for number in (1..=20).chain(60..=80) {
-            arrivals.handle(number, Instant::from_millis(10 * u64::from(number)));
+            arrivals.handle(number, 0, Instant::from_millis(10 * u64::from(number)));
         }
         assert_eq!(arrivals.loss_permille(), Some(0));
     }
@@ -210,12 +225,12 @@ mod tests {
     fn a_late_or_doubled_one_changes_no_estimate_but_counts_as_arrived() {
         let mut arrivals = ArrivalEstimator::new(INTERVAL, u32::MAX, Instant::from_millis(1000));
         for number in 1..40u32 {
-            arrivals.handle(number, Instant::from_millis(1010 + 10 * u64::from(number)));
+            arrivals.handle(number, 0, Instant::from_millis(1010 + 10 * u64::from(number)));
         }
         let expected = arrivals.expected();
         assert_eq!(arrivals.loss_permille(), Some(24), "number 0, after the overflow, is missing");
 
-        assert_eq!(arrivals.handle(0, Instant::from_millis(1500)), HelloArrival::Old);
+        assert_eq!(arrivals.handle(0, 0, Instant::from_millis(1500)), HelloArrival::Old);
 
         assert_eq!(arrivals.expected(), expected);
         assert_eq!(arrivals.loss_permille(), Some(0));

@@ -1,12 +1,11 @@
 //! A link on a bus, where one frame carries the hellos to all neighbours.
 
-use super::{HELLO_INTERVAL_RANGE, Link, LinkConfig, percent};
+use super::{Link, LinkConfig, percent};
 use crate::Instant;
 use crate::net::wire::bus_hello::{BusHello, CompactEcho, NeighbourEntry};
 use crate::net::wire::frame::{Echo, Hello};
 use crate::net::wire::hello_state::HelloState;
 use crate::net::wire::node_id::NodeId;
-use std::time::Duration;
 
 impl Link {
     /// From now on hellos are said to all links of a bus at once: this one only says when one is
@@ -39,13 +38,12 @@ impl Link {
         turn: u8,
         words: Vec<NeighbourEntry>,
     ) -> BusHello {
-        let LinkConfig { node, incarnation, hello_interval, .. } = &self.config;
-        let interval = (*hello_interval).max(*HELLO_INTERVAL_RANGE.start());
+        let LinkConfig { node, incarnation, .. } = &self.config;
         BusHello {
             node: node.clone(),
             incarnation: *incarnation,
             sequence,
-            interval_us: u32::try_from(interval.as_micros()).unwrap_or(u32::MAX),
+            interval_us: u32::try_from(self.hello_interval.as_micros()).unwrap_or(u32::MAX),
             turn,
             words,
         }
@@ -57,21 +55,6 @@ impl Link {
             let patience = percent(record.arrivals.interval(), self.down_after_percent());
             now <= record.arrivals.expected() + patience
         })
-    }
-
-    /// Hellos are said at least so far apart.
-    pub(in crate::net) fn slow_down(&mut self, interval: Duration) {
-        let interval = interval.min(*HELLO_INTERVAL_RANGE.end());
-        if interval > self.config.hello_interval {
-            self.config.hello_interval = interval;
-            // Hellos are numbered by their interval: echoes of the old numbers say nothing any
-            // more.
-            self.sent.clear();
-            self.contradiction = None;
-            if let Some(record) = &mut self.neighbour {
-                record.echoed = None;
-            }
-        }
     }
 
     pub(super) fn handle_greeting(&mut self, greeting: BusHello, now: Instant) {
@@ -87,7 +70,17 @@ impl Link {
         let (stance, loss_permille) =
             word.map_or(reported, |word| (word.stance, word.loss_permille));
         let echo = word.and_then(|word| self.echo(word.echo?));
-        let hello = Hello { node, incarnation, sequence, interval_us, stance, loss_permille, echo };
+        let skipped = 0;
+        let hello = Hello {
+            node,
+            incarnation,
+            sequence,
+            interval_us,
+            skipped,
+            stance,
+            loss_permille,
+            echo,
+        };
         self.handle_hello(hello, now);
         if let Some(record) = &mut self.neighbour {
             record.turn = u32::from(turn.max(1));

@@ -99,6 +99,7 @@ impl LinkSet {
         if let Some(bus) = &mut self.bus {
             bus.remove(&number);
         }
+        self.pace();
     }
 
     /// A link.
@@ -160,21 +161,19 @@ impl LinkSet {
     /// need.
     fn pace(&mut self) {
         let links = self.machines.iter().count();
-        if links > Self::LINKS_AT_ANY_PACE && self.bus.is_none() {
-            let interval = Self::PACE_OF_MANY * links as u32;
-            self.each(|link| link.slow_down(interval));
-        }
+        let many = match &self.bus {
+            None if links > Self::LINKS_AT_ANY_PACE => Self::PACE_OF_MANY * links as u32,
+            _ => Duration::ZERO,
+        };
         match (self.bytes_per_second, &self.bus) {
             (Some(rate), None) => {
-                let links = if self.shared { links.max(1) } else { 1 };
-                let (share, overhead) = (rate / links as u64, self.overhead as u64);
+                let sharing = if self.shared { links.max(1) } else { 1 };
+                let (share, overhead) = (rate / sharing as u64, self.overhead as u64);
                 // The rate is that of both directions together.
                 let bytes = 2 * (self.mtu as u64 + overhead + 2 * Link::FRAMING);
                 let whole = Duration::from_nanos(bytes.saturating_mul(1_000_000_000) / rate.max(1));
-                self.each(|link| {
-                    link.handle_rate(share, overhead);
-                    link.slow_down(whole);
-                });
+                let least = many.max(whole);
+                self.each(|link| link.set_interval(link.interval_at(share, overhead).max(least)));
             }
             (rate, Some(_)) => {
                 let Some((_, link)) = self.machines.iter().next() else { return };
@@ -189,11 +188,11 @@ impl LinkSet {
                 let bytes = length * (links as u64 + 1) * Self::SHARE;
                 let nanos = bytes * 1_000_000_000 / rate.unwrap_or(u64::MAX).max(1);
                 // One greeting for all: its interval is the longest that any of the links wants.
-                let wanted = self.machines.iter().map(|(_, link)| link.hello_interval());
+                let wanted = self.machines.iter().map(|(_, link)| link.configured_interval());
                 let interval = wanted.max().unwrap_or_default().max(Duration::from_nanos(nanos));
-                self.each(|link| link.slow_down(interval));
+                self.each(|link| link.set_interval(interval));
             }
-            (None, None) => {}
+            (None, None) => self.each(|link| link.set_interval(many)),
         }
     }
 
@@ -389,6 +388,22 @@ mod tests {
         check(11, 500, 500);
         check(19, 50, 95);
         check(64, 50, 320);
+    }
+
+    #[test]
+    fn links_that_are_taken_out_leave_their_share_of_the_hellos_to_the_others() {
+        let mut set = LinkSet::default();
+        for number in 1..=64 {
+            let config = LinkConfig::new(name(0), Incarnation(1));
+            set.insert(LinkId(number), Link::new(config, at(0)));
+        }
+        let interval = |set: &LinkSet| set.get(LinkId(1)).unwrap().hello_interval().as_millis();
+        assert_eq!(interval(&set), 320);
+
+        (20..=64).for_each(|number| set.remove(LinkId(number)));
+        assert_eq!(interval(&set), 95);
+        (2..=19).for_each(|number| set.remove(LinkId(number)));
+        assert_eq!(interval(&set), 50);
     }
 
     #[test]

@@ -56,6 +56,8 @@ use std::time::Duration;
 #[derive(Debug)]
 pub struct Link {
     config: LinkConfig,
+    /// As configured, or as long as the medium and its other links need.
+    hello_interval: Duration,
     state: LinkState,
     neighbour: Option<NeighbourRecord>,
     /// The incarnation in which the neighbour is, as its key has proved; `None` where frames are
@@ -64,6 +66,8 @@ pub struct Link {
     /// The last hello that contradicts that.
     contradiction: Option<Contradiction>,
     next_hello: Instant,
+    /// How late this node was run when a timer fired last.
+    late: Duration,
     /// By when a neighbour should have proved to be there; `None` once its absence was reported.
     expected_by: Option<Instant>,
     /// The latest hellos sent, for the round trip: number and time.
@@ -147,12 +151,14 @@ impl Link {
     pub fn new(config: LinkConfig, now: Instant) -> Self {
         Link {
             expected_by: Some(now + config.peer_timeout),
+            hello_interval: config.hello_interval.max(*HELLO_INTERVAL_RANGE.start()),
             config,
             state: LinkState::Connecting,
             neighbour: None,
             authenticated: None,
             contradiction: None,
             next_hello: now,
+            late: Duration::ZERO,
             sent: VecDeque::with_capacity(Self::SENT_MAX),
             flaps: 0,
             down_at: Instant::ORIGIN,
@@ -230,12 +236,19 @@ impl Link {
 
     /// Tells the neighbour that another node has its name.
     pub fn handle_taken(&mut self, holder: NameHolder) {
-        self.carry(Frame::Taken(holder));
+        if let Some(refused) = self.neighbour().map(|neighbour| neighbour.incarnation) {
+            self.carry(Frame::Taken { refused, by: holder });
+        }
     }
 
     /// Whether the neighbour has answered a hello that was sent after this.
     pub(super) fn has_answered(&self, since: Instant) -> bool {
         self.neighbour.as_ref().is_some_and(|record| record.answered > since)
+    }
+
+    /// How long the echo of a hello takes on a link that is up: twice the detection time.
+    pub(super) fn answer_within(&self) -> Duration {
+        percent(self.hello_interval, 2 * (100 + self.down_after_percent()))
     }
 
     fn carry(&mut self, frame: Frame) {
@@ -256,8 +269,12 @@ impl Link {
             // Routers know no link that is not up; the neighbour's router retransmits.
             Frame::Routing(_) | Frame::RoutingPart(_) => self.carries(),
             // Where the neighbour has proved itself, it says so instead of taking this node's
-            // hellos.
-            Frame::Taken(_) => self.carries() || self.authenticated.is_some(),
+            // hellos. A sender that has received no hello of this node does not know its
+            // incarnation.
+            Frame::Taken { refused, .. } => {
+                *refused == self.config.incarnation
+                    && (self.carries() || self.authenticated.is_some())
+            }
             Frame::Probe(_) | Frame::ProbeAnswer(_) => self.neighbour.is_some(),
         }
     }
@@ -295,7 +312,7 @@ impl Link {
                 Err(error) => self.refusals.count(&error),
             },
             Frame::Data(packet) => self.outputs.push_back(LinkOutput::Packet(packet.into_bytes())),
-            Frame::Taken(holder) => self.outputs.push_back(LinkOutput::Taken(holder)),
+            Frame::Taken { by, .. } => self.outputs.push_back(LinkOutput::Taken(by)),
             Frame::Probe(size) => {
                 self.outputs.push_back(LinkOutput::Transmit(Frame::ProbeAnswer(size).parcel()));
             }
@@ -360,18 +377,38 @@ impl Link {
         }
     }
 
-    /// The medium carries so many bytes in a second, and a seal adds so many to each frame. Hellos
-    /// take a twentieth of that at most.
-    pub fn handle_rate(&mut self, bytes_per_second: u64, overhead: u64) {
+    /// The shortest hello interval where the medium carries so many bytes in a second, and a seal
+    /// adds so many to each frame: hellos take a twentieth of that at most.
+    pub(super) fn interval_at(&self, bytes_per_second: u64, overhead: u64) -> Duration {
         let hello = self.hello(Instant::ORIGIN, 0);
         let length = Frame::Hello(hello).encode().len() as u64 + overhead + Self::FRAMING;
         let nanos = (length * 20).saturating_mul(1_000_000_000) / bytes_per_second.max(1);
-        self.slow_down(Duration::from_nanos(nanos));
+        Duration::from_nanos(nanos)
+    }
+
+    /// Hellos are sent at least so far apart, and as often as configured where that is less often.
+    pub(in crate::net) fn set_interval(&mut self, at_least: Duration) {
+        let interval = self.config.hello_interval.max(at_least);
+        let interval = interval.clamp(*HELLO_INTERVAL_RANGE.start(), *HELLO_INTERVAL_RANGE.end());
+        if std::mem::replace(&mut self.hello_interval, interval) != interval {
+            // Hellos are numbered by their interval: echoes of the old numbers say nothing any
+            // more.
+            self.sent.clear();
+            self.contradiction = None;
+            if let Some(record) = &mut self.neighbour {
+                record.echoed = None;
+            }
+        }
+    }
+
+    /// How often hellos are sent where nothing else needs the medium.
+    pub(super) fn configured_interval(&self) -> Duration {
+        self.config.hello_interval
     }
 
     /// How often hellos are sent.
     pub fn hello_interval(&self) -> Duration {
-        self.config.hello_interval
+        self.hello_interval
     }
 
     /// How surprising the neighbour's silence is by now, as φ: 1 is one in ten, 8 one in 10⁸, were
@@ -436,7 +473,9 @@ impl Link {
                 record.echoed = Some((echo.sequence, now));
                 record.answered = *sent;
                 let held = Duration::from_micros(echo.held_us.into());
-                self.gauge.handle_round_trip((now - *sent).saturating_sub(held));
+                // The echo has waited here for as long as this node was not run.
+                let waited = held + self.late;
+                self.gauge.handle_round_trip((now - *sent).saturating_sub(waited));
             }
         }
         record.hellos_received = match record.echoed {
@@ -452,7 +491,7 @@ impl Link {
         let limits = QualityLimits {
             loss_permille: self.config.degraded_loss_permille,
             // On a slow medium a round trip takes two frames and two hellos, when it is full.
-            round_trip: self.config.degraded_round_trip.max(self.interval()),
+            round_trip: self.config.degraded_round_trip.max(self.hello_interval),
         };
         if self.gauge.judge(loss.max(record.loss_there), limits, now) {
             self.outputs.push_back(LinkOutput::Quality(self.gauge.quality()));
@@ -470,7 +509,7 @@ impl Link {
         let deaf = record.echoed.map_or(record.received_at, |(_, at)| at)
             // An echo needs both directions: twice the patience, in the slower one's intervals.
             + percent(
-                interval.max(self.config.hello_interval),
+                interval.max(self.hello_interval),
                 2 * (100 + after_percent) + 100 * (record.turn - 1),
             );
         Some(silent.min(deaf).max(record.excused_until))
@@ -509,7 +548,7 @@ impl Link {
         // Hellos are numbered and sent by an absolute schedule, so that a late one does not shift
         // the later ones. Numbers are counted from the clock's origin, so that they also rise when
         // this machine is rebuilt in a running process.
-        let nanos = self.interval().as_nanos() as u64;
+        let nanos = self.hello_interval.as_nanos() as u64;
         let number = now.as_nanos() / nanos;
         self.next_hello = Instant::from_nanos((number + 1).saturating_mul(nanos));
         let hello = self.hello(now, number as u32);
@@ -525,8 +564,11 @@ impl Link {
         self.probe_path(now);
     }
 
-    fn interval(&self) -> Duration {
-        self.config.hello_interval.max(*HELLO_INTERVAL_RANGE.start())
+    /// How many hellos between the last one and this one were not sent.
+    fn skipped(&self, sequence: u32) -> u8 {
+        let last = self.sent.back().map_or(sequence, |(last, _)| *last);
+        let skipped = sequence.wrapping_sub(last).saturating_sub(1);
+        skipped.min(Hello::SKIPPED_MAX.into()) as u8
     }
 
     fn hello(&self, now: Instant, sequence: u32) -> Hello {
@@ -541,7 +583,8 @@ impl Link {
             node: self.config.node.clone(),
             incarnation: self.config.incarnation,
             sequence,
-            interval_us: u32::try_from(self.interval().as_micros()).unwrap_or(u32::MAX),
+            interval_us: u32::try_from(self.hello_interval.as_micros()).unwrap_or(u32::MAX),
+            skipped: self.skipped(sequence),
             stance: self.stance(),
             loss_permille: lost.unwrap_or(0),
             echo,
@@ -603,7 +646,8 @@ impl Machine for Link {
         // A timer that fires so late means that this node was not run; the neighbour's hellos are
         // still unread. After a long stall every silence up to now is void.
         let late = now - due;
-        if late > self.config.hello_interval {
+        self.late = late;
+        if late > self.hello_interval {
             let interval = self.neighbour.as_ref().map(|record| record.arrivals.interval());
             self.excuse(percent(interval.unwrap_or_default(), self.down_after_percent()), now);
             if let Some(record) = &mut self.neighbour {

@@ -25,6 +25,8 @@ struct Cable {
     cut: [bool; 2],
     /// Larger frames are lost.
     carries: usize,
+    /// These ends are not run; what is sent to them waits.
+    stopped: [bool; 2],
     in_flight: Vec<(u64, usize, Bytes)>,
     outputs: Vec<(u64, usize, LinkOutput)>,
     /// What the ends have sent.
@@ -39,6 +41,7 @@ impl Cable {
             now: 0,
             cut: [false; 2],
             carries: usize::MAX,
+            stopped: [false; 2],
             in_flight: vec![],
             outputs: vec![],
             sent: vec![],
@@ -47,11 +50,13 @@ impl Cable {
 
     fn run_until(&mut self, end: u64) {
         while self.now < end {
-            let arrived: Vec<_> = self.in_flight.extract_if(.., |f| f.0 <= self.now).collect();
+            let (now, stopped) = (self.now, self.stopped);
+            let arrives = |f: &mut (u64, usize, Bytes)| f.0 <= now && !stopped[f.1];
+            let arrived: Vec<_> = self.in_flight.extract_if(.., arrives).collect();
             for (_, to, frame) in arrived {
                 self.ends[to].handle_frame(frame, at(self.now));
             }
-            for from in 0..2 {
+            for from in (0..2).filter(|from| !stopped[*from]) {
                 if self.ends[from].poll_timeout().is_some_and(|due| due <= at(self.now)) {
                     self.ends[from].handle_timeout(at(self.now));
                 }
@@ -327,7 +332,7 @@ fn a_link_whose_carrier_comes_and_goes_begins_its_proof_anew_each_time() {
 fn hellos_take_a_twentieth_of_a_slow_medium_and_the_neighbour_keeps_up() {
     // 9600 baud, ten bits a byte: 52 bytes of hello are 54 ms of it.
     let mut cable = running();
-    cable.ends.iter_mut().for_each(|end| end.handle_rate(960, 0));
+    cable.ends.iter_mut().for_each(|end| end.set_interval(end.interval_at(960, 0)));
 
     let interval = cable.ends[0].hello_interval();
     assert!(interval > Duration::from_millis(1000), "{interval:?}");
@@ -335,7 +340,7 @@ fn hellos_take_a_twentieth_of_a_slow_medium_and_the_neighbour_keeps_up() {
     assert_eq!(cable.states(), [LinkState::Up; 2]);
 
     let mut fast = Link::new(config("left", 1), at(0));
-    fast.handle_rate(1_000_000, 0);
+    fast.set_interval(fast.interval_at(1_000_000, 0));
     assert_eq!(fast.hello_interval(), Duration::from_millis(10));
 }
 
@@ -346,6 +351,19 @@ fn phi_rises_with_the_silence_and_is_nothing_before_anybody_spoke() {
 
     let cable = running();
     assert!(cable.ends[0].phi(at(100)) < 1.0 && cable.ends[0].phi(at(120)) > 8.0);
+}
+
+#[test]
+fn a_node_that_is_run_late_loses_no_hellos_and_adds_nothing_to_its_round_trips() {
+    let mut cable = running();
+    for step in 0..4_000 {
+        cable.stopped[0] = step % 25 != 0;
+        cable.run_until(cable.now + 1);
+    }
+
+    let [late, other] = [0, 1].map(|end| cable.ends[end].quality());
+    assert_eq!((late.loss_permille, other.loss_permille), (0, 0));
+    assert!(late.round_trip < Some(Duration::from_millis(12)), "{late:?}");
 }
 
 #[test]
@@ -396,6 +414,7 @@ fn a_restarted_neighbour_is_a_new_incarnation_and_the_old_one_is_never_heard_aga
         incarnation: Incarnation(1),
         sequence: 1000,
         interval_us: 10_000,
+        skipped: 0,
         stance: HelloState::Ready,
         loss_permille: 0,
         echo: None,
@@ -497,6 +516,7 @@ fn a_stranger_a_namesake_and_a_foreign_release_are_refused_and_told_once() {
             incarnation,
             sequence: 1,
             interval_us: 10_000,
+            skipped: 0,
             stance: HelloState::Unproved,
             loss_permille: 0,
             echo: None,

@@ -35,7 +35,7 @@ impl Timers for Link {
             LinkTimer::PeerMissing => {
                 let by = self.expected_by.filter(|_| self.state == LinkState::Connecting)?;
                 // A slow medium needs its time.
-                Some(by + self.interval().saturating_mul(Self::ABSENT_HELLOS))
+                Some(by + self.hello_interval.saturating_mul(Self::ABSENT_HELLOS))
             }
             LinkTimer::DownDetection => {
                 let has_proof = |record: &NeighbourRecord| record.echoed.is_some();

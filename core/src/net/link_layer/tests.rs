@@ -68,6 +68,8 @@ struct World {
     ends: [End; 2],
     /// Where each end's frames come from, as the other sees it.
     from: [Address; 2],
+    /// This end is not run.
+    stopped: Option<usize>,
     now: u64,
     in_flight: Vec<(u64, usize, Bytes)>,
     sent: Vec<(usize, Address, Bytes)>,
@@ -79,6 +81,7 @@ impl World {
         World {
             ends: [end(0, 1, 0), end(1, 1, 0)],
             from: [0, 1],
+            stopped: None,
             now: 0,
             in_flight: vec![],
             sent: vec![],
@@ -103,10 +106,11 @@ impl World {
             self.now += 1;
             let now = at(self.now);
             let arrived: Vec<_> = self.in_flight.extract_if(.., |f| f.0 <= self.now).collect();
-            for (_, node, frame) in arrived {
+            for (_, node, frame) in arrived.into_iter().filter(|f| self.stopped != Some(1 - f.1)) {
                 self.ends[1 - node].handle_frame(self.from[node], frame, now);
             }
-            for node in 0..2 {
+            let stopped = self.stopped;
+            for node in (0..2).filter(|node| stopped != Some(*node)) {
                 // A turn each, as an actor has it.
                 for _ in 0..3 {
                     if self.ends[node].poll_timeout().is_some_and(|due| due <= now) {
@@ -166,6 +170,7 @@ fn hello(node: usize, incarnation: u64, sequence: u32) -> Bytes {
         incarnation: Incarnation(incarnation),
         sequence,
         interval_us: 50_000,
+        skipped: 0,
         stance: HelloState::Down,
         loss_permille: 0,
         echo: None,
@@ -396,10 +401,10 @@ fn on_a_sealed_bus_each_neighbour_has_hellos_of_its_own_at_a_rate_that_the_bus_b
     assert!(world.sent.iter().all(|(_, to, _)| *to < 10), "nothing goes to all");
 }
 
-/// A third computer with the key of one of both is there for a while. Returns what it is told.
-fn with_a_copy(world: &mut World, of: usize, incarnation: u64, millis: u64) -> Vec<NameHolder> {
+/// A third computer, at `COPY`, with the key of one of both is there for a while. Returns what it
+/// is told.
+fn with_a_copy(world: &mut World, of: usize, copy: &mut End, millis: u64) -> Vec<NameHolder> {
     let (peer, mut told) = (1 - of, Vec::new());
-    let mut copy = end(of, incarnation, world.now);
     for _ in 0..millis {
         let before = world.sent.len();
         world.run(1);
@@ -434,7 +439,7 @@ fn a_second_node_with_a_key_is_told_where_the_first_is_once_that_has_answered() 
     for (of, incarnation) in [(0, 2), (1, 2)] {
         let mut world = World::up();
 
-        let told = with_a_copy(&mut world, of, incarnation, 3_000);
+        let told = with_a_copy(&mut world, of, &mut end(of, incarnation, 500), 3_000);
 
         assert_eq!(told[0], NameHolder::new(Incarnation(1), of));
         let in_use = world.outputs.iter().any(|(_, node, output)| {
@@ -449,13 +454,52 @@ fn a_second_node_with_a_key_is_told_where_the_first_is_once_that_has_answered() 
 }
 
 #[test]
+fn a_node_whose_place_another_has_taken_while_it_was_stopped_is_the_one_that_is_told() {
+    for of in 0..2 {
+        let mut world = World::up();
+        world.from[of] = 12;
+        let mut first = std::mem::replace(&mut world.ends[of], end(of, 2, world.now));
+        world.run(1_000);
+        assert_eq!(world.states(), [LinkState::Up; 2]);
+        world.outputs.clear();
+
+        let told = with_a_copy(&mut world, of, &mut first, 3_000);
+
+        assert_eq!(told[0], NameHolder::new(Incarnation(2), of));
+        assert_eq!(world.states(), [LinkState::Up; 2]);
+        assert_eq!(world.changes(1 - of), []);
+    }
+}
+
+#[test]
+fn a_node_that_is_received_and_does_not_receive_keeps_no_name_from_the_one_that_answers() {
+    for of in 0..2 {
+        let mut world = World::up();
+        let mut copy = end(of, 2, world.now);
+        world.stopped = Some(of);
+        let told = with_a_copy(&mut world, of, &mut copy, 1_000);
+        assert_eq!(told, []);
+        let open = world.ends[1 - of].channel(LINK).expect("the copy has proved itself");
+        assert_eq!(open.peer.incarnation, Incarnation(2));
+
+        world.stopped = None;
+        let told = with_a_copy(&mut world, of, &mut copy, 3_000);
+
+        assert_eq!(world.states(), [LinkState::Up; 2]);
+        let known = world.ends[1 - of].get(LINK).unwrap().neighbour().unwrap();
+        assert_eq!(known.incarnation, Incarnation(1));
+        assert_eq!(told[0], NameHolder::new(Incarnation(1), of));
+    }
+}
+
+#[test]
 fn a_node_that_was_restarted_at_once_is_not_told_of_the_one_before_it() {
     for of in [0, 1] {
         let mut world = World::up();
         // It has ended, and its last frames are on their way.
         world.ends[of] = LinkLayer::new(None);
 
-        let told = with_a_copy(&mut world, of, 2, 3_000);
+        let told = with_a_copy(&mut world, of, &mut end(of, 2, 500), 3_000);
 
         assert_eq!(told, []);
         let link = world.ends[1 - of].get(LINK).unwrap();

@@ -250,6 +250,7 @@ impl<F: FrameCipher> FrameCipher for ChannelCipher<F> {
 #[derive(Debug)]
 pub(super) struct OfferedChannel<F> {
     pub(super) channel: Channel<F>,
+    pub(super) since: Instant,
     /// Which init it answers, and the answer.
     pub(super) ephemeral: u64,
     pub(super) answer: Bytes,
@@ -315,7 +316,7 @@ impl<F: FrameCipher> PeerChannels<F> {
         incarnation: Incarnation,
         now: Instant,
     ) -> Option<Incarnation> {
-        let present = self.present.as_ref().filter(|channel| channel.confirmed)?;
+        let present = self.present.as_ref()?;
         let open = present.terms.peer.incarnation;
         let is_heard = self.opened_at.is_some_and(|at| now - at < Self::HEARD_WITHIN);
         (is_heard && open != incarnation).then_some(open)
@@ -382,6 +383,17 @@ impl<F: FrameCipher> PeerChannels<F> {
         self.offered = Some(offer);
     }
 
+    /// Takes the offered channel into use, and offers the present one instead. Returns the peer, as
+    /// it named itself in the channel that is used now.
+    pub(super) fn exchange(&mut self, now: Instant) -> Option<HandshakePayload> {
+        let (offer, present) = (self.offered.as_mut()?, self.present.as_mut()?);
+        std::mem::swap(&mut offer.channel, present);
+        (offer.since, offer.answer) = (now, Bytes::new());
+        present.confirmed = true;
+        (self.former, self.opened_at) = (None, Some(now));
+        Some(present.terms.peer)
+    }
+
     /// Drops the offer.
     pub(super) fn withdraw(&mut self) {
         self.offered = None;
@@ -399,7 +411,7 @@ impl<F: FrameCipher> PeerChannels<F> {
     /// When keys are dropped by their age.
     pub(super) fn drop_due(&self, limits: &KeyLimits) -> Option<Instant> {
         let former = self.former.as_ref().map(|(_, due)| *due);
-        let offered = self.offered.as_ref().map(|offer| offer.channel.since + Self::OFFER_MAX);
+        let offered = self.offered.as_ref().map(|offer| offer.since + Self::OFFER_MAX);
         let present = self.present.as_ref().map(|channel| channel.since + limits.age_max);
         [former, offered, present].into_iter().flatten().min()
     }
@@ -407,7 +419,7 @@ impl<F: FrameCipher> PeerChannels<F> {
     /// Drops what is due, and what is worn out. Returns whether that was the present channel.
     pub(super) fn drop_due_keys(&mut self, limits: &KeyLimits, now: Instant) -> bool {
         self.former.take_if(|(_, due)| *due <= now);
-        self.offered.take_if(|offer| offer.channel.since + Self::OFFER_MAX <= now);
+        self.offered.take_if(|offer| offer.since + Self::OFFER_MAX <= now);
         let is_over = |channel: &mut Channel<F>| {
             channel.since + limits.age_max <= now || channel.is_worn_out(limits)
         };

@@ -407,7 +407,12 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         let Some(peer) = self.peers.get_mut(&node) else { return };
         let answer = peer.encoded(&HandshakeFrame::Answer(answer), now);
         let ephemeral = init.ephemeral();
-        peer.channels.offer(OfferedChannel { channel, ephemeral, answer: answer.clone() });
+        peer.channels.offer(OfferedChannel {
+            channel,
+            since: now,
+            ephemeral,
+            answer: answer.clone(),
+        });
         self.transmit(from, answer);
         self.index(node);
         self.bound_offers();
@@ -415,9 +420,10 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
 
     /// Withdraws the oldest offer, if there are too many.
     fn bound_offers(&mut self) {
-        let offers = self.peers.iter().filter_map(|(node, peer)| {
-            peer.channels.offered().map(|offer| (offer.channel.since(), *node))
-        });
+        let offers = self
+            .peers
+            .iter()
+            .filter_map(|(node, peer)| peer.channels.offered().map(|offer| (offer.since, *node)));
         let (count, oldest) = (offers.clone().count(), offers.min());
         if let Some((_, node)) = oldest.filter(|_| count > OFFERS_MAX)
             && let Some(peer) = self.peers.get_mut(&node)
@@ -447,7 +453,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         let Some(peer) = self.peers.get_mut(&node) else { return };
         if let Some(open) = peer.channels.in_use_by_other(payload.incarnation, now) {
             // For what the other one is told.
-            let offer = OfferedChannel { channel, ephemeral, answer: Bytes::new() };
+            let offer = OfferedChannel { channel, since: now, ephemeral, answer: Bytes::new() };
             peer.channels.offer(offer);
             let refused = payload.incarnation;
             let in_use = SealerOutput::KeyInUse { peer: node, address: to, open, refused };

@@ -429,6 +429,16 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         self.peers.get_mut(&peer)?.channels.seal_offered(FrameLane::Hello, &[frame])
     }
 
+    /// The peer is the other node with its key, of which [`KeyInUse`](SealerOutput::KeyInUse) was
+    /// reported just now; the one that it was until now is the other one.
+    pub fn accept_other(&mut self, peer: NodeId, address: A, now: Instant) {
+        let Some(known) = self.peers.get_mut(&peer) else { return };
+        let Some(payload) = known.channels.exchange(now) else { return };
+        let renewed = known.handle_open(payload.incarnation, address.clone());
+        self.outputs.push_back(SealerOutput::PeerOpen { peer, address, payload, renewed });
+        self.rearm();
+    }
+
     /// The medium has received a frame. Returns what was sealed in it, or `None` if it was the
     /// handshakes' own.
     ///

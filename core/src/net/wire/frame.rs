@@ -17,14 +17,15 @@
 //!
 //! The echo says which hello of the neighbour arrived last and how long ago: the neighbour learns
 //! that it is heard, and the round trip without any clock in common. Stance and loss say what this
-//! end thinks of the link, so that both ends use it, or neither. Numbers are big-endian. On a bus
+//! end thinks of the link, so that both ends use it, or neither; beside the stance stand six bits: how
+//! many hellos before this one were not sent, since their node was not run. Numbers are big-endian. On a bus
 //! one [greeting](super::bus_hello), kind 3, goes to all in place of a hello to each.
 //!
 //! What a router says and no frame of the medium carries whole goes in parts, kind 4: one byte,
 //! which part it is from 0, with 128 added to the last, then the bytes.
 //!
-//! A node whose name another one has is told so by a frame of kind 5: the incarnation of the other
-//! one, 8 bytes, and where that is reached, as text.
+//! A node whose name another one has is told so by a frame of kind 5: its own incarnation, 8 bytes,
+//! that of the other one, 8 bytes, and where the other one is reached, as text.
 //!
 //! A probe, kind 6, asks whether a frame of its own size passes; the rest of it is padding. Kind 7
 //! answers it: the size of the probe that arrived, 2 bytes.
@@ -68,7 +69,12 @@ pub enum Frame {
     /// A part of what the neighbour's router should know, where no frame carries it whole.
     RoutingPart(RoutingFragment),
     /// Another node has the receiver's name.
-    Taken(NameHolder),
+    Taken {
+        /// The incarnation that is told so, as its hellos name it.
+        refused: Incarnation,
+        /// The other node.
+        by: NameHolder,
+    },
     /// A frame of so many bytes, which asks for an answer.
     Probe(u16),
     /// A probe of so many bytes has arrived.
@@ -86,7 +92,7 @@ pub struct NameHolder {
 
 impl NameHolder {
     /// The longest address, in bytes: with it, the frame fits into the smallest one of a medium.
-    pub const ADDRESS_MAX: usize = 80;
+    pub const ADDRESS_MAX: usize = 72;
 
     /// An address that is too long loses its end.
     pub fn new(incarnation: Incarnation, address: impl fmt::Display) -> Self {
@@ -120,6 +126,9 @@ pub struct Hello {
     pub sequence: u32,
     /// How long an interval is, in microseconds.
     pub interval_us: u32,
+    /// So many hellos directly before this one were not sent, since their node was not run in time:
+    /// they are not lost. At most [`SKIPPED_MAX`](Hello::SKIPPED_MAX).
+    pub skipped: u8,
     /// Whether it would use the link.
     pub stance: HelloState,
     /// How many of a thousand of the other's hellos it has lost lately.
@@ -167,10 +176,11 @@ impl Frame {
                 bytes.put_slice(&part.bytes);
                 bytes.freeze().into()
             }
-            Frame::Taken(NameHolder { incarnation, address }) => {
-                let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 8 + address.len());
+            Frame::Taken { refused, by: NameHolder { incarnation, address } } => {
+                let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 16 + address.len());
                 bytes.put_u8(MAGIC | VERSION);
                 bytes.put_u8(TAKEN);
+                bytes.put_u64(refused.0);
                 bytes.put_u64(incarnation.0);
                 bytes.put_slice(address.as_bytes());
                 bytes.freeze().into()
@@ -215,11 +225,12 @@ impl Frame {
                 Ok(Frame::RoutingPart(RoutingFragment { index, last, bytes: reader.rest() }))
             }
             TAKEN => {
+                let refused = Incarnation(reader.u64()?);
                 let incarnation = Incarnation(reader.u64()?);
                 let address = reader.rest();
                 let malformed = WireError::Malformed { what: "a node's address" };
                 let address = std::str::from_utf8(&address).map_err(|_| malformed)?;
-                Ok(Frame::Taken(NameHolder::new(incarnation, address)))
+                Ok(Frame::Taken { refused, by: NameHolder::new(incarnation, address) })
             }
             PROBE => {
                 let size = u16::try_from(FRAME_HEADER + reader.rest().len());
@@ -269,6 +280,9 @@ fn wrap(kind: u8, payload: &GatherBuffer) -> GatherBuffer {
 }
 
 impl Hello {
+    /// What six bits hold.
+    pub const SKIPPED_MAX: u8 = 63;
+
     fn encode(&self) -> Bytes {
         let nothing = Echo { incarnation: Incarnation(0), sequence: 0, held_us: 0 };
         let echo = self.echo.unwrap_or(nothing);
@@ -278,7 +292,7 @@ impl Hello {
         bytes.put_u64(self.incarnation.0);
         bytes.put_u32(self.sequence);
         bytes.put_u32(self.interval_us);
-        bytes.put_u8(self.stance as u8);
+        bytes.put_u8(self.skipped.min(Hello::SKIPPED_MAX) << 2 | self.stance as u8);
         bytes.put_u16(self.loss_permille);
         bytes.put_u64(echo.incarnation.0);
         bytes.put_u32(echo.sequence);
@@ -291,7 +305,9 @@ impl Hello {
         let incarnation = Incarnation(reader.u64()?);
         let sequence = reader.u32()?;
         let interval_us = reader.u32()?;
-        let stance = match reader.u8()? {
+        let state = reader.u8()?;
+        let skipped = state >> 2;
+        let stance = match state & 3 {
             0 => HelloState::Unproved,
             1 => HelloState::Down,
             2 => HelloState::Ready,
@@ -309,7 +325,7 @@ impl Hello {
             return Err(WireError::Malformed { what: "an incarnation" });
         }
         let echo = (echo.incarnation != Incarnation(0)).then_some(echo);
-        Ok(Hello { node, incarnation, sequence, interval_us, stance, loss_permille, echo })
+        Ok(Hello { node, incarnation, sequence, interval_us, skipped, stance, loss_permille, echo })
     }
 }
 
@@ -325,6 +341,7 @@ mod tests {
             incarnation: Incarnation(0x0102),
             sequence: 3,
             interval_us: 50_000,
+            skipped: 0,
             stance: HelloState::Ready,
             loss_permille: 0x0102,
             echo: Some(Echo { incarnation: Incarnation(0x0a), sequence: 9, held_us: 0x100 }),
@@ -349,14 +366,19 @@ mod tests {
     #[test]
     fn a_frame_comes_back_as_it_was() {
         let nothing_received = Hello { echo: None, ..hello() };
+        let late = Hello { skipped: Hello::SKIPPED_MAX, ..hello() };
         let part = |last| RoutingFragment { index: 127, last, bytes: Bytes::from_static(b"z") };
         for frame in [
             Frame::Hello(hello()),
             Frame::Hello(nothing_received),
+            Frame::Hello(late),
             Frame::Data(Bytes::new().into()),
             Frame::RoutingPart(part(false)),
             Frame::RoutingPart(part(true)),
-            Frame::Taken(NameHolder::new(Incarnation(7), "udp 127.0.0.1:7400")),
+            Frame::Taken {
+                refused: Incarnation(6),
+                by: NameHolder::new(Incarnation(7), "udp 127.0.0.1:7400"),
+            },
             Frame::Probe(1_472),
             Frame::ProbeAnswer(u16::MAX),
         ] {

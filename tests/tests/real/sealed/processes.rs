@@ -61,7 +61,8 @@ impl Pair {
             _ => free_addresses(2).iter().map(ToString::to_string).collect(),
         };
         at.push(folder.path().display().to_string());
-        let right = Process::start_with(module_path!(), scheme, &at, &[]);
+        let errors = std::fs::File::create(folder.path().join("right.errors")).expect("a folder");
+        let right = Process::start_into(errors, module_path!(), scheme, &at);
         let left = node(&keys, "left", network(scheme, 0, &at)).start().await.expect("it starts");
         assert!(left.connected("right", PATIENCE).await, "{:?}", left.links().await);
         Pair { left, right, at, _folder: folder }
@@ -93,11 +94,16 @@ impl Pair {
     }
 }
 
+/// That many restarts take longer than any other test.
+fn turn_for(rounds: u32) -> blastema_doubles::Turn {
+    blastema_doubles::turn_within(Duration::from_secs(300 + 10 * u64::from(rounds)))
+}
+
 #[test]
 fn a_killed_process_is_found_again_with_new_keys_and_serves_no_request_of_the_past() {
-    let _turn = blastema_doubles::turn();
+    let rounds = if blastema_doubles::long() { 1_000 } else { 20 };
+    let _turn = turn_for(rounds);
     blastema::run(async {
-        let rounds = if blastema_doubles::long() { 1_000 } else { 20 };
         for scheme in ["udp", "tcp", "unix"] {
             let mut pair = Pair::start(scheme).await;
             for round in 0..rounds {
@@ -173,7 +179,69 @@ fn a_twin_stops_with_a_text_and_a_status_of_its_own_while_the_first_serves_every
 }
 
 #[test]
-fn a_stopped_process_goes_on_with_the_keys_that_it_had() {
+fn a_process_whose_place_a_twin_has_taken_while_it_was_stopped_is_the_one_that_stops() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        for scheme in ["tcp", "unix"] {
+            let mut pair = Pair::start(scheme).await;
+            let before = pair.incarnation().await;
+            pair.right.signal("-STOP");
+            until(async || !pair.is_up().await, "the left node finds it silent").await;
+            let (mut twin, address, _) = start_twin(&pair, scheme);
+            until(async || pair.is_up().await && pair.incarnation().await > before, "a twin").await;
+            let mut served = pair.first_answer().await;
+            assert_eq!(served, 1, "{scheme}: it is the twin that serves");
+
+            pair.right.signal("-CONT");
+            let mut status = None;
+            let ends = async || {
+                served += 1;
+                assert_eq!(ask(&pair.left, "right").await, served, "{scheme}");
+                status = pair.right.exit_status();
+                status.is_some()
+            };
+            until(ends, "the first stops").await;
+
+            let errors = Path::new(&pair.at[2]).join("right.errors");
+            let text = std::fs::read_to_string(errors).expect("it was made");
+            assert_eq!(status, Some(3), "{scheme}: {text}");
+            for part in [&pair.at[1], "left reaches another process called right"] {
+                assert!(text.contains(part), "{scheme}: {part} is not in {text}");
+            }
+            assert_eq!(twin.exit_status(), None, "{scheme}, {address}");
+            pair.left.shutdown().await;
+        }
+    });
+}
+
+/// Over UDP the left node sends to the address that it was given. A twin elsewhere does not receive
+/// it, and so keeps no name.
+#[test]
+fn a_twin_at_an_address_that_no_link_leads_to_gives_way_to_the_process_that_is_continued() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let mut pair = Pair::start("udp").await;
+        let (before, served) = (pair.incarnation().await, pair.first_answer().await);
+        pair.right.signal("-STOP");
+        until(async || !pair.is_up().await, "the left node finds it silent").await;
+        let (mut twin, _, errors) = start_twin(&pair, "udp");
+        until(async || pair.incarnation().await > before, "the twin is received").await;
+
+        pair.right.signal("-CONT");
+        until(async || pair.is_up().await, "the first is back").await;
+        until(async || twin.exit_status().is_some(), "the twin stops").await;
+
+        let text = std::fs::read_to_string(errors).expect("it was made");
+        assert_eq!(twin.exit_status(), Some(3), "{text}");
+        assert!(text.contains(&pair.at[1]), "{text}");
+        assert_eq!(pair.right.exit_status(), None);
+        assert_eq!(pair.first_answer().await, served + 1, "it is the first that serves");
+        pair.left.shutdown().await;
+    });
+}
+
+#[test]
+fn a_stopped_process_goes_on_in_its_incarnation() {
     let Some(_turn) = blastema_doubles::turn_if_long() else { return };
     blastema::run(async {
         let pair = Pair::start("udp").await;

@@ -332,3 +332,35 @@ fn a_second_pause_soon_after_the_first_is_counted() {
     assert_eq!((bench.entries().len(), bench.fault(1).count), (1, 2));
     assert!(!bench.detector.fault_log.stands(FaultId(1)));
 }
+
+#[test]
+fn messages_that_were_lost_with_a_session_are_a_symptom_of_the_lost_node_or_link() {
+    let losses = || Finding::Node(NodeCondition::MessagesLost { detail: "7 messages".into() });
+    let back = || Finding::Node(NodeCondition::Reachable);
+    // Found while the node is lost; when it is back; long after that; and without any loss of it.
+    for (back_at, lost_at, root) in
+        [(None, 10, Some(1)), (Some(10), 1_000, Some(1)), (Some(10), 60_000, None)]
+    {
+        let mut bench = Bench::new();
+        bench.see("@n", Incarnation(9), lost());
+        if let Some(at_ms) = back_at {
+            bench.now = at(at_ms);
+            bench.see("@n", Incarnation(9), back());
+        }
+        bench.now = at(lost_at);
+        bench.see("@n", Incarnation(9), losses());
+
+        assert_eq!(bench.fault(2).kind, FaultKind::ConnectionLost);
+        assert_eq!(bench.fault(2).symptom_of.map(|root| root.0), root, "{back_at:?}");
+        bench.see("@n", Incarnation(9), Finding::Node(NodeCondition::InSession));
+        let entries = bench.entries();
+        assert!(!entries.iter().find(|entry| entry.fault.id == FaultId(2)).unwrap().stands());
+    }
+    let mut bench = Bench::new();
+    bench.see("-eth-x", Incarnation(0), down());
+    bench.see("-usb-n", Incarnation(0), down());
+    bench.see("@n", Incarnation(9), losses());
+    bench.see("@o", Incarnation(9), losses());
+    let roots = [3, 4].map(|id| bench.fault(id).symptom_of.map(|root| root.0));
+    assert_eq!(roots, [Some(2), None]);
+}

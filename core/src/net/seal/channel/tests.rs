@@ -157,7 +157,7 @@ fn an_offer_changes_nothing_until_a_frame_is_opened_under_it() {
     let format = FORMATS[0];
     let [mut left, mut right] = ends(format);
     let channel = end(format, 2, 1, 7);
-    right.offer(OfferedChannel { channel, ephemeral: 0, answer: Bytes::new() });
+    right.offer(OfferedChannel { channel, since: at(0), ephemeral: 0, answer: Bytes::new() });
 
     let frame = seal(&mut right, FrameLane::Usual, b"present");
     assert_eq!(open(&mut left, &frame, 0).unwrap(), (Opening::Confirmed, b"present".to_vec()));
