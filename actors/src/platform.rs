@@ -1,6 +1,7 @@
 //! Access to the operating system: the only file that reads a clock, starts threads and knows
 //! processes.
 
+pub(crate) mod alarm;
 pub(crate) mod errors;
 pub(crate) mod file_lock;
 #[cfg(feature = "network")]
@@ -61,13 +62,21 @@ struct Origin {
 fn origin() -> &'static Origin {
     static ORIGIN: OnceLock<Origin> = OnceLock::new();
     ORIGIN.get_or_init(|| {
-        let monotonic = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
-        let nanos = monotonic.tv_sec * 1_000_000_000 + monotonic.tv_nsec;
-        Origin {
+        let monotonic = || nanos_of(rustix::time::ClockId::Monotonic);
+        // The thread may lose its processor between two readings: the closest of a few count, since
+        // timers of the kernel go by one clock and those of the runtime by the other.
+        let readings = (0..8).map(|_| {
+            let before = monotonic();
             // Not the runtime's own reading: a test that has paused and advanced its clock may be
             // the first to ask, and others of the process must not depend on how far it had come.
-            runtime: std::time::Instant::now().into(),
-            monotonic_nanos: u64::try_from(nanos).unwrap_or_default(),
+            let runtime = std::time::Instant::now().into();
+            (monotonic() - before, before, runtime)
+        });
+        let closest = readings.min_by_key(|(apart, ..)| *apart);
+        let (_, monotonic_nanos, runtime) = closest.expect("there are eight readings");
+        Origin {
+            runtime,
+            monotonic_nanos,
             wall_micros: SystemTime::now()
                 .duration_since(SystemTime::UNIX_EPOCH)
                 .map_or(0, |since| u64::try_from(since.as_micros()).unwrap_or(u64::MAX)),
@@ -101,8 +110,13 @@ pub fn stamp_us() -> u64 {
 /// ms.
 #[inline]
 pub(crate) fn tick() -> u64 {
-    let coarse = rustix::time::clock_gettime(rustix::time::ClockId::MonotonicCoarse);
-    (coarse.tv_sec * 1_000_000_000 + coarse.tv_nsec).cast_unsigned()
+    nanos_of(rustix::time::ClockId::MonotonicCoarse)
+}
+
+#[inline]
+fn nanos_of(clock: rustix::time::ClockId) -> u64 {
+    let time = rustix::time::clock_gettime(clock);
+    (time.tv_sec * 1_000_000_000 + time.tv_nsec).cast_unsigned()
 }
 
 /// Whether a test has paused this thread's clock. Takes a microsecond.

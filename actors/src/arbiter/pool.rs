@@ -91,6 +91,11 @@ impl ArbiterSlot {
         (beats || self.heartbeat.running().is_none()) && self.handle.alive()
     }
 
+    /// One component has it to itself.
+    pub(crate) fn is_own_thread(&self) -> bool {
+        self.own_thread
+    }
+
     fn kind(&self) -> ThreadKind {
         match self.own_thread {
             true => ThreadKind::Own,

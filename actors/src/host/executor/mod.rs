@@ -168,7 +168,7 @@ impl<C: Component> ComponentExecutor<C> {
         let (arbiter, token) = (self.arbiter.clone(), self.state.token.clone());
         let placement = CurrentPlacement { arbiter, slot: self.activity_slot(), token };
         let is_newest = record.enter(self.state.incarnation, placement);
-        self.schedule.begin(record.limits.interval);
+        self.schedule.begin(record.limits.interval, self.arbiter.is_own_thread());
         self.slot.activity.run_every(record.limits.interval);
         self.began = Some(platform::now());
         // An incarnation that was abandoned before its placement was known was not notified.
