@@ -12,7 +12,7 @@ use crate::component::incarnation::{
     ComponentFuture, ScheduleEntry, TimerAction, TimerId, TimerMode, TimerTable,
 };
 use crate::platform;
-use crate::platform::alarm::Alarm;
+use crate::platform::alarm::ScheduleAlarm;
 use blastema_core::Instant;
 use blastema_core::sorted::SortedMap;
 use futures_util::stream::{FuturesUnordered, Stream};
@@ -91,7 +91,7 @@ struct Work {
     next_entry: u64,
     is_precise: bool,
     /// Waits for the earliest entry.
-    alarm: Option<Alarm>,
+    alarm: Option<ScheduleAlarm>,
     /// At most one entry per timer, and one for the round.
     due: VecDeque<DueWork>,
     /// Limits that were reached and have not been asked for yet.
@@ -372,7 +372,7 @@ impl Work {
     ) {
         while let Some((&(earliest, _), _)) = self.schedule.first_key_value() {
             let is_precise = self.is_precise;
-            let alarm = self.alarm.get_or_insert_with(|| Alarm::new(is_precise));
+            let alarm = self.alarm.get_or_insert_with(|| ScheduleAlarm::new(is_precise));
             if alarm.poll_until(earliest, cx).is_pending() {
                 return;
             }

@@ -16,14 +16,14 @@ use tokio::time::Sleep;
 
 /// Waits until an instant, which may differ from poll to poll.
 #[derive(Debug)]
-pub(crate) struct Alarm {
-    timer: Timer,
+pub(crate) struct ScheduleAlarm {
+    timer: AlarmTimer,
     /// What the timer is set for, unless that has come.
     set_for: Option<Instant>,
 }
 
 #[derive(Debug)]
-enum Timer {
+enum AlarmTimer {
     /// The runtime's: whole milliseconds, by the clock that a test may have paused.
     Runtime(Pin<Box<Sleep>>),
     /// The kernel's (timerfd_create(2)): nanoseconds, by the system's clock.
@@ -31,12 +31,12 @@ enum Timer {
     Kernel(AsyncFd<OwnedFd>),
 }
 
-impl Alarm {
+impl ScheduleAlarm {
     /// A precise one has a timer of the kernel, where the system offers that: a file descriptor, and
     /// two system calls each time.
     pub(crate) fn new(is_precise: bool) -> Self {
-        let timer = if is_precise { Timer::precise() } else { Timer::of_the_runtime() };
-        Alarm { timer, set_for: None }
+        let timer = if is_precise { AlarmTimer::precise() } else { AlarmTimer::of_the_runtime() };
+        ScheduleAlarm { timer, set_for: None }
     }
 
     /// Ready when this instant has come.
@@ -53,29 +53,29 @@ impl Alarm {
     }
 }
 
-impl Timer {
+impl AlarmTimer {
     fn of_the_runtime() -> Self {
-        Timer::Runtime(Box::pin(tokio::time::sleep(Duration::ZERO)))
+        AlarmTimer::Runtime(Box::pin(tokio::time::sleep(Duration::ZERO)))
     }
 
     #[cfg(target_os = "linux")]
     fn precise() -> Self {
-        kernel_timer().map(Timer::Kernel).unwrap_or_else(|error| {
+        kernel_timer().map(AlarmTimer::Kernel).unwrap_or_else(|error| {
             tracing::warn!("rounds and timers are kept to the millisecond only: {error}");
-            Timer::of_the_runtime()
+            AlarmTimer::of_the_runtime()
         })
     }
 
     #[cfg(not(target_os = "linux"))]
     fn precise() -> Self {
-        Timer::of_the_runtime()
+        AlarmTimer::of_the_runtime()
     }
 
     fn set(&mut self, at: Instant) {
         match self {
-            Timer::Runtime(sleep) => sleep.as_mut().reset(timer_at(at)),
+            AlarmTimer::Runtime(sleep) => sleep.as_mut().reset(timer_at(at)),
             #[cfg(target_os = "linux")]
-            Timer::Kernel(timer) => {
+            AlarmTimer::Kernel(timer) => {
                 const SECOND: u64 = 1_000_000_000;
                 // Zero would disarm it.
                 let nanos = at.as_nanos().max(1);
@@ -94,9 +94,9 @@ impl Timer {
     /// Ready once for each time that it is set.
     fn poll(&mut self, cx: &mut Context<'_>) -> Poll<()> {
         match self {
-            Timer::Runtime(sleep) => sleep.as_mut().poll(cx),
+            AlarmTimer::Runtime(sleep) => sleep.as_mut().poll(cx),
             #[cfg(target_os = "linux")]
-            Timer::Kernel(timer) => loop {
+            AlarmTimer::Kernel(timer) => loop {
                 // An error means that the runtime ends.
                 let Poll::Ready(Ok(mut ready)) = timer.poll_read_ready(cx) else {
                     return Poll::Pending;
@@ -113,6 +113,10 @@ impl Timer {
 }
 
 #[cfg(target_os = "linux")]
+#[expect(
+    deprecated,
+    reason = "its successor is unsafe for files that are closed early; an OwnedFd is not"
+)]
 fn kernel_timer() -> std::io::Result<AsyncFd<OwnedFd>> {
     let flags = TimerfdFlags::NONBLOCK | TimerfdFlags::CLOEXEC;
     let timer = time::timerfd_create(TimerfdClockId::Monotonic, flags)?;
@@ -130,7 +134,7 @@ mod tests {
     fn an_alarm_of_the_runtime_goes_by_the_clock_that_a_test_has_paused() {
         paused(async {
             let hour = now() + Duration::from_secs(3600);
-            let mut alarm = Alarm::new(false);
+            let mut alarm = ScheduleAlarm::new(false);
             poll_fn(|cx| alarm.poll_until(hour, cx)).await;
             assert_eq!(now(), hour);
         });
@@ -148,8 +152,8 @@ mod tests {
             actix_rt::System::new().block_on(async {
                 let period = Duration::from_micros(100);
                 let start = now();
-                let mut alarm = Alarm::new(true);
-                assert!(matches!(alarm.timer, Timer::Kernel(_)));
+                let mut alarm = ScheduleAlarm::new(true);
+                assert!(matches!(alarm.timer, AlarmTimer::Kernel(_)));
                 for due in (0..1000).map(|k| start + period * k) {
                     poll_fn(|cx| alarm.poll_until(due, cx)).await;
                     // The two clocks were read within a few microseconds.
@@ -163,7 +167,7 @@ mod tests {
             let _turn = blastema_doubles::turn();
             actix_rt::System::new().block_on(async {
                 let soon = now() + Duration::from_millis(1);
-                let mut alarm = Alarm::new(true);
+                let mut alarm = ScheduleAlarm::new(true);
                 let mut cx = Context::from_waker(Waker::noop());
                 assert!(alarm.poll_until(soon, &mut cx).is_pending());
                 // It expires, and the runtime learns that, before it is set again.
