@@ -106,12 +106,30 @@ pub(crate) const QUEUE: Setting<usize> = Setting {
     cure: "a queue holds one message at least, and a million at most",
 };
 
-/// Rounds a second. Faster, an arbiter serves nothing else.
+/// Rounds a second, in virtual time and where the system has no exact timers. Faster, an arbiter
+/// serves nothing else.
 pub(crate) const RATE_HZ: Setting<f64, ()> = Setting {
     name: "rate_hz",
     default: (),
     range: f64::MIN_POSITIVE..=100_000.0,
     cure: "write a rate above 0 and up to 100000",
+};
+
+/// The same on a thread that components share. Its timers count whole milliseconds: of a period of
+/// two, a round starts late by half at most.
+pub(crate) const SHARED_RATE_HZ: Setting<f64, ()> = Setting {
+    range: f64::MIN_POSITIVE..=500.0,
+    cure: "a shared thread keeps rates above 0 and up to 500 Hz: give the component a thread of its \
+           own (`on_own_thread`, in a robot file `thread=\"own\"`), which keeps up to 10000 Hz",
+    ..RATE_HZ
+};
+
+/// The same on a thread of the component's own. Each round costs a few system calls: faster, they
+/// take most of the thread.
+pub(crate) const OWN_RATE_HZ: Setting<f64, ()> = Setting {
+    range: f64::MIN_POSITIVE..=10_000.0,
+    cure: "a thread of its own keeps rates above 0 and up to 10000 Hz",
+    ..RATE_HZ
 };
 
 /// Fifty heartbeats: far beyond what a loaded machine adds, and short for a robot's standstill.
