@@ -15,6 +15,7 @@ pub(crate) mod panics;
 pub(crate) mod processes;
 pub(crate) mod processor_time;
 pub(crate) mod replace_file;
+pub(crate) mod scheduling;
 pub(crate) mod signals;
 pub(crate) mod systemd;
 #[cfg(feature = "journal")]
@@ -28,6 +29,7 @@ pub use processes::finish_output;
 pub use signals::{Termination, Terminations};
 
 use blastema_core::{Incarnation, Instant};
+use scheduling::ThreadScheduling;
 use std::hash::{BuildHasher, RandomState};
 use std::io::Write;
 use std::sync::OnceLock;
@@ -234,7 +236,18 @@ pub(crate) fn start_thread(
 /// # Errors
 /// The operating system has no thread left, or no files for its event loop.
 pub(crate) fn own_arbiter() -> io::Result<actix_rt::ArbiterHandle> {
-    let arbiter = actix_rt::Arbiter::try_with_tokio_rt(|| {
+    scheduled_arbiter(ThreadScheduling::default())
+}
+
+/// The same, on a thread that is scheduled so.
+///
+/// # Errors
+/// As above, or the operating system forbids such a thread.
+pub(crate) fn scheduled_arbiter(
+    scheduling: ThreadScheduling,
+) -> io::Result<actix_rt::ArbiterHandle> {
+    let arbiter = actix_rt::Arbiter::try_with_tokio_rt(move || {
+        scheduling.apply().map_err(io::Error::other)?;
         tokio::runtime::Builder::new_current_thread().enable_all().build()
     });
     match arbiter {

@@ -132,6 +132,18 @@ pub(crate) const OWN_RATE_HZ: Setting<f64, ()> = Setting {
     ..RATE_HZ
 };
 
+/// The priorities of `SCHED_FIFO` (sched(7)).
+pub(crate) const PRIORITY: Setting<u8, ()> = Setting {
+    name: "priority",
+    default: (),
+    range: 1..=99,
+    cure: "write 1 to 99, of which 99 is served first",
+};
+
+/// As many processors as the kernel's sets of them have by default.
+pub(crate) const CPU: Setting<usize, ()> =
+    Setting { name: "cpu", default: (), range: 0..=1023, cure: "write 0 to 1023" };
+
 /// Fifty heartbeats: far beyond what a loaded machine adds, and short for a robot's standstill.
 /// The sampler looks once in a heartbeat: with less than one, a component at work at two looks
 /// would be hanging.

@@ -123,6 +123,27 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
+    /// Gives the component's [own thread](Self::on_own_thread) a real-time priority, 1 to 99
+    /// (`SCHED_FIFO`): it runs before every thread of a lower priority, and of none. Threads that it
+    /// starts have the same priority.
+    ///
+    /// The start is refused where the system forbids it: it needs `rtprio` in
+    /// `/etc/security/limits.conf`, `LimitRTPRIO=` of a systemd service, or CAP_SYS_NICE. Without
+    /// effect where the node [has no thread](crate::NodeBuilder::components_on_this_thread) for it,
+    /// as in virtual time.
+    pub fn priority(mut self, priority: u8) -> Self {
+        self.limits.scheduling.priority = Some(priority);
+        self
+    }
+
+    /// Runs the component's [own thread](Self::on_own_thread) on the processor of this number alone.
+    /// Others may run there too, unless the kernel keeps it free (`isolcpus`). The start is refused
+    /// where the process may not use it. Without effect where [`priority`](Self::priority) is.
+    pub fn cpu(mut self, cpu: usize) -> Self {
+        self.limits.scheduling.cpu = Some(cpu);
+        self
+    }
+
     /// Sets how long a handler may keep its arbiter before it counts as a hang; at least 10 ms. A
     /// longer limit tolerates slow handlers, and delays neighbours longer behind a hang.
     pub fn max_block(mut self, span: Duration) -> Self {
@@ -244,6 +265,10 @@ impl<C: Component> ChildSpec<C> {
         refused.extend(ports.refused(&name, &limits));
         if is_written || ports.parameters.is_some() {
             refused.extend(environment.configured().refused(&name, ports.parameters));
+        }
+        let scheduling = limits.scheduling;
+        if refused.is_empty() && !scheduling.is_default() && !environment.arbiters.are_here() {
+            refused.extend(scheduling.try_out().err().map(setting));
         }
         if !refused.is_empty() {
             return Err(refused);

@@ -165,3 +165,44 @@ fn a_round_that_hangs_is_found_and_the_loop_goes_on_elsewhere() {
         node.shutdown().await;
     });
 }
+
+/// The processor, priority and policy of this thread: fields 39 to 41 of proc_pid_stat(5).
+fn scheduling() -> [u32; 3] {
+    let stat = std::fs::read_to_string("/proc/thread-self/stat").expect("it is there");
+    let (_, after_the_name) = stat.rsplit_once(") ").expect("a name in parentheses");
+    let fields: Vec<&str> = after_the_name.split(' ').collect();
+    [36, 37, 38].map(|at| fields[at].parse().expect("a number"))
+}
+
+struct ScheduledLoop(Arc<Mutex<Option<[u32; 3]>>>);
+
+impl Component for ScheduledLoop {
+    async fn on_activated(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        *self.0.lock().unwrap() = Some(scheduling());
+        Ok(())
+    }
+}
+
+#[test]
+fn a_thread_has_its_priority_and_processor_or_the_start_is_refused_with_what_to_do() {
+    const SCHED_FIFO: u32 = 1;
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let seen = Arc::new(Mutex::new(None));
+        let (kept, [cpu, ..]) = (seen.clone(), scheduling());
+        let spec = ChildSpec::new("motors", move || ScheduledLoop(kept.clone())).on_own_thread();
+        let spec = spec.priority(10).cpu(usize::try_from(cpu).unwrap());
+        match Node::builder("m").work_threads(1).child(spec).start().await {
+            Ok(node) => {
+                until("it is active", async || seen.lock().unwrap().is_some()).await;
+                assert_eq!(*seen.lock().unwrap(), Some([cpu, 10, SCHED_FIFO]));
+                node.shutdown().await;
+            }
+            Err(refused) => {
+                let refused = refused.to_string();
+                let words = ["priority of motors is 10, which failed", "rtprio", "CAP_SYS_NICE"];
+                assert!(words.iter().all(|word| refused.contains(word)), "{refused}");
+            }
+        }
+    });
+}
