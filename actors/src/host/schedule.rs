@@ -36,7 +36,8 @@ const FINEST: Duration = Duration::from_millis(1);
 /// Something that is due.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum DueWork {
-    Execute,
+    /// A round, which is due since then.
+    Execute(Instant),
     Timer(TimerId),
     /// The incarnation should have begun by now.
     ReadyLimit,
@@ -157,7 +158,7 @@ impl<C: Component> ScheduledWork<C> {
         self.active = active;
         if let Some(work) = &mut self.work {
             work.last_round = None;
-            work.due.retain(|work| *work != DueWork::Execute);
+            work.due.retain(|work| !matches!(work, DueWork::Execute(_)));
         }
         self.plan_round();
     }
@@ -183,7 +184,7 @@ impl<C: Component> ScheduledWork<C> {
             let now = platform::now();
             let work = self.planned();
             let at = work.last_round.map_or(now, |last| (last + interval).max(now));
-            work.round = Some(work.enter(at, DueWork::Execute));
+            work.round = Some(work.enter(at, DueWork::Execute(at)));
         }
         self.tidy();
     }
@@ -392,11 +393,11 @@ impl Work {
         timers: Option<&TimerTable<C>>,
     ) {
         match work {
-            DueWork::Execute => {
+            DueWork::Execute(_) => {
                 self.last_round = Some(at);
                 let next = interval.map(|interval| next_tick(at, interval, now));
-                self.round = next.map(|next| self.enter(next, DueWork::Execute));
-                if self.due.contains(&work) {
+                self.round = next.map(|next| self.enter(next, DueWork::Execute(next)));
+                if self.due.iter().any(|due| matches!(due, DueWork::Execute(_))) {
                     return;
                 }
             }
