@@ -87,7 +87,7 @@ fn a_loop_that_had_its_processor_is_not_blamed() {
         let record = Arc::<LoopRecord>::default();
         let node = start(motors(&record, 1000.0, |_| ()).max_block(LONG)).await;
 
-        until("five thousand rounds", async || record.rounds.load(SeqCst) >= 5000).await;
+        until("a thousand rounds", async || record.rounds.load(SeqCst) >= 1000).await;
 
         let faults = node.faults().await;
         // The computer is overloaded, which it may be wherever tests are run.
@@ -114,7 +114,7 @@ fn rounds_and_missed_rounds_are_the_periods_that_have_passed() {
         };
         let node = start(motors(&record, 1000.0, overrun).max_missed_rounds(100)).await;
 
-        until("some rounds", async || record.rounds.load(SeqCst) >= 1000).await;
+        until("some rounds", async || record.rounds.load(SeqCst) >= 200).await;
 
         // Missed rounds are counted ten times a second.
         until("the sum", async || {
