@@ -30,6 +30,7 @@ use crate::platform;
 use crate::platform::panics::{self, PanicRecord};
 use blastema_contract::child::RestartGrant;
 use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, FaultDeclared};
+use blastema_core::detection::RoundLateness;
 use blastema_core::detection::hang::QueueReading;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{
@@ -144,6 +145,11 @@ impl CellCore {
     #[inline]
     pub(crate) fn cold_if_used(&self) -> Option<&ColdState> {
         self.cold.get().map(|cold| &**cold)
+    }
+
+    /// A round begins so long after it was due.
+    pub(crate) fn begin_round(&self, late: Duration) {
+        self.cold().lateness.get_or_init(Box::default).add(late);
     }
 
     /// Whether a test keeps its signs of life back.
@@ -528,6 +534,10 @@ impl<C: Component> AliveSource for ComponentCell<C> {
 
     fn is_held(&self) -> bool {
         self.record.is_isolated()
+    }
+
+    fn round_lateness(&self) -> Option<RoundLateness> {
+        self.record.cold_if_used()?.lateness.get()?.read()
     }
 
     fn tell_exits(&self) {

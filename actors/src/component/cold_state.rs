@@ -2,11 +2,12 @@
 
 use crate::component::declaration::CellListener;
 use crate::component::exits::UntoldExits;
+use crate::liveness::lateness::LatenessHistogram;
 use crate::messaging::death_watch::Watchers;
 use crate::messaging::injection::InjectionState;
 use blastema_core::delivery::quarantine::Quarantine;
 use blastema_core::{DeliveryError, Incarnation, MessageId};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// What few components come to use. A component has it once it has used any of it.
 #[derive(Default)]
@@ -14,6 +15,8 @@ pub(crate) struct ColdState {
     pub(crate) watchers: Watchers,
     pub(crate) injected: InjectionState,
     pub(crate) exits: UntoldExits,
+    /// There once the component has had a round.
+    pub(crate) lateness: OnceLock<Box<LatenessHistogram>>,
     quarantine: Mutex<Quarantine>,
     listeners: Mutex<Vec<Arc<dyn CellListener>>>,
 }

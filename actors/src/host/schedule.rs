@@ -2,8 +2,7 @@
 //! limits.
 //!
 //! All of it is polled by the executor, under the guard, and ends with the incarnation. Everything
-//! that has a time stands in one schedule, of which one sleeping future waits for the earliest
-//! entry: a timer costs its closure, which it frees as soon as it is cancelled, and an entry.
+//! that has a time stands in one schedule, of which one alarm waits for the earliest entry: a timer costs its closure, which it frees as soon as it is cancelled, and an entry.
 //! Rounds and timers become due here and take their turn between messages; one that is due already
 //! is not made due again, so that nothing stale piles up while the component is busy.
 
@@ -13,6 +12,7 @@ use crate::component::incarnation::{
     ComponentFuture, ScheduleEntry, TimerAction, TimerId, TimerMode, TimerTable,
 };
 use crate::platform;
+use crate::platform::alarm::ScheduleAlarm;
 use blastema_core::Instant;
 use blastema_core::sorted::SortedMap;
 use futures_util::stream::{FuturesUnordered, Stream};
@@ -22,7 +22,6 @@ use std::pin::Pin;
 use std::rc::Rc;
 use std::task::{Context, Poll};
 use std::time::Duration;
-use tokio::time::Sleep;
 
 /// Tasks of one component at one time. A component with more has lost count of them.
 const TASKS: usize = 1024;
@@ -37,7 +36,8 @@ const FINEST: Duration = Duration::from_millis(1);
 /// Something that is due.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum DueWork {
-    Execute,
+    /// A round, which is due since then.
+    Execute(Instant),
     Timer(TimerId),
     /// The incarnation should have begun by now.
     ReadyLimit,
@@ -71,6 +71,8 @@ impl Future for Spawned {
 
 pub(crate) struct ScheduledWork<C: Component> {
     interval: Option<Duration>,
+    /// The component has its thread to itself, where its alarm may be exact.
+    is_precise: bool,
     active: bool,
     /// Something was started and has not been polled yet.
     fresh: bool,
@@ -88,8 +90,9 @@ struct Work {
     schedule: SortedMap<ScheduleEntry, DueWork>,
     /// Numbers the entries.
     next_entry: u64,
-    /// Sleeps until the earliest entry, or one before it.
-    alarm: Option<(Instant, Pin<Box<Sleep>>)>,
+    is_precise: bool,
+    /// Waits for the earliest entry.
+    alarm: Option<ScheduleAlarm>,
     /// At most one entry per timer, and one for the round.
     due: VecDeque<DueWork>,
     /// Limits that were reached and have not been asked for yet.
@@ -102,7 +105,14 @@ struct Work {
 
 impl<C: Component> Default for ScheduledWork<C> {
     fn default() -> Self {
-        ScheduledWork { interval: None, active: false, fresh: false, work: None, timers: None }
+        ScheduledWork {
+            interval: None,
+            is_precise: false,
+            active: false,
+            fresh: false,
+            work: None,
+            timers: None,
+        }
     }
 }
 
@@ -125,9 +135,9 @@ fn missed_between(due: Instant, every: Duration, next: Instant) -> u32 {
 }
 
 impl<C: Component> ScheduledWork<C> {
-    /// For an incarnation that begins, with rounds at this interval.
-    pub(crate) fn begin(&mut self, interval: Option<Duration>) {
-        *self = ScheduledWork { interval, ..ScheduledWork::default() };
+    /// For an incarnation that begins, with rounds at this interval, perhaps on a thread of its own.
+    pub(crate) fn begin(&mut self, interval: Option<Duration>, is_precise: bool) {
+        *self = ScheduledWork { interval, is_precise, ..ScheduledWork::default() };
     }
 
     #[inline]
@@ -148,7 +158,7 @@ impl<C: Component> ScheduledWork<C> {
         self.active = active;
         if let Some(work) = &mut self.work {
             work.last_round = None;
-            work.due.retain(|work| *work != DueWork::Execute);
+            work.due.retain(|work| !matches!(work, DueWork::Execute(_)));
         }
         self.plan_round();
     }
@@ -174,7 +184,7 @@ impl<C: Component> ScheduledWork<C> {
             let now = platform::now();
             let work = self.planned();
             let at = work.last_round.map_or(now, |last| (last + interval).max(now));
-            work.round = Some(work.enter(at, DueWork::Execute));
+            work.round = Some(work.enter(at, DueWork::Execute(at)));
         }
         self.tidy();
     }
@@ -182,7 +192,8 @@ impl<C: Component> ScheduledWork<C> {
     /// To have something entered.
     fn planned(&mut self) -> &mut Work {
         self.fresh = true;
-        self.work.get_or_insert_default()
+        let is_precise = self.is_precise;
+        self.work.get_or_insert_with(|| Box::new(Work { is_precise, ..Work::default() }))
     }
 
     /// Gives back what is not needed while nothing is planned.
@@ -361,15 +372,9 @@ impl Work {
         cx: &mut Context<'_>,
     ) {
         while let Some((&(earliest, _), _)) = self.schedule.first_key_value() {
-            let until = platform::timer_at(earliest);
-            let (set_for, alarm) = self
-                .alarm
-                .get_or_insert_with(|| (earliest, Box::pin(tokio::time::sleep_until(until))));
-            if *set_for != earliest {
-                *set_for = earliest;
-                alarm.as_mut().reset(until);
-            }
-            if alarm.as_mut().poll(cx).is_pending() {
+            let is_precise = self.is_precise;
+            let alarm = self.alarm.get_or_insert_with(|| ScheduleAlarm::new(is_precise));
+            if alarm.poll_until(earliest, cx).is_pending() {
                 return;
             }
             let now = platform::now().max(earliest);
@@ -388,11 +393,11 @@ impl Work {
         timers: Option<&TimerTable<C>>,
     ) {
         match work {
-            DueWork::Execute => {
+            DueWork::Execute(_) => {
                 self.last_round = Some(at);
                 let next = interval.map(|interval| next_tick(at, interval, now));
-                self.round = next.map(|next| self.enter(next, DueWork::Execute));
-                if self.due.contains(&work) {
+                self.round = next.map(|next| self.enter(next, DueWork::Execute(next)));
+                if self.due.iter().any(|due| matches!(due, DueWork::Execute(_))) {
                     return;
                 }
             }

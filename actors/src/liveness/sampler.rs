@@ -16,7 +16,7 @@ use blastema_core::detection::hang::{
     ActivityMark, ArbiterSample, ArbiterStatus, ComponentSample, HangDetector, HangDetectorConfig,
     HangLimits, JudgedComponent, LivenessEvent, Looked, QueueReading, SlotId, SlotTable,
 };
-use blastema_core::detection::{CurrentHandler, MonitorRow, QueueSample};
+use blastema_core::detection::{CurrentHandler, MonitorRow, QueueSample, RoundLateness};
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultLocation, Incarnation, Instant, Machine, NodeName, ObjectName};
 use std::sync::atomic::AtomicBool;
@@ -44,6 +44,8 @@ pub(crate) trait AliveSource: Send + Sync {
     fn queue(&self) -> QueueReading;
     /// Whether what waits is kept from it, since it is isolated.
     fn is_held(&self) -> bool;
+    /// How late its rounds begin.
+    fn round_lateness(&self) -> Option<RoundLateness>;
     /// Tells of its incarnations that have ended, where its host has not come to that yet.
     fn tell_exits(&self);
 }
@@ -53,6 +55,7 @@ struct ObjectSample {
     incarnation: Incarnation,
     queue: QueueReading,
     missed_rounds: u64,
+    round_lateness: Option<RoundLateness>,
     /// The contract or hook in service, and since when, at least.
     current: Option<CurrentHandler>,
     /// How long ago it gave a sign of life, if it did.
@@ -184,6 +187,7 @@ impl SampledComponents {
                 incarnation: inside.incarnation(),
                 queue: inside.queue(),
                 missed_rounds: missed.get(slot).copied().unwrap_or_default(),
+                round_lateness: inside.round_lateness(),
                 current,
                 last_sign,
             };
@@ -227,6 +231,7 @@ impl SampledComponents {
             let QueueReading { queued, oldest } = sample.queue;
             if row.incarnation == sample.incarnation {
                 row.missed_rounds = sample.missed_rounds;
+                row.round_lateness = sample.round_lateness;
                 row.queue = Some(QueueSample { queued, oldest, age: Duration::ZERO });
                 row.current = sample.current;
                 // The monitor knows of reports, and the watch of everything else.

@@ -168,7 +168,10 @@ impl<C: Component> ComponentExecutor<C> {
         let (arbiter, token) = (self.arbiter.clone(), self.state.token.clone());
         let placement = CurrentPlacement { arbiter, slot: self.activity_slot(), token };
         let is_newest = record.enter(self.state.incarnation, placement);
-        self.schedule.begin(record.limits.interval);
+        if let Some(lateness) = record.cold_if_used().and_then(|cold| cold.lateness.get()) {
+            lateness.clear();
+        }
+        self.schedule.begin(record.limits.interval, self.arbiter.is_own_thread());
         self.slot.activity.run_every(record.limits.interval);
         self.began = Some(platform::now());
         // An incarnation that was abandoned before its placement was known was not notified.
@@ -522,7 +525,8 @@ impl<C: Component> ComponentExecutor<C> {
 
     fn do_work(&mut self, work: DueWork, cx: &mut task::Context<'_>) -> Progress {
         match work {
-            DueWork::Execute => {
+            DueWork::Execute(due) => {
+                self.cell.record.begin_round(platform::now() - due);
                 self.begin_hook(Hook::Execute);
                 self.advance(cx)
             }
