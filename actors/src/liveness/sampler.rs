@@ -85,7 +85,6 @@ impl SampledComponent {
             incarnation: Incarnation(reading.incarnation),
             speaks: reading.speaks,
             allowance: reading.allowance,
-            rounds: reading.rounds,
             interval: reading.interval,
             ticks: reading.ticks,
             missed_ticks: reading.missed_ticks,
@@ -110,8 +109,6 @@ struct Entries {
     /// When components that give signs of life by themselves were last seen to have given one, by
     /// slot.
     signs: Mutex<Vec<(u32, Option<Instant>)>>,
-    /// How many rounds each slot's present incarnation has missed, where any.
-    missed: Mutex<SortedMap<u32, u64>>,
     /// What the last look found of the arbiters.
     arbiters: Mutex<SortedMap<u64, ArbiterStatus>>,
 }
@@ -167,7 +164,6 @@ impl SampledComponents {
         let now = platform::now();
         let busy = self.0.busy.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let signs = self.0.signs.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let missed = self.0.missed.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let sample = |(slot, watched): (&u32, &Arc<SampledComponent>)| {
             let reading = watched.activity.read();
             let since = busy.binary_search_by_key(slot, |entry| entry.0).ok().map(|at| busy[at]);
@@ -186,7 +182,7 @@ impl SampledComponents {
             let sample = ObjectSample {
                 incarnation: inside.incarnation(),
                 queue: inside.queue(),
-                missed_rounds: missed.get(slot).copied().unwrap_or_default(),
+                missed_rounds: reading.missed_ticks,
                 round_lateness: inside.round_lateness(),
                 current,
                 last_sign,
@@ -432,8 +428,6 @@ impl Sampler {
             });
             times.for_each(|(id, time)| self.scanner.handle_processor_time(id, time));
             self.scanner.handle_activities(&self.activities);
-            let missed = self.scanner.missed_rounds().collect();
-            *self.list.0.missed.lock().unwrap_or_else(PoisonError::into_inner) = missed;
             let busy = self.scanner.busy().collect();
             *self.list.0.busy.lock().unwrap_or_else(PoisonError::into_inner) = busy;
             let signs = self.scanner.last_signs().collect();

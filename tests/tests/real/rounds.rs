@@ -6,8 +6,8 @@ use blastema::core::detection::FaultEntry;
 use blastema::prelude::*;
 use blastema::{Incarnation, NodeBuilder};
 use blastema_testkit::TestNode;
-use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::SeqCst;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -15,34 +15,53 @@ const MS: Duration = Duration::from_millis(1);
 /// As long as anything here may take on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
 
-/// What a loop does in its round of this number, counted over all its incarnations.
-type Act = fn(u64);
+/// What a loop does in its round of this number, counted over all its incarnations from 1 on.
+type Act = fn(u64) -> Then;
 
-/// When the latest rounds of a loop began, and how many have.
+/// What it does after that.
+enum Then {
+    Return,
+    Await(Duration),
+    /// This was its last round.
+    End,
+}
+
+/// When rounds of a loop began, and how many have.
 #[derive(Default)]
 struct LoopRecord {
     rounds: AtomicU64,
     first: Mutex<Option<Instant>>,
     latest: Mutex<[Option<Instant>; 10]>,
-    /// Ten rounds in a row began within three milliseconds.
-    is_fine: AtomicU64,
+    /// How often ten rounds in a row began within three milliseconds.
+    fine: AtomicU64,
+    /// It has no rounds any more.
+    is_over: AtomicBool,
 }
 
 struct Loop(Arc<LoopRecord>, Act);
 
 impl Component for Loop {
-    async fn on_execute(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+    async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
         let (record, now) = (&self.0, Instant::now());
+        if record.is_over.load(SeqCst) {
+            return Ok(());
+        }
         record.first.lock().unwrap().get_or_insert(now);
         {
             let mut latest = record.latest.lock().unwrap();
             latest.rotate_left(1);
             latest[9] = Some(now);
-            if latest[0].is_some_and(|first| now - first < 3 * MS) {
-                record.is_fine.fetch_add(1, SeqCst);
+            let is_fine = latest[0].is_some_and(|first| now - first < 3 * MS);
+            record.fine.fetch_add(is_fine.into(), SeqCst);
+        }
+        match (self.1)(record.rounds.fetch_add(1, SeqCst) + 1) {
+            Then::Return => {}
+            Then::Await(span) => tokio::time::sleep(span).await,
+            Then::End => {
+                record.is_over.store(true, SeqCst);
+                cx.set_interval(None);
             }
         }
-        (self.1)(record.rounds.fetch_add(1, SeqCst) + 1);
         Ok(())
     }
 }
@@ -71,10 +90,10 @@ fn rounds_come_closer_than_the_timers_of_the_runtime_are() {
     let _turn = blastema_doubles::turn();
     blastema::run(async {
         let record = Arc::<LoopRecord>::default();
-        let node = start(motors(&record, 10_000.0, |_| ())).await;
+        let node = start(motors(&record, 10_000.0, |_| Then::Return)).await;
 
         // The timers of the runtime are a millisecond apart.
-        until("ten rounds within 3 ms", async || record.is_fine.load(SeqCst) > 0).await;
+        until("ten rounds within 3 ms", async || record.fine.load(SeqCst) > 0).await;
 
         node.shutdown().await;
     });
@@ -85,7 +104,7 @@ fn a_loop_that_had_its_processor_is_not_blamed() {
     let _turn = blastema_doubles::turn();
     blastema::run(async {
         let record = Arc::<LoopRecord>::default();
-        let node = start(motors(&record, 1000.0, |_| ()).max_block(LONG)).await;
+        let node = start(motors(&record, 1000.0, |_| Then::Return).max_block(LONG)).await;
 
         until("a thousand rounds", async || record.rounds.load(SeqCst) >= 1000).await;
 
@@ -99,33 +118,86 @@ fn a_loop_that_had_its_processor_is_not_blamed() {
     });
 }
 
+fn spin(span: Duration) {
+    let begun = Instant::now();
+    while begun.elapsed() < span {
+        std::hint::spin_loop();
+    }
+}
+
+/// The rounds of a loop that has ended, how many it missed, and how late they began at most. All of
+/// them are the periods between the first and the last, as far as the lateness of these two, and of
+/// the clock's reading in them, leaves that open.
+async fn add_up(
+    record: &LoopRecord,
+    node: &TestNode,
+    (period, reading): (Duration, Duration),
+) -> (u64, u64, Duration) {
+    until("its last round", async || record.is_over.load(SeqCst)).await;
+    let row = node.row("motors").await;
+    let late = row.round_lateness.expect("it has had rounds").max + reading;
+    let first = record.first.lock().unwrap().expect("it has begun");
+    let span = record.latest.lock().unwrap()[9].expect("it has begun") - first;
+    let (rounds, missed) = (record.rounds.load(SeqCst), row.missed_rounds);
+    let periods = u32::try_from(rounds - 1 + missed).expect("a few");
+    assert!(
+        period * periods <= span + late && period * periods + late >= span,
+        "{rounds} rounds and {missed} that were missed, up to {late:?} late, in {span:?}"
+    );
+    (rounds, missed, late)
+}
+
 #[test]
-fn rounds_that_overrun_miss_others_and_all_are_no_more_than_the_periods_that_have_passed() {
+fn rounds_and_those_that_overruns_miss_are_exactly_the_periods_that_have_passed() {
+    const PERIOD: Duration = Duration::from_millis(50);
     let _turn = blastema_doubles::turn();
     blastema::run(async {
-        let record = Arc::<LoopRecord>::default();
-        let overrun: Act = |round| {
-            if round % 10 == 0 {
-                let begun = Instant::now();
-                while begun.elapsed() < 5 * MS {
-                    std::hint::spin_loop();
-                }
+        let act: Act = |round| match round % 8 {
+            // It keeps its thread, or awaits something, until the second period after its own.
+            2 => {
+                spin(PERIOD * 11 / 5);
+                Then::Return
             }
+            6 => Then::Await(PERIOD * 11 / 5),
+            0 if round == 16 => Then::End,
+            _ => Then::Return,
         };
-        let node = start(motors(&record, 1000.0, overrun).max_missed_rounds(100)).await;
+        let begun = Instant::now();
+        loop {
+            let record = Arc::<LoopRecord>::default();
+            let node = start(motors(&record, 20.0, act).max_missed_rounds(100)).await;
+            let (rounds, missed, late) = add_up(&record, &node, (PERIOD, Duration::ZERO)).await;
+            node.shutdown().await;
+            assert!(rounds == 16 && missed >= 4, "{missed}");
+            // There was one number of periods only, unless the computer was busy.
+            if 2 * late < PERIOD {
+                return;
+            }
+            assert!(begun.elapsed() < LONG, "each time it was late by half a period, {late:?}");
+        }
+    });
+}
 
-        until("some rounds", async || record.rounds.load(SeqCst) >= 200).await;
+#[test]
+fn rounds_that_get_no_processor_are_missed_and_counted() {
+    const PERIOD: Duration = Duration::from_micros(100);
+    let _turn = blastema_doubles::turn();
+    let is_over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| while !is_over.load(SeqCst) {});
+        }
+        blastema::run(async {
+            let act: Act = |round| if round == 20_000 { Then::End } else { Then::Return };
+            let record = Arc::<LoopRecord>::default();
+            let node = start(motors(&record, 10_000.0, act).max_missed_rounds(100)).await;
 
-        until("fifty are missed", async || {
-            let missed = node.row("motors").await.missed_rounds;
-            let rounds = record.rounds.load(SeqCst);
-            let first = record.first.lock().unwrap().expect("it has begun");
-            let periods = u64::try_from(first.elapsed().as_millis()).unwrap();
-            // On a busy computer the sum may stay behind the periods.
-            missed >= 50 && rounds + missed <= periods + 200
-        })
-        .await;
-        node.shutdown().await;
+            let (_, missed, _) = add_up(&record, &node, (PERIOD, 20 * MS)).await;
+
+            assert!(missed > 0);
+            node.shutdown().await;
+        });
+        is_over.store(true, SeqCst);
     });
 }
 
@@ -134,7 +206,10 @@ fn a_loop_is_restarted_and_its_rounds_come_again() {
     let _turn = blastema_doubles::turn();
     blastema::run(async {
         let record = Arc::<LoopRecord>::default();
-        let panics: Act = |round| assert_ne!(round, 100, "the motors tripped");
+        let panics: Act = |round| {
+            assert_ne!(round, 100, "the motors tripped");
+            Then::Return
+        };
         let mut node = start(motors(&record, 1000.0, panics)).await;
 
         node.await_fault(FaultKind::Panic, "motors").await;
@@ -154,6 +229,7 @@ fn a_round_that_hangs_is_found_and_the_loop_goes_on_elsewhere() {
             while round == 100 {
                 std::thread::park();
             }
+            Then::Return
         };
         let mut node = start(motors(&record, 1000.0, hangs).max_block(100 * MS)).await;
 

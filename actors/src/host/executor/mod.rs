@@ -294,6 +294,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.slot.activity.poll_tasks(true);
         let polled = catch_unwind(AssertUnwindSafe(|| self.schedule.poll(cx)));
         self.slot.activity.poll_tasks(false);
+        self.slot.activity.miss(self.schedule.take_missed());
         if let Err(payload) = polled {
             self.died(payload, TASK);
         }
@@ -526,6 +527,7 @@ impl<C: Component> ComponentExecutor<C> {
     fn do_work(&mut self, work: DueWork, cx: &mut task::Context<'_>) -> Progress {
         match work {
             DueWork::Execute(due) => {
+                self.slot.activity.tick();
                 self.cell.record.begin_round(platform::now() - due);
                 self.begin_hook(Hook::Execute);
                 self.advance(cx)
@@ -534,7 +536,8 @@ impl<C: Component> ComponentExecutor<C> {
                 if let (Some(component), Some((mut action, missed))) =
                     (&self.component, self.schedule.lift(id))
                 {
-                    self.slot.activity.tick(missed);
+                    self.slot.activity.tick();
+                    self.slot.activity.miss(missed.into());
                     self.slot.activity.begin(TIMER.number());
                     {
                         let mut contents = component.contents.borrow_mut();

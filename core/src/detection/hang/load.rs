@@ -195,8 +195,9 @@ impl HangDetector {
     }
 
     fn blame_component(&mut self, slot: SlotId, late: &[Late], looked: &impl Looked, now: Instant) {
+        let at = (now, self.missed());
         let Some(root) = self.components.get_mut(slot) else { return };
-        let root = root.wake(looked.activity(slot), now);
+        let root = root.wake(looked.activity(slot), at);
         let Some(reading) = root.reading else { return };
         if root.stuck {
             root.flow(reading, &mut self.outputs);
