@@ -18,7 +18,7 @@ pub(crate) mod replace_file;
 pub(crate) mod scheduling;
 pub(crate) mod signals;
 pub(crate) mod systemd;
-#[cfg(feature = "journal")]
+#[cfg_attr(not(feature = "journal"), allow(unreachable_pub, reason = "the journal's times"))]
 pub(crate) mod wall_time;
 pub(crate) mod watchdog_device;
 
@@ -173,7 +173,6 @@ pub(crate) fn keep_freed_memory() {
 }
 
 /// The time on the wall clock.
-#[cfg(feature = "journal")]
 pub(crate) fn wall_clock() -> wall_time::WallTime {
     let micros = match SystemTime::now().duration_since(SystemTime::UNIX_EPOCH) {
         Ok(since) => i64::try_from(since.as_micros()).unwrap_or(i64::MAX),
@@ -266,6 +265,11 @@ pub(crate) fn files_left() -> Option<usize> {
     let most = rustix::process::getrlimit(rustix::process::Resource::Nofile).current?;
     let open = std::fs::read_dir("/proc/self/fd").ok()?.count();
     Some(usize::try_from(most).unwrap_or(usize::MAX).saturating_sub(open))
+}
+
+/// Writes to standard error what has happened to a node, and when.
+pub(crate) fn tell_of_node(text: &str) {
+    tell_person(&format!("{} blastema: {text}", wall_clock()));
 }
 
 /// Writes to standard error what a user must know without reading the log.

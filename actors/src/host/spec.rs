@@ -96,9 +96,12 @@ impl<C: Component> ChildSpec<C> {
     /// thread that it shares, and up to 10,000 times on [a thread of its own](Self::on_own_thread),
     /// whose timer is the kernel's. More is refused at start.
     ///
-    /// Rounds are due at the start and then after each period. A round that takes longer than a
-    /// period misses the rounds that were due meanwhile. Outside of Linux rounds are timed to the
-    /// millisecond on every thread, and there, as in virtual time, no rate is refused up to 100,000.
+    /// Rounds are due at the start and then after each period. Of those that fall due while a round
+    /// takes longer than a period, the latest is run, and the others are missed and counted.
+    ///
+    /// Outside of Linux, and where the node [has no thread](crate::NodeBuilder::components_on_this_thread)
+    /// for the component, rounds are timed to the millisecond. Outside of Linux, and in virtual time,
+    /// no rate is refused up to 100,000.
     pub fn rate_hz(mut self, rate_hz: f64) -> Self {
         self.rate_hz = Some(rate_hz);
         self

@@ -348,7 +348,8 @@ impl NodeAssembly {
                     (Some(file), text)
                 }
             };
-            let taken = text.and_then(|text| self.environment.configured().take(&text));
+            let configured = self.environment.configured();
+            let taken = text.and_then(|text| configured.take(&text, file.as_deref()));
             taken.map_err(|reason| StartError::Parameters { file, reason })?;
         }
         Ok(())

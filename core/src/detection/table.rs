@@ -42,8 +42,8 @@ pub struct MonitorRow {
     pub suspicions: u32,
     /// Its queue.
     pub queue: Option<QueueSample>,
-    /// Rounds that it has missed in this incarnation: a round was due, and the one before had not
-    /// ended, or another component kept the thread.
+    /// Rounds that it has missed in this incarnation: the next one was due, and it had not begun.
+    /// Each that was due is run or missed. Ticks of its timers are counted likewise.
     pub missed_rounds: u64,
     /// How late its rounds have begun in this incarnation; `None` before the first.
     pub round_lateness: Option<RoundLateness>,
@@ -130,9 +130,9 @@ pub struct QueueSample {
 /// not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RoundLateness {
-    /// Half of them were no later; up to twice the true value.
+    /// Half of them were no later; up to a quarter above the true value.
     pub p50: Duration,
-    /// 99 of 100 were no later; up to twice the true value.
+    /// 99 of 100 were no later; up to a quarter above the true value.
     pub p99: Duration,
     /// The latest of them.
     pub max: Duration,
