@@ -159,8 +159,8 @@ async fn add_up(
 
 #[test]
 fn rounds_and_those_that_overruns_miss_are_exactly_the_periods_that_have_passed() {
-    const PERIOD: Duration = Duration::from_millis(50);
     let _turn = blastema_doubles::turn();
+    const PERIOD: Duration = Duration::from_millis(50);
     blastema::run(async {
         let act: Act = |_, round| match round % 8 {
             // It keeps its thread, or awaits something, until the second period after its own.
@@ -190,8 +190,8 @@ fn rounds_and_those_that_overruns_miss_are_exactly_the_periods_that_have_passed(
 
 #[test]
 fn rounds_that_get_no_processor_are_missed_and_counted() {
-    const PERIOD: Duration = Duration::from_micros(100);
     let _turn = blastema_doubles::turn();
+    const PERIOD: Duration = Duration::from_micros(100);
     let (begun, is_over) = (Instant::now(), AtomicBool::new(false));
     let is_busy = || !is_over.load(SeqCst) && begun.elapsed() < 2 * LONG;
     std::thread::scope(|scope| {
@@ -279,8 +279,8 @@ impl Component for ScheduledLoop {
 
 #[test]
 fn a_thread_has_its_priority_and_processor_or_the_start_is_refused_with_what_to_do() {
-    const SCHED_FIFO: u32 = 1;
     let _turn = blastema_doubles::turn();
+    const SCHED_FIFO: u32 = 1;
     blastema::run(async {
         let seen = Arc::new(Mutex::new(None));
         let (kept, [cpu, ..]) = (seen.clone(), scheduling());
