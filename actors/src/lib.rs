@@ -297,7 +297,7 @@ pub mod detection {
     pub use blastema_core::detection::{
         CheckFailed, CurrentHandler, FaultEntry, FaultRecord, FaultStatus, FaultTransition,
         Freshness, Invariant, Liveness, MonitorRow, ObjectKind, Opinion, Pull, Push, QueueSample,
-        Range, Rate, RegistrationError,
+        Range, Rate, RegistrationError, RoundLateness,
     };
 }
 

@@ -17,6 +17,7 @@ use blastema_core::contract::codec;
 use blastema_core::parameters::{ParameterError, ParameterValue, Parameters};
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{DeliveryError, ObjectName, suggestion};
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use toml::{Table, Value};
 
@@ -36,13 +37,23 @@ pub(crate) struct Configured(Arc<Mutex<Inner>>);
 #[derive(Default)]
 struct Inner {
     given: SortedMap<String, ParameterValues>,
+    /// The file that each value stands in, by component and key, where it is from one.
+    files: SortedMap<(String, String), PathBuf>,
     /// Components that have parameters.
     takers: SortedSet<String>,
 }
 
+impl Inner {
+    fn refuse(&self, component: &ObjectName, error: ParameterError) -> SpecError {
+        let file = self.files.get(&(component.to_string(), error.key().to_owned())).cloned();
+        SpecError::Parameters { name: component.clone(), file, error }
+    }
+}
+
 impl Configured {
-    /// Takes the values of a configuration in TOML: one table for each component.
-    pub(crate) fn take(&self, text: &str) -> Result<(), String> {
+    /// Takes the values of a configuration in TOML, perhaps of this file: one table for each
+    /// component.
+    pub(crate) fn take(&self, text: &str, file: Option<&Path>) -> Result<(), String> {
         let document: Table = text.parse().map_err(|error| format!("{error}"))?;
         let mut inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         for (component, table) in document {
@@ -58,8 +69,15 @@ impl Configured {
                     Err(format!("{component}: `{key}` is {what}, which no parameter takes"))
                 }
             });
-            let values: Result<ParameterValues, String> = values.collect();
-            inner.given.entry(component).or_default().extend(values?);
+            let values = values.collect::<Result<ParameterValues, String>>()?;
+            for key in values.keys() {
+                let at = (component.clone(), key.clone());
+                match file {
+                    Some(file) => inner.files.insert(at, file.to_owned()),
+                    None => inner.files.remove(&at),
+                };
+            }
+            inner.given.entry(component).or_default().extend(values);
         }
         Ok(())
     }
@@ -92,16 +110,16 @@ impl Configured {
             Some(ParametersType { refused, .. }) => refused(given),
             None => given.keys().map(unknown).collect(),
         };
-        let refused = |error| SpecError::Parameters { name: component.clone(), error };
-        errors.into_iter().map(refused).collect()
+        errors.into_iter().map(|error| inner.refuse(component, error)).collect()
     }
 
     /// The parameters of this component, which has some.
-    fn parameters<P: Parameters>(&self, component: &ObjectName) -> Result<P, ParameterError> {
+    fn parameters<P: Parameters>(&self, component: &ObjectName) -> Result<P, SpecError> {
         let mut inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         inner.takers.insert(component.to_string());
         let given = inner.given.get(component.as_str()).into_iter().flatten();
-        P::from_values(given.map(|(key, value)| (key.as_str(), value)))
+        let parameters = P::from_values(given.map(|(key, value)| (key.as_str(), value)));
+        parameters.map_err(|error| inner.refuse(component, error))
     }
 
     /// A component of this name is added later, and may take values.
@@ -142,7 +160,7 @@ fn read(value: Value) -> Result<ParameterValue, &'static str> {
 fn declare<C: Handle<P>, P: Parameters>(
     cell: &Arc<ComponentCell<C>>,
     configured: &Configured,
-) -> Result<DeclaredVariable, ParameterError> {
+) -> Result<DeclaredVariable, SpecError> {
     let parameters = configured.parameters::<P>(&cell.record.name)?;
     let check = |parameters: &P| parameters.check().map_err(|error| error.to_string());
     let (owner, telling) = (Arc::downgrade(cell), Mutex::new(()));
@@ -209,9 +227,7 @@ impl<C: Component> Ports<C> {
         C: Handle<P>,
     {
         let declare = |cell: &Arc<ComponentCell<C>>| {
-            let declared = declare::<C, P>(cell, cell.record.environment.configured());
-            let name = cell.record.name.clone();
-            declared.map_err(|error| SpecError::Parameters { name, error })
+            declare::<C, P>(cell, cell.record.environment.configured())
         };
         self.parameters = Some(ParametersType { describe: P::describe, refused: refused_by::<P> });
         self.feature::<VariablePorts<C>>().declare_parameters(P::NAME, Box::new(declare));

@@ -1,6 +1,7 @@
 //! Access to the operating system: the only file that reads a clock, starts threads and knows
 //! processes.
 
+pub(crate) mod alarm;
 pub(crate) mod errors;
 pub(crate) mod file_lock;
 #[cfg(feature = "network")]
@@ -14,9 +15,10 @@ pub(crate) mod panics;
 pub(crate) mod processes;
 pub(crate) mod processor_time;
 pub(crate) mod replace_file;
+pub(crate) mod scheduling;
 pub(crate) mod signals;
 pub(crate) mod systemd;
-#[cfg(feature = "journal")]
+#[cfg_attr(not(feature = "journal"), allow(unreachable_pub, reason = "the journal's times"))]
 pub(crate) mod wall_time;
 pub(crate) mod watchdog_device;
 
@@ -27,6 +29,7 @@ pub use processes::finish_output;
 pub use signals::{Termination, Terminations};
 
 use blastema_core::{Incarnation, Instant};
+use scheduling::ThreadScheduling;
 use std::hash::{BuildHasher, RandomState};
 use std::io::Write;
 use std::sync::OnceLock;
@@ -61,13 +64,21 @@ struct Origin {
 fn origin() -> &'static Origin {
     static ORIGIN: OnceLock<Origin> = OnceLock::new();
     ORIGIN.get_or_init(|| {
-        let monotonic = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
-        let nanos = monotonic.tv_sec * 1_000_000_000 + monotonic.tv_nsec;
-        Origin {
+        let monotonic = || nanos_of(rustix::time::ClockId::Monotonic);
+        // The thread may lose its processor between two readings: the closest of a few count, since
+        // timers of the kernel go by one clock and those of the runtime by the other.
+        let readings = (0..8).map(|_| {
+            let before = monotonic();
             // Not the runtime's own reading: a test that has paused and advanced its clock may be
             // the first to ask, and others of the process must not depend on how far it had come.
-            runtime: std::time::Instant::now().into(),
-            monotonic_nanos: u64::try_from(nanos).unwrap_or_default(),
+            let runtime = std::time::Instant::now().into();
+            (monotonic() - before, before, runtime)
+        });
+        let closest = readings.min_by_key(|(apart, ..)| *apart);
+        let (_, monotonic_nanos, runtime) = closest.expect("there are eight readings");
+        Origin {
+            runtime,
+            monotonic_nanos,
             wall_micros: SystemTime::now()
                 .duration_since(SystemTime::UNIX_EPOCH)
                 .map_or(0, |since| u64::try_from(since.as_micros()).unwrap_or(u64::MAX)),
@@ -101,8 +112,13 @@ pub fn stamp_us() -> u64 {
 /// ms.
 #[inline]
 pub(crate) fn tick() -> u64 {
-    let coarse = rustix::time::clock_gettime(rustix::time::ClockId::MonotonicCoarse);
-    (coarse.tv_sec * 1_000_000_000 + coarse.tv_nsec).cast_unsigned()
+    nanos_of(rustix::time::ClockId::MonotonicCoarse)
+}
+
+#[inline]
+fn nanos_of(clock: rustix::time::ClockId) -> u64 {
+    let time = rustix::time::clock_gettime(clock);
+    (time.tv_sec * 1_000_000_000 + time.tv_nsec).cast_unsigned()
 }
 
 /// Whether a test has paused this thread's clock. Takes a microsecond.
@@ -157,7 +173,6 @@ pub(crate) fn keep_freed_memory() {
 }
 
 /// The time on the wall clock.
-#[cfg(feature = "journal")]
 pub(crate) fn wall_clock() -> wall_time::WallTime {
     let micros = match SystemTime::now().duration_since(SystemTime::UNIX_EPOCH) {
         Ok(since) => i64::try_from(since.as_micros()).unwrap_or(i64::MAX),
@@ -220,7 +235,18 @@ pub(crate) fn start_thread(
 /// # Errors
 /// The operating system has no thread left, or no files for its event loop.
 pub(crate) fn own_arbiter() -> io::Result<actix_rt::ArbiterHandle> {
-    let arbiter = actix_rt::Arbiter::try_with_tokio_rt(|| {
+    scheduled_arbiter(ThreadScheduling::default())
+}
+
+/// The same, on a thread that is scheduled so.
+///
+/// # Errors
+/// As above, or the operating system forbids such a thread.
+pub(crate) fn scheduled_arbiter(
+    scheduling: ThreadScheduling,
+) -> io::Result<actix_rt::ArbiterHandle> {
+    let arbiter = actix_rt::Arbiter::try_with_tokio_rt(move || {
+        scheduling.apply().map_err(io::Error::other)?;
         tokio::runtime::Builder::new_current_thread().enable_all().build()
     });
     match arbiter {
@@ -239,6 +265,11 @@ pub(crate) fn files_left() -> Option<usize> {
     let most = rustix::process::getrlimit(rustix::process::Resource::Nofile).current?;
     let open = std::fs::read_dir("/proc/self/fd").ok()?.count();
     Some(usize::try_from(most).unwrap_or(usize::MAX).saturating_sub(open))
+}
+
+/// Writes to standard error what has happened to a node, and when.
+pub(crate) fn tell_of_node(text: &str) {
+    tell_person(&format!("{} blastema: {text}", wall_clock()));
 }
 
 /// Writes to standard error what a user must know without reading the log.

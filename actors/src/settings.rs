@@ -108,13 +108,43 @@ pub(crate) const QUEUE: Setting<usize> = Setting {
     cure: "a queue holds one message at least, and a million at most",
 };
 
-/// Rounds a second. Faster, an arbiter serves nothing else.
+/// Rounds a second, in virtual time and where the system has no exact timers. Faster, an arbiter
+/// serves nothing else.
 pub(crate) const RATE_HZ: Setting<f64, ()> = Setting {
     name: "rate_hz",
     default: (),
     range: f64::MIN_POSITIVE..=100_000.0,
     cure: "write a rate above 0 and up to 100000",
 };
+
+/// The same on a thread that components share. Its timers count whole milliseconds: of a period of
+/// two, a round starts late by half at most.
+pub(crate) const SHARED_RATE_HZ: Setting<f64, ()> = Setting {
+    range: f64::MIN_POSITIVE..=500.0,
+    cure: "a shared thread keeps rates above 0 and up to 500 Hz: give the component a thread of its \
+           own (`on_own_thread`, in a robot file `thread=\"own\"`), which keeps up to 10000 Hz",
+    ..RATE_HZ
+};
+
+/// The same on a thread of the component's own. Each round costs a few system calls: faster, they
+/// take most of the thread.
+pub(crate) const OWN_RATE_HZ: Setting<f64, ()> = Setting {
+    range: f64::MIN_POSITIVE..=10_000.0,
+    cure: "a thread of its own keeps rates above 0 and up to 10000 Hz",
+    ..RATE_HZ
+};
+
+/// The priorities of `SCHED_FIFO` (sched(7)).
+pub(crate) const PRIORITY: Setting<u8, ()> = Setting {
+    name: "priority",
+    default: (),
+    range: 1..=99,
+    cure: "write 1 to 99, of which 99 is served first",
+};
+
+/// As many processors as the kernel's sets of them have by default.
+pub(crate) const CPU: Setting<usize, ()> =
+    Setting { name: "cpu", default: (), range: 0..=1023, cure: "write 0 to 1023" };
 
 /// Fifty heartbeats: far beyond what a loaded machine adds, and short for a robot's standstill.
 /// The sampler looks once in a heartbeat: with less than one, a component at work at two looks

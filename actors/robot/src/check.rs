@@ -256,7 +256,7 @@ impl<'a> RobotChecker<'a> {
                 let sentence = format!("`{}` of {name} is {value}", part.attribute);
                 (code, (origin_of(&name), part), sentence, cure.to_owned())
             }
-            StartError::Spec(SpecError::Parameters { name, error }) => {
+            StartError::Spec(SpecError::Parameters { name, error, .. }) => {
                 let (key, name) = (error.key().to_owned(), name.to_string());
                 let help = self.parameter_help(node, &name, &error);
                 let (sentence, attribute) = match &error {

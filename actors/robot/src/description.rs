@@ -111,6 +111,8 @@ pub struct NodeDescription {
     /// Its absence is no fault for the other nodes. See
     /// [`NodeBuilder::may_be_away`](blastema::NodeBuilder::may_be_away).
     pub may_be_away: bool,
+    /// See [`NodeBuilder::locked_memory`](blastema::NodeBuilder::locked_memory).
+    pub locked_memory: bool,
     /// See [`NodeBuilder::grace`](blastema::NodeBuilder::grace).
     pub grace: Option<Duration>,
     /// See [`NodeBuilder::inspection_socket`](blastema::NodeBuilder::inspection_socket).
@@ -185,6 +187,10 @@ pub struct ComponentDescription {
     pub when_full: WhenFull,
     /// See [`ChildSpec::on_own_thread`](blastema::ChildSpec::on_own_thread).
     pub own_thread: bool,
+    /// See [`ChildSpec::priority`](blastema::ChildSpec::priority).
+    pub priority: Option<u8>,
+    /// See [`ChildSpec::cpu`](blastema::ChildSpec::cpu).
+    pub cpu: Option<usize>,
     /// See [`ChildSpec::depends_on`](blastema::ChildSpec::depends_on).
     pub depends_on: Vec<String>,
     /// See [`ChildSpec::essential`](blastema::ChildSpec::essential).

@@ -1,6 +1,8 @@
 //! The reader and the schema say the same.
 
-use crate::description::{ComponentDescription, RobotNetwork, SupervisorDescription};
+use crate::description::{
+    ComponentDescription, NodeDescription, RobotNetwork, SupervisorDescription,
+};
 use crate::reader::{AskedNames, EXCEEDED, RESTARTS, STRATEGIES, WHEN_FULL, read};
 use crate::value::word_of;
 use blastema::core::recovery::{Backoff, SupervisorRules, WhenExceeded};
@@ -102,6 +104,7 @@ fn the_schema_has_the_defaults_of_the_code() {
         ("child restart", word(&RESTARTS, component.restart)),
         ("component queue", Spec::QUEUE.to_string()),
         ("component when-full", word(&WHEN_FULL, component.when_full)),
+        ("node locked-memory", NodeDescription::default().locked_memory.to_string()),
         ("component thread", if component.own_thread { "own" } else { "shared" }.to_owned()),
         ("child essential", component.essential.to_string()),
         ("component max-block", span(Spec::MAX_BLOCK)),

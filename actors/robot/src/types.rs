@@ -308,6 +308,9 @@ impl Types {
     ) -> Result<NodeBuilder, String> {
         let mut builder = Node::builder(&node.name);
         builder = node.work_threads.into_iter().fold(builder, NodeBuilder::work_threads);
+        if node.locked_memory {
+            builder = builder.locked_memory();
+        }
         builder = node.grace.into_iter().fold(builder, NodeBuilder::grace);
         builder = node.shown_at.iter().fold(builder, NodeBuilder::inspection_socket);
         builder = node.keep_variables.iter().fold(builder, NodeBuilder::keep_variables);
@@ -541,6 +544,8 @@ fn configured<C: Component>(spec: ChildSpec<C>, component: &ComponentDescription
     if component.own_thread {
         spec = spec.on_own_thread();
     }
+    spec = component.priority.into_iter().fold(spec, ChildSpec::priority);
+    spec = component.cpu.into_iter().fold(spec, ChildSpec::cpu);
     if component.essential {
         spec = spec.essential();
     }

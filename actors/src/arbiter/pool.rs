@@ -10,6 +10,7 @@
 
 use super::heartbeat::ArbiterHeartbeat;
 use crate::platform;
+use crate::platform::scheduling::ThreadScheduling;
 use actix_rt::{Arbiter, ArbiterHandle, System};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{Instant, ObjectName};
@@ -89,6 +90,11 @@ impl ArbiterSlot {
     fn answers(&self, now: Instant) -> bool {
         let beats = self.heartbeat.last_beat().is_none_or(|at| now - at <= ANSWERS_WITHIN);
         (beats || self.heartbeat.running().is_none()) && self.handle.alive()
+    }
+
+    /// One component has it to itself.
+    pub(crate) fn is_own_thread(&self) -> bool {
+        self.own_thread
     }
 
     fn kind(&self) -> ThreadKind {
@@ -219,11 +225,16 @@ impl ArbiterPool {
         self.0.pool.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A place for a component.
+    /// A place for a component, on a thread of its own where it is told how that is scheduled.
     ///
     /// # Errors
-    /// It keeps too many threads, the operating system has none left, or the node has ended.
-    pub(crate) fn place(&self, object: &ObjectName, own_thread: bool) -> io::Result<ArbiterSlot> {
+    /// It keeps too many threads, the operating system has none left or forbids such a one, or the
+    /// node has ended.
+    pub(crate) fn place(
+        &self,
+        object: &ObjectName,
+        own_thread: Option<ThreadScheduling>,
+    ) -> io::Result<ArbiterSlot> {
         if self.0.shared == 0 {
             let heartbeat = ArbiterHeartbeat::enrol_here();
             return Ok(ArbiterSlot::new(Arbiter::current(), heartbeat, false));
@@ -232,13 +243,17 @@ impl ArbiterPool {
         self.place_in(&mut self.pool_of(), own_thread)
     }
 
-    fn place_in(&self, pool: &mut Pool, own_thread: bool) -> io::Result<ArbiterSlot> {
+    fn place_in(
+        &self,
+        pool: &mut Pool,
+        own_thread: Option<ThreadScheduling>,
+    ) -> io::Result<ArbiterSlot> {
         if pool.stopped {
             return Err(io::Error::other("the node has ended"));
         }
         pool.tidy();
-        if own_thread {
-            let slot = self.start(true)?;
+        if own_thread.is_some() {
+            let slot = self.start(own_thread)?;
             pool.own.push(slot.clone());
             return Ok(slot);
         }
@@ -247,7 +262,7 @@ impl ArbiterPool {
         let answering: Vec<&ArbiterSlot> = turning().filter(|slot| slot.answers(now)).collect();
         let wanted = self.0.shared + if answering.is_empty() { SPARE } else { 0 };
         if turning().count() < wanted {
-            let slot = self.start(false)?;
+            let slot = self.start(None)?;
             pool.slots.push(slot.clone());
             return Ok(slot);
         }
@@ -304,7 +319,7 @@ impl ArbiterPool {
                 pool.pending.push((slot, incarnation));
                 continue;
             }
-            match self.place_in(&mut pool, false) {
+            match self.place_in(&mut pool, None) {
                 Ok(other) => moved.extend(kept.take().map(|incarnation| (other, incarnation))),
                 Err(_) => pool.pending.push((slot, incarnation)),
             }
@@ -313,15 +328,15 @@ impl ArbiterPool {
         moved.into_iter().for_each(|(slot, incarnation)| self.start_on(slot, incarnation));
     }
 
-    fn start(&self, own_thread: bool) -> io::Result<ArbiterSlot> {
+    fn start(&self, own_thread: Option<ThreadScheduling>) -> io::Result<ArbiterSlot> {
         if let (None, Some(system)) = (System::try_current(), &self.0.system) {
             System::set_current(system.clone());
         }
-        let handle = platform::own_arbiter()?;
+        let handle = platform::scheduled_arbiter(own_thread.unwrap_or_default())?;
         let heartbeat = Arc::new(ArbiterHeartbeat::default());
         let adopted = heartbeat.clone();
         handle.spawn_fn(move || adopted.adopt());
-        Ok(ArbiterSlot::new(handle, heartbeat, own_thread))
+        Ok(ArbiterSlot::new(handle, heartbeat, own_thread.is_some()))
     }
 
     /// The culprit keeps this arbiter: nothing that is sent from it gets out any more.
@@ -425,8 +440,11 @@ mod tests {
         text.parse().unwrap()
     }
 
+    /// A thread of its own, scheduled as any other.
+    const OWN: Option<ThreadScheduling> = Some(ThreadScheduling { priority: None, cpu: None });
+
     fn place(arbiters: &ArbiterPool) -> ArbiterSlot {
-        arbiters.place(&name("arm"), false).expect("a thread")
+        arbiters.place(&name("arm"), None).expect("a thread")
     }
 
     /// Has a component keep a thread until the sender is dropped.
@@ -468,12 +486,12 @@ mod tests {
             let _turn = blastema_doubles::turn();
             System::new().block_on(async {
                 let arbiters = ArbiterPool::pool(1);
-                arbiters.place(&name("arm"), true).expect("a thread");
+                arbiters.place(&name("arm"), OWN).expect("a thread");
 
                 arbiters.stop();
 
-                assert!(arbiters.place(&name("arm"), true).is_err());
-                assert!(arbiters.place(&name("arm"), false).is_err());
+                assert!(arbiters.place(&name("arm"), OWN).is_err());
+                assert!(arbiters.place(&name("arm"), None).is_err());
             });
         }
 
@@ -548,15 +566,15 @@ mod tests {
                 let (arm, leg) = (name("arm"), name("leg"));
                 let mut holds = Vec::new();
                 for _ in 0..THREADS_OF_ONE {
-                    let slot = arbiters.place(&arm, true).expect("a thread");
+                    let slot = arbiters.place(&arm, OWN).expect("a thread");
                     holds.push(keep(&slot));
                     arbiters.fence(&slot, &arm);
                     assert_eq!(arbiters.abandoned(), 0, "it may come back");
                 }
 
-                let refused = arbiters.place(&arm, true).err().expect("it keeps its share");
+                let refused = arbiters.place(&arm, OWN).err().expect("it keeps its share");
                 assert!(refused.to_string().contains("arm keeps 4 threads"), "{refused}");
-                let slot = arbiters.place(&leg, true).expect("a thread for another");
+                let slot = arbiters.place(&leg, OWN).expect("a thread for another");
                 arbiters.fence(&slot, &leg);
                 let kept: Vec<_> =
                     arbiters.pool_of().own.iter().map(|s| s.heartbeat.clone()).collect();
@@ -569,7 +587,7 @@ mod tests {
                     kept.iter().filter_map(|kept| kept.slot.as_ref()).for_each(|s| s.return_late());
                     std::thread::yield_now();
                 }
-                arbiters.place(&arm, true).expect("its threads came back");
+                arbiters.place(&arm, OWN).expect("its threads came back");
                 arbiters.stop();
             });
         }

@@ -31,6 +31,7 @@ use crate::platform::panics::{self, PanicRecord};
 use crate::settings::FAULT_HOLD;
 use blastema_contract::child::RestartGrant;
 use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, FaultDeclared};
+use blastema_core::detection::RoundLateness;
 use blastema_core::detection::hang::QueueReading;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{
@@ -145,6 +146,11 @@ impl CellCore {
     #[inline]
     pub(crate) fn cold_if_used(&self) -> Option<&ColdState> {
         self.cold.get().map(|cold| &**cold)
+    }
+
+    /// A round begins so long after it was due.
+    pub(crate) fn begin_round(&self, late: Duration) {
+        self.cold().lateness.get_or_init(Box::default).add(late);
     }
 
     /// Whether a test keeps its signs of life back.
@@ -543,6 +549,10 @@ impl<C: Component> AliveSource for ComponentCell<C> {
 
     fn askers(&self) -> Vec<u32> {
         self.queue.select(|envelope| envelope.revocable()?.asker())
+    }
+
+    fn round_lateness(&self) -> Option<RoundLateness> {
+        self.record.cold_if_used()?.lateness.get()?.read()
     }
 
     fn tell_exits(&self) {

@@ -2,16 +2,19 @@
 
 use crate::component::declaration::CellListener;
 use crate::component::exits::UntoldExits;
+use crate::liveness::lateness::LatenessHistogram;
 use crate::messaging::injection::InjectionState;
 use blastema_core::delivery::quarantine::Quarantine;
 use blastema_core::{DeliveryError, Incarnation, MessageId};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// What few components come to use. A component has it once it has used any of it.
 #[derive(Default)]
 pub(crate) struct ColdState {
     pub(crate) injected: InjectionState,
     pub(crate) exits: UntoldExits,
+    /// There once the component has had a round.
+    pub(crate) lateness: OnceLock<Box<LatenessHistogram>>,
     quarantine: Mutex<Quarantine>,
     listeners: Mutex<Vec<Arc<dyn CellListener>>>,
     /// The fault for which the component is isolated.

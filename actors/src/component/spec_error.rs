@@ -5,6 +5,7 @@ use crate::settings::SettingError;
 use blastema_core::detection::dependencies::DependencyError;
 use blastema_core::parameters::ParameterError;
 use blastema_core::{DeliveryError, NameError, ObjectName};
+use std::path::PathBuf;
 
 /// Why a component cannot be added to a node.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -46,10 +47,12 @@ pub enum SpecError {
         why: DeliveryError,
     },
     /// Its parameters are given a value that they do not take.
-    #[error("parameters of {name}: {error}")]
+    #[error("parameters of {name}{}: {error}", in_file(.file.as_ref()))]
     Parameters {
         /// The component.
         name: ObjectName,
+        /// The file that the value stands in, where it is from one.
+        file: Option<PathBuf>,
         /// What is wrong.
         error: ParameterError,
     },
@@ -202,4 +205,8 @@ impl SpecError {
     pub(crate) fn setting(name: &str, SettingError { setting, value, cure }: SettingError) -> Self {
         SpecError::Setting { name: name.to_owned(), setting, value, cure }
     }
+}
+
+fn in_file(file: Option<&PathBuf>) -> String {
+    file.map(|file| format!(" in {}", file.display())).unwrap_or_default()
 }

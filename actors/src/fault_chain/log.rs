@@ -15,11 +15,11 @@
 //! is found again is not printed again, and attempts that fail alike, one after the other, are
 //! printed once.
 
+use crate::platform;
 use blastema_contract::detector::FaultEvent;
 use blastema_core::detection::FaultTransition;
 use blastema_core::{Fault, FaultLocation, NodeName, Severity};
 use std::borrow::Cow;
-use std::io::{self, Write};
 use tracing::{Level, event};
 
 /// The target of all events about faults.
@@ -47,8 +47,7 @@ impl FaultPrinter {
             return log(node, step);
         }
         if let Some(line) = self.news(node, step) {
-            // If standard error is gone too, there is no place left to say so.
-            let _ = writeln!(io::stderr(), "{line}");
+            platform::tell_of_node(line);
         }
     }
 
@@ -168,7 +167,7 @@ fn line(node: &NodeName, fault: &Fault, turn: &FaultTransition) -> String {
         }
         _ => format!("{kind} of {location}: {}", fault.detail),
     };
-    let line = format!("blastema: {severity} on node {node}: {text}");
+    let line = format!("{severity} on node {node}: {text}");
     // Texts come from other nodes, too, and a terminal would obey their control characters.
     line.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
@@ -250,6 +249,6 @@ mod tests {
     fn a_printed_fault_is_one_line_with_node_object_and_detail() {
         let node = NodeName::new("module1").unwrap();
         let line = line(&node, &fault(FaultKind::Panic, None), &FaultTransition::Found);
-        assert_eq!(line, "blastema: error on node module1: panic of module1:arm: boom at arm.rs:7");
+        assert_eq!(line, "error on node module1: panic of module1:arm: boom at arm.rs:7");
     }
 }

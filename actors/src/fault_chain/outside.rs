@@ -212,7 +212,7 @@ impl Watching {
         self.setup.stands.send_replace(true);
         // Before it is logged: the log may be what the chain waits for.
         (self.setup.last_resort)(reason.clone());
-        platform::tell_person(&format!("blastema: {reason}; the safe outputs are applied"));
+        platform::tell_of_node(&format!("{reason}; the safe outputs are applied"));
         error!(reason, "safe outputs applied; the watchdogs of the process are stroked no more");
     }
 

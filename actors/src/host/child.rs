@@ -126,7 +126,8 @@ impl<C: Component> Child for ComponentChild<C> {
             std::mem::take(&mut self.kept_thread) && !record.environment.arbiters.are_here();
         let known = self.arbiter.take().filter(|arbiter| !apart && arbiter.is_usable());
         let arbiters = &record.environment.arbiters;
-        let place = || arbiters.place(&record.name, self.own_thread || apart);
+        let own_thread = (self.own_thread || apart).then_some(record.limits.scheduling);
+        let place = || arbiters.place(&record.name, own_thread);
         let arbiter = match known.map_or_else(place, Ok) {
             Ok(arbiter) => arbiter,
             Err(error) => {

@@ -2,10 +2,13 @@
 //! limits.
 //!
 //! All of it is polled by the executor, under the guard, and ends with the incarnation. Everything
-//! that has a time stands in one schedule, of which one sleeping future waits for the earliest
-//! entry: a timer costs its closure, which it frees as soon as it is cancelled, and an entry.
+//! that has a time stands in one schedule, of which one alarm waits for the earliest entry: a timer
+//! costs its closure, which it frees as soon as it is cancelled, and an entry.
+//!
 //! Rounds and timers become due here and take their turn between messages; one that is due already
-//! is not made due again, so that nothing stale piles up while the component is busy.
+//! is not made due again, so that nothing stale piles up while the component is busy. Rounds are due
+//! at whole intervals after the first: each of these instants is that of a round which takes its
+//! turn, or is counted as missed.
 
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::Component;
@@ -13,6 +16,7 @@ use crate::component::incarnation::{
     ComponentFuture, ScheduleEntry, TimerAction, TimerId, TimerMode, TimerTable,
 };
 use crate::platform;
+use crate::platform::alarm::ScheduleAlarm;
 use blastema_core::Instant;
 use blastema_core::sorted::SortedMap;
 use futures_util::stream::{FuturesUnordered, Stream};
@@ -22,7 +26,6 @@ use std::pin::Pin;
 use std::rc::Rc;
 use std::task::{Context, Poll};
 use std::time::Duration;
-use tokio::time::Sleep;
 
 /// Tasks of one component at one time. A component with more has lost count of them.
 const TASKS: usize = 1024;
@@ -33,11 +36,14 @@ const BUDGET: usize = 64;
 const LATE: Duration = Duration::from_millis(5);
 /// The runtime's clock is no finer. Ticks of a faster rhythm are never made up for.
 const FINEST: Duration = Duration::from_millis(1);
+/// A timer of no interval would keep the arbiter for itself.
+const SHORTEST: Duration = Duration::from_micros(1);
 
 /// Something that is due.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum DueWork {
-    Execute,
+    /// A round, which is due since then.
+    Execute(Instant),
     Timer(TimerId),
     /// The incarnation should have begun by now.
     ReadyLimit,
@@ -71,6 +77,8 @@ impl Future for Spawned {
 
 pub(crate) struct ScheduledWork<C: Component> {
     interval: Option<Duration>,
+    /// The component has its thread to itself, where its alarm may be exact.
+    is_precise: bool,
     active: bool,
     /// Something was started and has not been polled yet.
     fresh: bool,
@@ -88,8 +96,8 @@ struct Work {
     schedule: SortedMap<ScheduleEntry, DueWork>,
     /// Numbers the entries.
     next_entry: u64,
-    /// Sleeps until the earliest entry, or one before it.
-    alarm: Option<(Instant, Pin<Box<Sleep>>)>,
+    /// Waits for the earliest entry.
+    alarm: Option<ScheduleAlarm>,
     /// At most one entry per timer, and one for the round.
     due: VecDeque<DueWork>,
     /// Limits that were reached and have not been asked for yet.
@@ -98,36 +106,44 @@ struct Work {
     round: Option<ScheduleEntry>,
     /// When the last round was to be, since the component is active.
     last_round: Option<Instant>,
+    /// Rounds that were missed, and have not been asked for yet.
+    missed: u64,
 }
 
 impl<C: Component> Default for ScheduledWork<C> {
     fn default() -> Self {
-        ScheduledWork { interval: None, active: false, fresh: false, work: None, timers: None }
+        ScheduledWork {
+            interval: None,
+            is_precise: false,
+            active: false,
+            fresh: false,
+            work: None,
+            timers: None,
+        }
     }
 }
 
-/// The tick after the one of `due`, for a caller that sees that one at `now`.
-fn next_tick(due: Instant, every: Duration, now: Instant) -> Instant {
-    // A timer of no interval would keep the arbiter for itself.
-    let every = every.max(Duration::from_micros(1));
-    let late = now - due;
-    if late < every || (late <= LATE && every >= FINEST) {
-        return due + every;
-    }
-    let past = u64::try_from(late.as_nanos() % every.as_nanos()).unwrap_or(0);
-    now + (every - Duration::from_nanos(past))
+/// The latest of the ticks that are due now, beginning with `due`, and how many are before it.
+fn latest_tick(due: Instant, every: Duration, now: Instant) -> (Instant, u32) {
+    let ticks = (now - due).as_nanos() / every.as_nanos();
+    let ticks = u32::try_from(ticks).unwrap_or(u32::MAX);
+    (due + every * ticks, ticks)
 }
 
-/// How many ticks were to be between these two.
-fn missed_between(due: Instant, every: Duration, next: Instant) -> u32 {
-    let ticks = (next - due).as_nanos() / every.as_nanos().max(1);
-    u32::try_from(ticks).unwrap_or(u32::MAX).saturating_sub(1)
+/// The tick of a timer after the one of `due`, which is run now, and how many are missed between.
+fn next_tick(due: Instant, every: Duration, now: Instant) -> (Instant, u32) {
+    let every = every.max(SHORTEST);
+    if now - due <= LATE && every >= FINEST {
+        return (due + every, 0);
+    }
+    let (latest, missed) = latest_tick(due, every, now);
+    (latest + every, missed)
 }
 
 impl<C: Component> ScheduledWork<C> {
-    /// For an incarnation that begins, with rounds at this interval.
-    pub(crate) fn begin(&mut self, interval: Option<Duration>) {
-        *self = ScheduledWork { interval, ..ScheduledWork::default() };
+    /// For an incarnation that begins, with rounds at this interval, perhaps on a thread of its own.
+    pub(crate) fn begin(&mut self, interval: Option<Duration>, is_precise: bool) {
+        *self = ScheduledWork { interval, is_precise, ..ScheduledWork::default() };
     }
 
     #[inline]
@@ -148,7 +164,7 @@ impl<C: Component> ScheduledWork<C> {
         self.active = active;
         if let Some(work) = &mut self.work {
             work.last_round = None;
-            work.due.retain(|work| *work != DueWork::Execute);
+            work.due.retain(|work| !matches!(work, DueWork::Execute(_)));
         }
         self.plan_round();
     }
@@ -174,7 +190,7 @@ impl<C: Component> ScheduledWork<C> {
             let now = platform::now();
             let work = self.planned();
             let at = work.last_round.map_or(now, |last| (last + interval).max(now));
-            work.round = Some(work.enter(at, DueWork::Execute));
+            work.round = Some(work.enter(at, DueWork::Execute(at)));
         }
         self.tidy();
     }
@@ -262,8 +278,13 @@ impl<C: Component> ScheduledWork<C> {
     pub(crate) fn poll(&mut self, cx: &mut Context<'_>) {
         self.fresh = false;
         let Some(work) = &mut self.work else { return };
-        work.poll_schedule(self.interval, self.timers.as_deref(), cx);
+        work.poll_schedule((self.interval, self.is_precise), self.timers.as_deref(), cx);
         work.poll_tasks(cx);
+    }
+
+    /// How many rounds have been missed since this was asked last.
+    pub(crate) fn take_missed(&mut self) -> u64 {
+        self.work.as_mut().map_or(0, |work| std::mem::take(&mut work.missed))
     }
 
     /// What is due first.
@@ -280,8 +301,8 @@ impl<C: Component> ScheduledWork<C> {
         let timer = active.get_mut(&id.0)?;
         let mut missed = 0;
         if let (TimerMode::Every(every), Some(at)) = (timer.mode, timer.due.take()) {
-            let next = next_tick(at, every, platform::now());
-            missed = missed_between(at, every, next);
+            let next;
+            (next, missed) = next_tick(at, every, platform::now());
             let entry = self.work.as_mut()?.enter(next, DueWork::Timer(id));
             timer.entry = Some(entry);
             self.fresh = true;
@@ -356,20 +377,13 @@ impl Work {
     /// Makes due what is, until everything lies ahead.
     fn poll_schedule<C: Component>(
         &mut self,
-        interval: Option<Duration>,
+        (interval, is_precise): (Option<Duration>, bool),
         timers: Option<&TimerTable<C>>,
         cx: &mut Context<'_>,
     ) {
         while let Some((&(earliest, _), _)) = self.schedule.first_key_value() {
-            let until = platform::timer_at(earliest);
-            let (set_for, alarm) = self
-                .alarm
-                .get_or_insert_with(|| (earliest, Box::pin(tokio::time::sleep_until(until))));
-            if *set_for != earliest {
-                *set_for = earliest;
-                alarm.as_mut().reset(until);
-            }
-            if alarm.as_mut().poll(cx).is_pending() {
+            let alarm = self.alarm.get_or_insert_with(|| ScheduleAlarm::new(is_precise));
+            if alarm.poll_until(earliest, cx).is_pending() {
                 return;
             }
             let now = platform::now().max(earliest);
@@ -382,19 +396,28 @@ impl Work {
 
     fn fall_due<C: Component>(
         &mut self,
-        work: DueWork,
+        mut work: DueWork,
         (at, now): (Instant, Instant),
         interval: Option<Duration>,
         timers: Option<&TimerTable<C>>,
     ) {
         match work {
-            DueWork::Execute => {
-                self.last_round = Some(at);
-                let next = interval.map(|interval| next_tick(at, interval, now));
-                self.round = next.map(|next| self.enter(next, DueWork::Execute));
-                if self.due.contains(&work) {
+            DueWork::Execute(_) => {
+                let Some(interval) = interval.map(|interval| interval.max(SHORTEST)) else {
+                    return;
+                };
+                let (latest, missed) = latest_tick(at, interval, now);
+                self.last_round = Some(latest);
+                let next = latest + interval;
+                self.round = Some(self.enter(next, DueWork::Execute(next)));
+                self.missed += u64::from(missed);
+                let mut due = self.due.iter_mut();
+                if let Some(waits) = due.find(|due| matches!(due, DueWork::Execute(_))) {
+                    *waits = DueWork::Execute(latest);
+                    self.missed += 1;
                     return;
                 }
+                work = DueWork::Execute(latest);
             }
             DueWork::Timer(id) => {
                 let Some(timers) = timers else { return };
@@ -422,18 +445,57 @@ mod tests {
     fn a_tick_follows_the_one_before_it_and_those_that_were_missed_are_skipped() {
         let ms = Duration::from_millis;
         for (every, now, next) in [
-            (ms(10), 0, 10_000),
-            (ms(10), 3_000, 10_000),
+            (ms(10), 0, (10_000, 0)),
+            (ms(10), 3_000, (10_000, 0)),
             // Late, but not by more than is made up for.
-            (ms(1), 1_500, 1_000),
-            (ms(10), 10_000, 20_000),
-            (ms(10), 25_000, 30_000),
-            (ms(10), 30_000, 40_000),
+            (ms(1), 1_500, (1_000, 0)),
+            (ms(10), 10_000, (20_000, 1)),
+            (ms(10), 25_000, (30_000, 2)),
+            (ms(10), 30_000, (40_000, 3)),
             // Faster than the clock.
-            (Duration::from_micros(100), 1_050, 1_100),
-            (Duration::ZERO, 1_000, 1_001),
+            (Duration::from_micros(100), 1_050, (1_100, 10)),
+            (Duration::ZERO, 1_000, (1_001, 1000)),
         ] {
-            assert_eq!(next_tick(at(0), every, at(now)), at(next), "{every:?} seen at {now}");
+            let next = (at(next.0), next.1);
+            assert_eq!(next_tick(at(0), every, at(now)), next, "{every:?} seen at {now}");
         }
     }
+
+    #[test]
+    fn each_period_is_that_of_a_round_which_takes_its_turn_or_is_counted_as_missed() {
+        let (period, mut work) = (Duration::from_micros(100), Work::default());
+        work.round = Some(work.enter(at(0), DueWork::Execute(at(0))));
+        let (mut rounds, mut missed) = (0, 0);
+        // When the schedule is polled, and whether the round that is due then takes its turn.
+        for (now, runs, due) in [
+            (0, true, Some(0)),
+            (100, true, Some(100)),
+            (199, true, None),
+            // Late by less than a period, and by more.
+            (299, true, Some(200)),
+            (555, true, Some(500)),
+            // It waits behind another handler: the one after it takes its turn.
+            (610, false, None),
+            (700, true, Some(700)),
+            (1_000_000, false, None),
+            (1_000_350, true, Some(1_000_300)),
+        ] {
+            while let Some(((due, _), round)) =
+                work.schedule.pop_first_if(|(due, _)| *due <= at(now))
+            {
+                work.fall_due::<NoTimers>(round, (due, at(now)), Some(period), None);
+            }
+            missed += std::mem::take(&mut work.missed);
+            let round = if runs { work.due.pop_front() } else { None };
+            assert_eq!(round, due.map(|due| DueWork::Execute(at(due))), "at {now}");
+            if let Some(DueWork::Execute(due)) = round {
+                let periods = due.as_nanos() / 100_000;
+                assert_eq!(rounds + missed, periods, "at {now}");
+                rounds += 1;
+            }
+        }
+    }
+
+    struct NoTimers;
+    impl Component for NoTimers {}
 }

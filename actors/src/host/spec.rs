@@ -9,9 +9,10 @@ use crate::component::spec_error::SpecError;
 use crate::host::reference::ActorRef;
 use crate::liveness::limits::SharedLimits;
 use crate::messaging::queue::WhenFull;
-use crate::platform::panics;
+use crate::platform::{self, panics};
 use crate::settings::{
-    MAX_BLOCK, MAX_DELAY, QUEUE, RATE_HZ, READY_WITHIN, SHUTDOWN_WITHIN, SettingError,
+    MAX_BLOCK, MAX_DELAY, OWN_RATE_HZ, QUEUE, RATE_HZ, READY_WITHIN, SHARED_RATE_HZ,
+    SHUTDOWN_WITHIN, SettingError,
 };
 use blastema_contract::child::Child;
 use blastema_core::ObjectName;
@@ -91,7 +92,16 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// Calls `on_execute` so many times a second while the component is active.
+    /// Calls `on_execute` so many times a second while the component is active: up to 500 times on a
+    /// thread that it shares, and up to 10,000 times on [a thread of its own](Self::on_own_thread),
+    /// whose timer is the kernel's. More is refused at start.
+    ///
+    /// Rounds are due at the start and then after each period. Of those that fall due while a round
+    /// takes longer than a period, the latest is run, and the others are missed and counted.
+    ///
+    /// Outside of Linux, and where the node [has no thread](crate::NodeBuilder::components_on_this_thread)
+    /// for the component, rounds are timed to the millisecond. Outside of Linux, and in virtual time,
+    /// no rate is refused up to 100,000.
     pub fn rate_hz(mut self, rate_hz: f64) -> Self {
         self.rate_hz = Some(rate_hz);
         self
@@ -113,6 +123,27 @@ impl<C: Component> ChildSpec<C> {
     /// Runs the component on a thread of its own: for long computations or blocking calls.
     pub fn on_own_thread(mut self) -> Self {
         self.limits.own_thread = true;
+        self
+    }
+
+    /// Gives the component's [own thread](Self::on_own_thread) a real-time priority, 1 to 99
+    /// (`SCHED_FIFO`): it runs before every thread of a lower priority, and of none. Threads that it
+    /// starts have the same priority.
+    ///
+    /// The start is refused where the system forbids it: it needs `rtprio` in
+    /// `/etc/security/limits.conf`, `LimitRTPRIO=` of a systemd service, or CAP_SYS_NICE. Without
+    /// effect where the node [has no thread](crate::NodeBuilder::components_on_this_thread) for it,
+    /// as in virtual time.
+    pub fn priority(mut self, priority: u8) -> Self {
+        self.limits.scheduling.priority = Some(priority);
+        self
+    }
+
+    /// Runs the component's [own thread](Self::on_own_thread) on the processor of this number alone.
+    /// Others may run there too, unless the kernel keeps it free (`isolcpus`). The start is refused
+    /// where the process may not use it. Without effect where [`priority`](Self::priority) is.
+    pub fn cpu(mut self, cpu: usize) -> Self {
+        self.limits.scheduling.cpu = Some(cpu);
         self
     }
 
@@ -219,7 +250,7 @@ impl<C: Component> ChildSpec<C> {
         environment.watch_list.declare(None);
         let ports =
             declared.map_err(|panicked| SpecError::Ports { name: name.clone(), panicked })?;
-        let interval = interval(self.rate_hz);
+        let interval = interval(self.rate_hz, limits.own_thread);
         if let Ok(Some(interval)) = interval {
             limits.interval = Some(interval);
         }
@@ -238,6 +269,10 @@ impl<C: Component> ChildSpec<C> {
         if is_written || ports.parameters.is_some() {
             refused.extend(environment.configured().refused(&name, ports.parameters));
         }
+        let scheduling = limits.scheduling;
+        if refused.is_empty() && !scheduling.is_default() && !environment.arbiters.are_here() {
+            refused.extend(scheduling.try_out().err().map(setting));
+        }
         if !refused.is_empty() {
             return Err(refused);
         }
@@ -255,9 +290,14 @@ impl<C: Component> ChildSpec<C> {
 }
 
 /// The time between two rounds.
-fn interval(rate_hz: Option<f64>) -> Result<Option<Duration>, SettingError> {
+fn interval(rate_hz: Option<f64>, own_thread: bool) -> Result<Option<Duration>, SettingError> {
     let Some(rate_hz) = rate_hz else { return Ok(None) };
-    RATE_HZ.check(rate_hz)?;
+    let kept = match own_thread {
+        _ if !cfg!(target_os = "linux") || platform::clock_stands() => RATE_HZ,
+        true => OWN_RATE_HZ,
+        false => SHARED_RATE_HZ,
+    };
+    kept.check(rate_hz)?;
     let interval = Duration::try_from_secs_f64(1.0 / rate_hz);
     interval
         .map(Some)

@@ -31,13 +31,11 @@ pub(crate) struct ActivityRecord {
     tasks: AtomicBool,
     /// What the component announced to take longer than usual, in milliseconds.
     allowance: AtomicU32,
-    /// Rounds that it has finished.
-    rounds: AtomicU64,
     /// How often a round is due, in nanoseconds; 0 for never.
     interval: AtomicU64,
-    /// Ticks of its timers that were run, and that were missed.
+    /// Rounds, and ticks of its timers, that were begun, and those that this incarnation has missed.
     ticks: AtomicU32,
-    missed_ticks: AtomicU32,
+    missed_ticks: AtomicU64,
     /// Requests whose callers had stopped waiting when their turn came.
     expired: AtomicU64,
 }
@@ -53,10 +51,9 @@ pub(crate) struct ActivitySample {
     pub(crate) condition: bool,
     pub(crate) tasks: bool,
     pub(crate) allowance: Duration,
-    pub(crate) rounds: u64,
     pub(crate) interval: Duration,
     pub(crate) ticks: u32,
-    pub(crate) missed_ticks: u32,
+    pub(crate) missed_ticks: u64,
     pub(crate) expired: u64,
 }
 
@@ -97,18 +94,15 @@ impl ActivityRecord {
         self.alive.store(self.alive.load(Relaxed).wrapping_add(1), Relaxed);
     }
 
-    /// A round was finished.
-    #[inline]
-    pub(crate) fn end_round(&self) {
-        self.rounds.store(self.rounds.load(Relaxed) + 1, Relaxed);
+    /// A round begins, or a repeated timer is run.
+    pub(crate) fn tick(&self) {
+        self.ticks.store(self.ticks.load(Relaxed).wrapping_add(1), Relaxed);
     }
 
-    /// A repeated timer is run, after so many of its ticks were missed.
-    pub(crate) fn tick(&self, missed: u32) {
-        self.ticks.store(self.ticks.load(Relaxed).wrapping_add(1), Relaxed);
+    /// So many rounds, or ticks of a timer, were missed.
+    pub(crate) fn miss(&self, missed: u64) {
         if missed > 0 {
-            let all = self.missed_ticks.load(Relaxed).wrapping_add(missed);
-            self.missed_ticks.store(all, Relaxed);
+            self.missed_ticks.store(self.missed_ticks.load(Relaxed) + missed, Relaxed);
         }
     }
 
@@ -125,6 +119,7 @@ impl ActivityRecord {
     pub(crate) fn begin_incarnation(&self, incarnation: u64) {
         self.incarnation.store(incarnation, Relaxed);
         self.allowance.store(0, Relaxed);
+        self.missed_ticks.store(0, Relaxed);
     }
 
     pub(crate) fn expect_signs(&self, expected: bool) {
@@ -156,7 +151,6 @@ impl ActivityRecord {
             condition: self.condition.load(Relaxed),
             tasks: self.tasks.load(Relaxed),
             allowance: Duration::from_millis(self.allowance.load(Relaxed).into()),
-            rounds: self.rounds.load(Relaxed),
             interval: Duration::from_nanos(self.interval.load(Relaxed)),
             ticks: self.ticks.load(Relaxed),
             missed_ticks: self.missed_ticks.load(Relaxed),

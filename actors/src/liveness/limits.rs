@@ -1,5 +1,6 @@
 //! The limits of one component's incarnation, and which of them make sense together.
 
+use crate::platform::scheduling::ThreadScheduling;
 use crate::settings::{
     MAX_BLOCK, MAX_DELAY, MAX_MISSED_ROUNDS, MAX_WAIT, READY_WITHIN, SHUTDOWN_WITHIN, SettingError,
     WATCH_INTERVAL, WATCH_START_UP, WATCH_TOLERANCE, WATCH_WITHIN,
@@ -20,6 +21,7 @@ pub(crate) struct ComponentLimits {
     pub(crate) ready_within: Duration,
     pub(crate) shutdown_within: Duration,
     pub(crate) own_thread: bool,
+    pub(crate) scheduling: ThreadScheduling,
 }
 
 impl Default for ComponentLimits {
@@ -39,6 +41,7 @@ impl Default for ComponentLimits {
             ready_within: READY_WITHIN.default,
             shutdown_within: SHUTDOWN_WITHIN.default,
             own_thread: false,
+            scheduling: ThreadScheduling::default(),
         }
     }
 }
@@ -120,7 +123,8 @@ impl ComponentLimits {
             ]),
             _ => {}
         }
-        checks.into_iter().filter_map(Result::err).collect()
+        let scheduling = self.scheduling.check(self.own_thread).into_iter().flatten();
+        checks.into_iter().filter_map(Result::err).chain(scheduling).collect()
     }
 
     /// The rounds of a component come within the silence that its watch permits.

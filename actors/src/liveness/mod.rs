@@ -3,6 +3,7 @@
 
 pub(crate) mod activity;
 pub(crate) mod label;
+pub(crate) mod lateness;
 pub(crate) mod limits;
 pub(crate) mod sampler;
 pub(crate) mod threads;

@@ -16,7 +16,7 @@ use blastema_core::detection::hang::{
     ActivityMark, ArbiterSample, ArbiterStatus, ComponentSample, HangDetector, HangDetectorConfig,
     HangLimits, JudgedComponent, LivenessEvent, Looked, QueueReading, SlotId, SlotTable,
 };
-use blastema_core::detection::{CurrentHandler, MonitorRow, QueueSample};
+use blastema_core::detection::{CurrentHandler, MonitorRow, QueueSample, RoundLateness};
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultLocation, Incarnation, Instant, Machine, NodeName, ObjectName};
 use std::sync::atomic::AtomicBool;
@@ -46,6 +46,8 @@ pub(crate) trait AliveSource: Send + Sync {
     fn is_held(&self) -> bool;
     /// The slots of the components whose requests wait in its queue.
     fn askers(&self) -> Vec<u32>;
+    /// How late its rounds begin.
+    fn round_lateness(&self) -> Option<RoundLateness>;
     /// Tells of its incarnations that have ended, where its host has not come to that yet.
     fn tell_exits(&self);
 }
@@ -55,6 +57,7 @@ struct ObjectSample {
     incarnation: Incarnation,
     queue: QueueReading,
     missed_rounds: u64,
+    round_lateness: Option<RoundLateness>,
     /// The contract or hook in service, and since when, at least.
     current: Option<CurrentHandler>,
     /// How long ago it gave a sign of life, if it did.
@@ -84,7 +87,6 @@ impl SampledComponent {
             incarnation: Incarnation(reading.incarnation),
             speaks: reading.speaks,
             allowance: reading.allowance,
-            rounds: reading.rounds,
             interval: reading.interval,
             ticks: reading.ticks,
             missed_ticks: reading.missed_ticks,
@@ -109,8 +111,6 @@ struct Entries {
     /// When components that give signs of life by themselves were last seen to have given one, by
     /// slot.
     signs: Mutex<Vec<(u32, Option<Instant>)>>,
-    /// How many rounds each slot's present incarnation has missed, where any.
-    missed: Mutex<SortedMap<u32, u64>>,
     /// What the last look found of the arbiters.
     arbiters: Mutex<SortedMap<u64, ArbiterStatus>>,
 }
@@ -196,7 +196,6 @@ impl SampledComponents {
         let now = platform::now();
         let busy = self.0.busy.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let signs = self.0.signs.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let missed = self.0.missed.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let sample = |(slot, watched): (&u32, &Arc<SampledComponent>)| {
             let reading = watched.activity.read();
             let since = busy.binary_search_by_key(slot, |entry| entry.0).ok().map(|at| busy[at]);
@@ -215,7 +214,8 @@ impl SampledComponents {
             let sample = ObjectSample {
                 incarnation: inside.incarnation(),
                 queue: inside.queue(),
-                missed_rounds: missed.get(slot).copied().unwrap_or_default(),
+                missed_rounds: reading.missed_ticks,
+                round_lateness: inside.round_lateness(),
                 current,
                 last_sign,
             };
@@ -259,6 +259,7 @@ impl SampledComponents {
             let QueueReading { queued, oldest } = sample.queue;
             if row.incarnation == sample.incarnation {
                 row.missed_rounds = sample.missed_rounds;
+                row.round_lateness = sample.round_lateness;
                 row.queue = Some(QueueSample { queued, oldest, age: Duration::ZERO });
                 row.current = sample.current;
                 // The monitor knows of reports, and the watch of everything else.
@@ -467,8 +468,6 @@ impl Sampler {
             });
             times.for_each(|(id, time)| self.scanner.handle_processor_time(id, time));
             self.scanner.handle_activities(&self.activities);
-            let missed = self.scanner.missed_rounds().collect();
-            *self.list.0.missed.lock().unwrap_or_else(PoisonError::into_inner) = missed;
             let busy = self.scanner.busy().collect();
             *self.list.0.busy.lock().unwrap_or_else(PoisonError::into_inner) = busy;
             let signs = self.scanner.last_signs().collect();

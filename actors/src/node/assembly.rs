@@ -43,6 +43,7 @@ use crate::platform::file_lock::{FileLock, LockError, without_links};
 #[cfg(feature = "unix")]
 use crate::platform::file_lock::{PREDECESSOR_TIMEOUT, released_here};
 use crate::platform::panics;
+use crate::platform::scheduling;
 use crate::platform::systemd::Systemd;
 #[cfg(feature = "network")]
 use crate::service::Roster;
@@ -203,6 +204,9 @@ async fn start(
     let first = |mut refused: Vec<StartError>| refused.swap_remove(0);
     let node = builder.checked_name().map_err(first)?;
     check_settings(&builder).into_iter().next().map_or(Ok(()), Err)?;
+    if builder.locks_memory && !platform::clock_stands() {
+        scheduling::lock_memory()?;
+    }
     #[cfg(feature = "network")]
     let incarnation = builder.networks.begin_incarnation();
     #[cfg(not(feature = "network"))]
@@ -344,7 +348,8 @@ impl NodeAssembly {
                     (Some(file), text)
                 }
             };
-            let taken = text.and_then(|text| self.environment.configured().take(&text));
+            let configured = self.environment.configured();
+            let taken = text.and_then(|text| configured.take(&text, file.as_deref()));
             taken.map_err(|reason| StartError::Parameters { file, reason })?;
         }
         Ok(())

@@ -70,7 +70,7 @@ impl Shared {
             if has_outputs { self.apply_outputs(cause) } else { "it has no safe outputs" };
         // A node that runs on one thread belongs to a test, which has its own output.
         if self.chain.callbacks.have_threads() {
-            platform::tell_person(&format!("blastema: node {}: {cause}: {outcome}", self.name));
+            platform::tell_of_node(&format!("node {}: {cause}: {outcome}", self.name));
         }
         warn!(node = %self.name, cause, "{outcome}");
     }

@@ -1,6 +1,7 @@
 //! A time of the wall clock.
 
 use std::fmt;
+#[cfg(feature = "journal")]
 use std::time::Duration;
 
 const MICROS_PER_SECOND: i64 = 1_000_000;
@@ -19,11 +20,13 @@ impl WallTime {
     }
 
     /// Microseconds since the beginning of 1970 UTC.
+    #[cfg(feature = "journal")]
     pub fn as_micros(self) -> i64 {
         self.0
     }
 
     /// The time of so long before.
+    #[cfg(feature = "journal")]
     #[must_use]
     pub fn before(self, span: Duration) -> Self {
         WallTime(self.0.saturating_sub(i64::try_from(span.as_micros()).unwrap_or(i64::MAX)))

@@ -59,4 +59,4 @@ pub use outcome::{
 };
 pub use ping::{PingMonitor, PingOutput, Verdict};
 pub use registration::{Liveness, ObjectKind, Pull, Push, Registration, RegistrationError};
-pub use table::{CurrentHandler, MonitorRow, Opinion, QueueSample};
+pub use table::{CurrentHandler, MonitorRow, Opinion, QueueSample, RoundLateness};

@@ -42,9 +42,11 @@ pub struct MonitorRow {
     pub suspicions: u32,
     /// Its queue.
     pub queue: Option<QueueSample>,
-    /// Rounds that it has missed in this incarnation: a round was due, and the one before had not
-    /// ended, or another component kept the thread.
+    /// Rounds that it has missed in this incarnation: the next one was due, and it had not begun.
+    /// Each that was due is run or missed. Ticks of its timers are counted likewise.
     pub missed_rounds: u64,
+    /// How late its rounds have begun in this incarnation; `None` before the first.
+    pub round_lateness: Option<RoundLateness>,
     /// The handler or hook that takes too long.
     pub current: Option<CurrentHandler>,
     /// Its sending and receiving is forbidden.
@@ -70,6 +72,7 @@ impl MonitorRow {
             suspicions: 0,
             queue: None,
             missed_rounds: 0,
+            round_lateness: None,
             current: None,
             isolated: false,
             note: None,
@@ -121,6 +124,18 @@ pub struct QueueSample {
     pub oldest: Duration,
     /// How long ago that was.
     pub age: Duration,
+}
+
+/// How long after they were due the rounds of a component have begun. Rounds that were missed have
+/// not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RoundLateness {
+    /// Half of them were no later; up to a quarter above the true value.
+    pub p50: Duration,
+    /// 99 of 100 were no later; up to a quarter above the true value.
+    pub p99: Duration,
+    /// The latest of them.
+    pub max: Duration,
 }
 
 /// A handler that was seen to take long.

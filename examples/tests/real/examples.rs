@@ -382,7 +382,7 @@ fn an_example_whose_reader_has_gone_says_no_more_than_that_its_node_ends() {
     // Its laser panics before, which is a fault and is printed as one.
     let told = String::from_utf8_lossy(&output.stderr);
     let is_known = |line: &str| {
-        let of_laser = line.starts_with("blastema: error on node ") && line.contains("laser");
+        let of_laser = line.contains("Z blastema: error on node ") && line.contains("laser");
         of_laser || line.contains("was dropped by a panic while it ran")
     };
     assert!(told.lines().all(is_known), "{told}");

@@ -1,8 +1,8 @@
 //! Benchmarks of the middleware beside what it is built on, as ratios within one run.
 //!
 //! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [throughput]
-//! [memory] [monitored] [failover] [takeover] [overloaded] [devices] [robot]`; without arguments,
-//! all of them.
+//! [memory] [monitored] [failover] [takeover] [overloaded] [devices] [robot] [rounds]`; without
+//! arguments, all of them.
 //! `cargo run --release -p blastema-bench mesh 20` measures a full mesh of so many processes.
 //! `ROUNDS=n` sets how often the rows of a table are run in turn.
 #![allow(clippy::print_stdout, reason = "tables are what this program is for")]
@@ -21,12 +21,13 @@ mod process;
 mod remote;
 mod restart;
 mod robot;
+mod rounds;
 mod takeover;
 mod throughput;
 
 use std::process::ExitCode;
 
-const PARTS: [&str; 12] = [
+const PARTS: [&str; 13] = [
     "messages",
     "restart",
     "fanout",
@@ -39,6 +40,7 @@ const PARTS: [&str; 12] = [
     "overloaded",
     "devices",
     "robot",
+    "rounds",
 ];
 
 fn main() -> ExitCode {
@@ -94,6 +96,9 @@ fn main() -> ExitCode {
     }
     if wanted("robot") {
         blastema::run(robot::run(rounds));
+    }
+    if wanted("rounds") {
+        blastema::run(rounds::run());
     }
     ExitCode::SUCCESS
 }

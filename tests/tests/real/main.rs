@@ -29,6 +29,7 @@ mod program_ends;
 mod program_errors;
 mod readiness;
 mod robot_file;
+mod rounds;
 mod sealed;
 mod settings;
 mod slow_machine;

@@ -95,6 +95,16 @@ fn spans_of_a_component_that_are_never_or_always_over_are_refused() {
         refused(lamp().max_missed_rounds(101), &["max_missed_rounds of lamp"]).await;
         let rare = lamp().rate_hz(1.0).liveness(Liveness::push(100 * MS, 3));
         refused(rare, &["liveness.interval of lamp", "every 1s", "a higher rate"]).await;
+        refused(lamp().rate_hz(501.0), &["rate_hz of lamp is 501", "on_own_thread"]).await;
+        let own = lamp().on_own_thread().rate_hz(10_001.0);
+        refused(own, &["rate_hz of lamp is 10001", "up to 10000 Hz"]).await;
+        refused(lamp().priority(10), &["priority of lamp is 10 on a shared", "on_own_thread"])
+            .await;
+        refused(lamp().cpu(0), &["cpu of lamp is 0 on a shared", "on_own_thread"]).await;
+        let own = lamp().on_own_thread().priority(100).cpu(1024);
+        refused(own, &["priority of lamp is 100", "1 to 99"]).await;
+        let none = lamp().on_own_thread().cpu(1023);
+        refused(none, &["cpu of lamp is 1023, which failed", "taskset"]).await;
         let start_up = Push { start_up: Duration::ZERO, ..Push::default() };
         refused(lamp().liveness(Liveness::Push(start_up)), &["start_up of lamp"]).await;
 
@@ -104,6 +114,8 @@ fn spans_of_a_component_that_are_never_or_always_over_are_refused() {
         taken(node().child(lamp().shutdown_within(Duration::ZERO))).await;
         let often = lamp().rate_hz(10.0).liveness(Liveness::push(50 * MS, 3));
         taken(node().child(often)).await;
+        taken(node().child(lamp().rate_hz(500.0))).await;
+        taken(node().child(lamp().on_own_thread().rate_hz(10_000.0))).await;
     });
 }
 

@@ -112,6 +112,8 @@ fn whole() -> RobotDescription {
         queue: Some(8),
         when_full: WhenFull::DropOldest,
         own_thread: true,
+        priority: Some(80),
+        cpu: Some(1),
         max_block: Some(150 * MS),
         max_wait: Some(2 * SECOND),
         max_delay: Some(500 * MS),
@@ -182,6 +184,7 @@ fn whole() -> RobotDescription {
             ..Default::default()
         },
         work_threads: Some(2),
+        locked_memory: true,
         grace: Some(100 * MS),
         safe_outputs: Some("brakes".into()),
         shown_at: Some("/tmp/base.sock".into()),

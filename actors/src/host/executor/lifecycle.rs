@@ -12,8 +12,7 @@ use std::sync::atomic::Ordering::Relaxed;
 impl<C: Component> ComponentExecutor<C> {
     pub(super) fn hook_done(&mut self, hook: Hook, result: Result<(), Failure>) {
         if hook == Hook::Execute && result.is_ok() {
-            self.slot.activity.end_round();
-            // It is a sign of life too, unless a test keeps that back.
+            // It is a sign of life, unless a test keeps that back.
             if !self.cell.record.is_silent() {
                 self.slot.activity.give_sign();
             }

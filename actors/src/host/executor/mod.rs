@@ -164,7 +164,10 @@ impl<C: Component> ComponentExecutor<C> {
         let (arbiter, token) = (self.arbiter.clone(), self.state.token.clone());
         let placement = CurrentPlacement { arbiter, slot: self.activity_slot(), token };
         let is_newest = record.enter(self.state.incarnation, placement);
-        self.schedule.begin(record.limits.interval);
+        if let Some(lateness) = record.cold_if_used().and_then(|cold| cold.lateness.get()) {
+            lateness.clear();
+        }
+        self.schedule.begin(record.limits.interval, self.arbiter.is_own_thread());
         self.slot.activity.run_every(record.limits.interval);
         self.began = Some(platform::now());
         // An incarnation that was abandoned before its placement was known was not notified.
@@ -287,6 +290,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.slot.activity.poll_tasks(true);
         let polled = catch_unwind(AssertUnwindSafe(|| self.schedule.poll(cx)));
         self.slot.activity.poll_tasks(false);
+        self.slot.activity.miss(self.schedule.take_missed());
         if let Err(payload) = polled {
             self.died(payload, TASK);
         }
@@ -518,7 +522,9 @@ impl<C: Component> ComponentExecutor<C> {
 
     fn do_work(&mut self, work: DueWork, cx: &mut task::Context<'_>) -> Progress {
         match work {
-            DueWork::Execute => {
+            DueWork::Execute(due) => {
+                self.slot.activity.tick();
+                self.cell.record.begin_round(platform::now() - due);
                 self.begin_hook(Hook::Execute);
                 self.advance(cx)
             }
@@ -526,7 +532,8 @@ impl<C: Component> ComponentExecutor<C> {
                 if let (Some(component), Some((mut action, missed))) =
                     (&self.component, self.schedule.lift(id))
                 {
-                    self.slot.activity.tick(missed);
+                    self.slot.activity.tick();
+                    self.slot.activity.miss(missed.into());
                     self.slot.activity.begin(TIMER.number());
                     {
                         let mut contents = component.contents.borrow_mut();

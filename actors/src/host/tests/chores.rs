@@ -1,9 +1,12 @@
 //! Timers, tasks, threads and isolation.
 
 use super::{Log, Stage, logged, order};
+use crate::liveness::sampler::AliveSource;
+use crate::platform;
 use crate::{
     ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports, Request, Sender,
 };
+use blastema_core::Instant;
 use blastema_doubles::{advance, paused, settle};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -297,6 +300,44 @@ fn an_interval_that_is_set_in_each_round_keeps_its_rate() {
             let rounds = logged(&log).len();
             assert!((99..=101).contains(&rounds), "{name}: {rounds} rounds in 10 s at 10 Hz");
         }
+    });
+}
+
+/// Has rounds that take so many milliseconds each, as long as there are any, and logs when they
+/// begin, in milliseconds after the first.
+struct Overrunner {
+    log: Log,
+    first: Option<Instant>,
+    spans: Vec<u64>,
+}
+impl Component for Overrunner {
+    async fn on_execute(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        let now = platform::now();
+        let since = now - *self.first.get_or_insert(now);
+        self.log.lock().unwrap().push(u64::try_from(since.as_millis()).unwrap());
+        if let Some(span) = self.spans.pop() {
+            tokio::time::sleep(Duration::from_millis(span)).await;
+        }
+        Ok(())
+    }
+}
+
+#[test]
+fn a_round_that_overruns_misses_rounds_and_the_next_ones_are_whole_periods_after_the_start() {
+    paused(async {
+        let stage = Stage::new();
+        let log = Log::default();
+        let kept = log.clone();
+        let make = move || Overrunner { log: kept.clone(), first: None, spans: vec![250, 0, 0] };
+        let (_child, reference) =
+            stage.start(ChildSpec::new("overrunner", make).rate_hz(10.0)).await;
+
+        advance(Duration::from_millis(750)).await;
+
+        // The round of 300 ms is missed, that of 400 ms begins 50 ms late.
+        assert_eq!(logged(&log), [0, 100, 200, 450, 500, 600, 700]);
+        let late = reference.0.round_lateness().expect("it has had rounds");
+        assert_eq!((late.p50, late.max), (Duration::ZERO, Duration::from_millis(50)));
     });
 }
 

@@ -3,6 +3,7 @@
 use super::lateness::Lateness;
 use super::{ActivityMark, ComponentRecord, ComponentSample, JudgedComponent};
 use crate::Instant;
+use std::time::Duration;
 
 /// What is kept of one slot. Most components rest, and cost no more than this.
 #[derive(Debug)]
@@ -39,12 +40,16 @@ impl ComponentEntry {
     }
 
     /// The component, to be judged: where it rests, as it was when it came to rest.
-    pub(super) fn wake(&mut self, reading: ComponentSample, now: Instant) -> &mut ComponentRecord {
+    pub(super) fn wake(
+        &mut self,
+        reading: ComponentSample,
+        at: (Instant, Duration),
+    ) -> &mut ComponentRecord {
         if let ComponentEntry::Resting { judged, mark } = self {
             let ActivityMark { turn, incarnation, expired } = *mark;
             let before = ComponentSample { turn, incarnation, expired, ..reading };
-            let fresh = ComponentRecord::new(judged.clone(), now);
-            let lateness = Lateness::new(now, &before);
+            let fresh = ComponentRecord::new(judged.clone(), at.0);
+            let lateness = Lateness::new(at, &before);
             let component = ComponentRecord { reading: Some(before), lateness, ..fresh };
             *self = ComponentEntry::Awake(Box::new(component));
         }

@@ -14,12 +14,10 @@ const EXPIRED_LEAST: u64 = 3;
 const WINDOWS: u32 = 2;
 
 /// What has been counted of one incarnation.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Lateness {
-    rounds: Option<Rounds>,
-    /// Ticks of its timers that it has missed.
-    missed_ticks: u64,
-    window: Window,
+    /// `None` before anything is counted, and after time in which nothing could be.
+    window: Option<Window>,
     /// Bad windows in a row, and what the last of them held.
     bad: u32,
     counts: Counts,
@@ -35,70 +33,29 @@ pub(super) struct Counts {
     pub(super) root: Option<OverloadRoot>,
 }
 
-/// The rounds of a component since it has had this interval.
-#[derive(Clone, Copy, Debug)]
-struct Rounds {
-    interval: Duration,
-    since: Instant,
-    /// How many it had finished then.
-    before: u64,
-    /// How many it has missed since.
-    missed: u64,
-    /// How many it had missed before, in this incarnation.
-    earlier: u64,
-}
-
+/// What had been counted when a window began.
 #[derive(Clone, Copy, Debug)]
 struct Window {
     since: Instant,
-    /// How long the scanner had not been scheduled when it began, all in all.
+    /// How long the scanner had not been scheduled, all in all.
     blind: Duration,
-    due: u64,
-    missed: u64,
     /// As in [`ComponentSample`], and so are those that follow.
     ticks: u32,
-    missed_ticks: u32,
+    missed_ticks: u64,
     expired: u64,
 }
 
 impl Window {
-    fn new(
-        (since, blind): (Instant, Duration),
-        (due, missed): (u64, u64),
-        reading: &ComponentSample,
-    ) -> Self {
+    fn new((since, blind): (Instant, Duration), reading: &ComponentSample) -> Self {
         let ComponentSample { ticks, missed_ticks, expired, .. } = *reading;
-        Window { since, blind, due, missed, ticks, missed_ticks, expired }
-    }
-}
-
-impl Rounds {
-    fn due(&self, now: Instant) -> u64 {
-        let interval = self.interval.as_nanos().max(1);
-        u64::try_from((now - self.since).as_nanos() / interval).unwrap_or(u64::MAX)
-    }
-
-    fn total(&self) -> u64 {
-        self.earlier + self.missed
+        Window { since, blind, ticks, missed_ticks, expired }
     }
 }
 
 impl Lateness {
     /// Nothing is late, and what has been counted is known.
-    pub(super) fn new(now: Instant, reading: &ComponentSample) -> Self {
-        Lateness {
-            rounds: None,
-            missed_ticks: 0,
-            window: Window::new((now, Duration::ZERO), (0, 0), reading),
-            bad: 0,
-            counts: Counts::default(),
-            delayed_since: None,
-        }
-    }
-
-    /// Rounds, and ticks of timers, that this incarnation has missed.
-    pub(super) fn missed_rounds(&self) -> u64 {
-        self.rounds.map_or(0, |rounds| rounds.total()) + self.missed_ticks
+    pub(super) fn new(at: (Instant, Duration), reading: &ComponentSample) -> Self {
+        Lateness { window: Some(Window::new(at, reading)), ..Lateness::default() }
     }
 
     /// The latest window has missed rounds, or ticks of timers.
@@ -108,86 +65,50 @@ impl Lateness {
 
     /// Nothing is late, and the window has taken note of all that was counted.
     pub(super) fn is_settled(&self, reading: &ComponentSample) -> bool {
-        self.bad == 0
-            && self.delayed_since.is_none()
-            && self.missed_rounds() == 0
-            && self.window.expired == reading.expired
+        let has_noted = |window: &Window| {
+            (window.missed_ticks, window.expired) == (reading.missed_ticks, reading.expired)
+        };
+        self.bad == 0 && self.delayed_since.is_none() && self.window.as_ref().is_some_and(has_noted)
     }
 
     /// Time in which nothing could be counted is over.
-    pub(super) fn void(&mut self, now: Instant) {
-        if let Some(rounds) = &mut self.rounds {
-            (rounds.earlier, rounds.missed, rounds.interval) = (rounds.total(), 0, Duration::ZERO);
-        }
-        self.window.since = now;
-        self.delayed_since = None;
-        self.bad = 0;
+    pub(super) fn void(&mut self) {
+        (self.window, self.delayed_since, self.bad) = (None, None, 0);
     }
 
-    /// Counts rounds. Answers what the latest window held if that and the one before it were bad.
+    /// Compares counts. Answers what the latest window held if that and the one before it were bad.
     pub(super) fn handle_counts(
         &mut self,
         limits: &HangLimits,
         reading: &ComponentSample,
-        (window, root): (Duration, Option<OverloadRoot>),
-        (now, blind): (Instant, Duration),
+        (span, root): (Duration, Option<OverloadRoot>),
+        at @ (now, blind): (Instant, Duration),
     ) -> Option<Counts> {
-        let due = self.count_rounds(reading, now);
-        let missed = self.rounds.map_or(0, |rounds| rounds.total());
-        let Window { since, due: due_before, missed: missed_before, expired, .. } = self.window;
-        let next = Window::new((now, blind), (due, missed), reading);
-        let due_here = due.saturating_sub(due_before);
-        let is_full = due_here >= ROUNDS_LEAST || reading.interval.is_zero();
-        if due < due_before {
-            // It is counted from the beginning.
-            self.window = next;
-        } else if now - since >= window && is_full {
-            let missed_here = missed.saturating_sub(missed_before);
-            let missed_ticks = u64::from(next.missed_ticks.wrapping_sub(self.window.missed_ticks));
-            let ticks = missed_ticks + u64::from(next.ticks.wrapping_sub(self.window.ticks));
-            self.missed_ticks += missed_ticks;
+        let next = Window::new(at, reading);
+        let window = *self.window.get_or_insert(next);
+        let missed = next.missed_ticks.saturating_sub(window.missed_ticks);
+        let due = missed + u64::from(next.ticks.wrapping_sub(window.ticks));
+        let is_full = due >= ROUNDS_LEAST || reading.interval.is_zero();
+        if now - window.since >= span && is_full {
             // Half of the limit where it was exceeded: a load near the limit is one overload.
             let limit = match u64::from(limits.max_missed_percent) {
                 limit if limit < 100 && self.bad >= WINDOWS => limit / 2,
                 limit => limit,
             };
-            let is_bad = |missed: u64, due: u64| missed * 100 > due * limit;
-            let rounds = is_bad(missed_here, due_here)
-                || (ticks >= ROUNDS_LEAST && is_bad(missed_ticks, ticks));
-            let expired_here = reading.expired.saturating_sub(expired);
-            // What expires while the scanner is not scheduled is no fault of the component.
-            let seen = blind.saturating_sub(self.window.blind) < now - since;
-            let messages = expired_here >= EXPIRED_LEAST && reading.allowance.is_zero() && seen;
-            self.bad = if rounds || messages { self.bad + 1 } else { 0 };
+            let rounds = due >= ROUNDS_LEAST && missed * 100 > due * limit;
+            let expired = reading.expired.saturating_sub(window.expired);
+            let messages = expired >= EXPIRED_LEAST && reading.allowance.is_zero();
+            // What is missed or expires while the scanner is not scheduled is no fault of the
+            // component.
+            let seen = blind.saturating_sub(window.blind) < now - window.since;
+            self.bad = if (rounds || messages) && seen { self.bad + 1 } else { 0 };
             // A component that was late because of another is so until a window is good: the end of
             // a load is no fault of the components behind it.
             let root = root.or(self.counts.root.filter(|_| self.bad > 1));
-            let missed = missed_here + missed_ticks;
-            self.counts = Counts { missed, expired: expired_here, root };
-            self.window = next;
+            self.counts = Counts { missed, expired, root };
+            self.window = Some(next);
         }
         (self.bad >= WINDOWS).then_some(self.counts)
-    }
-
-    /// How many rounds were due since the interval was set.
-    fn count_rounds(&mut self, reading: &ComponentSample, now: Instant) -> u64 {
-        let runs = reading.speaks && !reading.interval.is_zero();
-        let same = self.rounds.is_some_and(|rounds| rounds.interval == reading.interval);
-        if !runs || !same {
-            let earlier = self.rounds.map_or(0, |rounds| rounds.total());
-            let interval = if runs { reading.interval } else { Duration::ZERO };
-            let before = reading.rounds;
-            self.rounds = Some(Rounds { interval, since: now, before, missed: 0, earlier });
-            return 0;
-        }
-        let Some(rounds) = &mut self.rounds else { return 0 };
-        let due = rounds.due(now);
-        // Rounds that were run while the scanner was not are no credit for later ones.
-        rounds.before = rounds.before.max(reading.rounds.saturating_sub(due));
-        // One may be under way.
-        let done = reading.rounds.saturating_sub(rounds.before) + 1;
-        rounds.missed = rounds.missed.max(due.saturating_sub(done));
-        due
     }
 
     /// How long messages may wait: half of the limit where some have waited for longer.

@@ -160,8 +160,9 @@ impl HangDetector {
     }
 
     fn blame_component(&mut self, slot: SlotId, late: &[Late], looked: &impl Looked, now: Instant) {
+        let at = (now, self.missed());
         let Some(root) = self.components.get_mut(slot) else { return };
-        let root = root.wake(looked.activity(slot), now);
+        let root = root.wake(looked.activity(slot), at);
         let Some(reading) = root.reading else { return };
         let episode = root.overload.get_or_insert_with(|| Episode::new(now));
         let victims = late.iter().map(|late| late.slot).filter(|one| *one != slot);

@@ -343,14 +343,6 @@ impl HangDetector {
         })
     }
 
-    /// Which components have missed rounds in their present incarnation, and how many; by slot.
-    pub fn missed_rounds(&self) -> impl Iterator<Item = (SlotId, u64)> + '_ {
-        self.awake().filter_map(|(slot, component)| {
-            let missed = component.lateness.missed_rounds();
-            (missed > 0).then_some((slot, missed))
-        })
-    }
-
     /// The components that were judged at the last look: all that are not at rest.
     fn awake(&self) -> impl Iterator<Item = (SlotId, &ComponentRecord)> + '_ {
         let entry = |slot: SlotId| self.components.get(slot)?.awake();
@@ -378,7 +370,7 @@ impl HangDetector {
             {
                 continue;
             }
-            let component = watched.wake(looked.activity(slot), now);
+            let component = watched.wake(looked.activity(slot), (now, missed));
             let around = Around { slot, arbiter: arbiters.get(&id), is_busy, config, missed };
             component.handle(&around, looked, now, (outputs, &mut late, &mut silent));
             watched.settle(now);
@@ -438,7 +430,7 @@ impl ComponentRecord {
             waits: false,
             sign_seen: false,
             silence: Silence::No,
-            lateness: Lateness::new(now, &ComponentSample::default()),
+            lateness: Lateness::default(),
             overload: None,
         }
     }
@@ -460,7 +452,7 @@ impl ComponentRecord {
     /// It had no chance to work: all is measured from now on.
     fn void(&mut self, now: Instant) {
         (self.turn_since, self.alive_since, self.waits) = (now, now, false);
-        self.lateness.void(now);
+        self.lateness.void();
         if self.silence == Silence::Reported {
             self.silence = Silence::Void;
         }
@@ -485,7 +477,7 @@ impl ComponentRecord {
         let waited = starved.saturating_sub(std::mem::replace(&mut self.starved, starved));
         let Some(before) = before.filter(|before| before.incarnation == reading.incarnation) else {
             let fresh = ComponentRecord::new(self.judged.clone(), now);
-            let lateness = Lateness::new(now, &reading);
+            let lateness = Lateness::new((now, around.missed), &reading);
             *self = ComponentRecord { reading: Some(reading), beat, starved, lateness, ..fresh };
             return;
         };

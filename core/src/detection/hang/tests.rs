@@ -79,7 +79,6 @@ impl World {
             incarnation: Incarnation(1),
             speaks: false,
             allowance: Duration::ZERO,
-            rounds: 0,
             interval: Duration::ZERO,
             ticks: 0,
             missed_ticks: 0,

@@ -121,14 +121,12 @@ pub struct ComponentSample {
     pub speaks: bool,
     /// The component has announced that it takes up to so long; zero for as usual.
     pub allowance: Duration,
-    /// Rounds that it has finished.
-    pub rounds: u64,
     /// How often a round is due; zero for never.
     pub interval: Duration,
-    /// Ticks of its timers that were run; begins again at zero.
+    /// Rounds, and ticks of its timers, that were begun; begins again at zero.
     pub ticks: u32,
-    /// Ticks of its timers that were missed, because the timer still waited for its turn; likewise.
-    pub missed_ticks: u32,
+    /// Those that this incarnation has missed, because the one before still waited for its turn.
+    pub missed_ticks: u64,
     /// Messages whose sender did not wait any more when their turn came.
     pub expired: u64,
 }

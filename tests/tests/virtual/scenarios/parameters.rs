@@ -181,7 +181,7 @@ async fn a_configuration_that_nobody_takes_is_refused_before_anything_starts() {
         error
     };
 
-    let StartError::Spec(SpecError::Parameters { name, error }) =
+    let StartError::Spec(SpecError::Parameters { name, error, .. }) =
         refused("[arm]\nmax_sped = 1.0").await
     else {
         panic!("it names the component")
@@ -197,6 +197,19 @@ async fn a_configuration_that_nobody_takes_is_refused_before_anything_starts() {
     ] {
         let error = refused(toml).await;
         assert!(matches!(error, StartError::Parameters { file: None, .. }), "{error}");
+        assert!(error.to_string().contains(named), "{error}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("robot.toml");
+    std::fs::write(&file, "[arm]\nmax_speed = 9\nattempts = 2\n").unwrap();
+    let in_file = format!("parameters of arm in {}: `max_speed` is 9.0", file.display());
+    for (text, named) in [
+        ("[arm]\nframe = \"odom\"", &*in_file),
+        ("[arm]\nmax_speed = 8", "parameters of arm: `max_speed` is 8.0"),
+    ] {
+        let (builder, _) = arm();
+        let refused = builder.parameters_from(&file).parameters(text);
+        let error = TestNode::try_start(refused).await.err().expect("it is out of range");
         assert!(error.to_string().contains(named), "{error}");
     }
     let (builder, _) = arm();
