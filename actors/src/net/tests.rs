@@ -32,7 +32,7 @@ use blastema_contract::child::{Child, ChildEvent, ChildReport};
 use blastema_contract::link::{CarrierChanged, LinkRow};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::recoverer::Recover;
-use blastema_contract::reports::{DeclaredFaultCleared, Exited, FaultDeclared};
+use blastema_contract::reports::{Exited, FaultDeclared};
 use blastema_contract::router::InjectPanic;
 use blastema_contract::transport::{
     Close, Cut, Direction, MediumAddress, Restore, Transport, TransportReport,
@@ -157,7 +157,6 @@ struct Module {
     nodes: Probe<NodeReported>,
     faults: Probe<Recover>,
     declared: Probe<FaultDeclared>,
-    cleared: Probe<DeclaredFaultCleared>,
 }
 
 impl Robot {
@@ -168,7 +167,7 @@ impl Robot {
         incarnation: u64,
         networks: &[(&str, &[&str])],
     ) -> Module {
-        let (declared, cleared) = (Probe::start(), Probe::start());
+        let declared = Probe::start();
         let reports =
             FaultReports { faults: Some(declared.recipient()), ..FaultReports::default() };
         let host = Arc::new(with_features(
@@ -212,7 +211,7 @@ impl Robot {
             stalls: None,
             nodes: Some(nodes.recipient()),
             faults: Some(declared.recipient()),
-            cleared: Some(cleared.recipient()),
+            cleared: None,
             session_timeout: IDLE_TIMEOUT,
             observers: Vec::new(),
             roster_observers: Vec::new(),
@@ -222,7 +221,7 @@ impl Robot {
         net.announce();
         let log = Log::default();
         let mut module =
-            Module { host, net, log, child: None, exits, links, nodes, faults, declared, cleared };
+            Module { host, net, log, child: None, exits, links, nodes, faults, declared };
         module.start_acc().await;
         module
     }

@@ -206,7 +206,7 @@ mod tests {
             let now = Instant::from_millis(10 * u64::from(number));
             (arrivals.handle(number, skipped, now), arrivals.loss_permille())
         };
-        (1..=20).for_each(|number| drop(arrive(number * 4, 3)));
+        (1..=20).for_each(|number| _ = arrive(number * 4, 3));
         assert_eq!(arrive(84, 3), (HelloArrival::New { missed: 0 }, Some(0)));
         assert_eq!(arrive(88, 2), (HelloArrival::New { missed: 1 }, Some(15)));
         assert_eq!(arrive(90, 63).0, HelloArrival::New { missed: 0 });
