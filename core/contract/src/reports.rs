@@ -3,7 +3,7 @@
 //! ```text
 //! guard ──Exited, StateReported──►┐
 //! component ──FaultDeclared──► Monitor ──► Detector ──► Notifier ──► Recoverer
-//! sampler ──LivenessReported───────┘
+//! sampler ──LivenessReported──────┘
 //! ```
 
 use actix::Message;

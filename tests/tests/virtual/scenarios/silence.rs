@@ -124,22 +124,6 @@ async fn an_object_that_is_asked_and_answers_is_trusted_even_while_it_waits() {
 }
 
 #[blastema_testkit::test]
-async fn who_answers_but_takes_no_message_is_stuck_and_replaced() {
-    let strings = Strings::default();
-    let spec = strings.spec("arm").liveness(Liveness::pull(100 * MS, 100 * MS)).max_wait(HOUR);
-    let mut node = TestNode::start(Node::builder("module1").child(spec)).await;
-    node.sender("arm").unwrap().tell(Do(Deed::Await(3_600_000))).unwrap();
-    node.sender("arm").unwrap().tell(Note(1)).unwrap();
-
-    let fault = node.await_fault(FaultKind::Hang, "arm").await;
-    node.await_recovered(FaultKind::Hang, "arm").await;
-
-    assert!(fault.detail.contains("it answers, but has taken none of 1 message;"), "{fault:?}");
-    assert_eq!(incarnation(&node, "arm").await, 2);
-    assert_eq!(strings.lines("note"), ["arm#2 note 1"]);
-}
-
-#[blastema_testkit::test]
 async fn a_handler_that_awaits_a_component_that_hangs_is_its_symptom() {
     let strings = Strings::default();
     // A request that says nothing else waits for a second.
