@@ -225,7 +225,7 @@ mod tests {
         let (node, root) = (NodeName::new("module1").unwrap(), fault(FaultKind::Hang, None));
         let line = line(&node, &root, &FaultTransition::GaveUp { reason: "too often".into() });
         let text = "hang of module1:arm is given up: boom at arm.rs:7, fault 7: too often";
-        assert_eq!(line, format!("blastema: error on node module1: {text}"));
+        assert_eq!(line, format!("error on node module1: {text}"));
     }
 
     #[test]

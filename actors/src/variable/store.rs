@@ -270,7 +270,7 @@ impl VariableStore {
         }
         drop(inner);
         let store = self.clone();
-        let isolated = DeliveryError::isolated(&object);
+        let isolated = DeliveryError::isolated(object);
         let serve = move |access: VariableRequest,
                           from: MessageOrigin,
                           answer: Responder<VariableRequest>| {
