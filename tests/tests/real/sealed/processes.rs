@@ -94,19 +94,19 @@ impl Pair {
     }
 }
 
-/// That many restarts take longer than any other test.
-fn turn_for(rounds: u32) -> blastema_doubles::Turn {
-    blastema_doubles::turn_within(Duration::from_secs(300 + 10 * u64::from(rounds)))
+/// How often a process is killed.
+fn rounds() -> u64 {
+    if blastema_doubles::long() { 1_000 } else { 20 }
 }
 
 #[test]
 fn a_killed_process_is_found_again_with_new_keys_and_serves_no_request_of_the_past() {
-    let rounds = if blastema_doubles::long() { 1_000 } else { 20 };
-    let _turn = turn_for(rounds);
+    // A thousand restarts take longer than any other test.
+    let _turn = blastema_doubles::turn_within(Duration::from_secs(300 + 10 * rounds()));
     blastema::run(async {
         for scheme in ["udp", "tcp", "unix"] {
             let mut pair = Pair::start(scheme).await;
-            for round in 0..rounds {
+            for round in 0..rounds() {
                 let before = pair.incarnation().await;
                 // A request to the process that was killed is told to be lost, and is not served.
                 let first = pair.first_answer().await;
