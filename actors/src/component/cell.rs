@@ -548,7 +548,9 @@ impl<C: Component> AliveSource for ComponentCell<C> {
     }
 
     fn askers(&self) -> Vec<u32> {
-        self.queue.select(|envelope| envelope.revocable()?.asker())
+        let served = lock(&self.record.service).asker.as_ref().and_then(|served| served.asker());
+        let waiting = self.queue.select(|envelope| envelope.revocable()?.asker());
+        waiting.into_iter().chain(served).collect()
     }
 
     fn round_lateness(&self) -> Option<RoundLateness> {

@@ -30,6 +30,8 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 
+/// So many faults of one kind in a second are told: more would hold up those of others.
+const DECLARATIONS_MAX: u32 = 1_000;
 /// Of so many failed checks is known which; a fault of more ends with these.
 const FAILED_CHECKS_MAX: usize = 64;
 
@@ -244,6 +246,9 @@ impl<C: Component> Context<C> {
         if heartbeat::send_refusal() == Some(DeliveryError::Fenced) {
             return;
         }
+        if !self.may_declare(&kind) {
+            return;
+        }
         if let FaultKind::Custom(code) = &kind {
             detail = self.cell.record.environment.checked_detail(code, detail);
         }
@@ -256,6 +261,18 @@ impl<C: Component> Context<C> {
                 hold,
             });
         }
+    }
+
+    /// Whether one more fault of this kind is told in this second.
+    fn may_declare(&self, kind: &FaultKind) -> bool {
+        let mut declared = self.state.declared.get_or_init(Box::default).borrow_mut();
+        let now = platform::now();
+        let (since, count) = declared.entry(kind.clone()).or_insert((now, 0));
+        if now - *since >= Duration::from_secs(1) {
+            (*since, *count) = (now, 0);
+        }
+        *count += 1;
+        *count <= DECLARATIONS_MAX
     }
 
     /// Ends a fault of this kind that the component has declared.

@@ -6,7 +6,7 @@ use crate::component::{Component, Failure};
 use crate::liveness::activity::ActivityRecord;
 use crate::messaging::incarnation::IncarnationToken;
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_core::{Incarnation, Instant};
+use blastema_core::{FaultKind, Incarnation, Instant};
 use std::cell::{Cell, OnceCell, RefCell};
 use std::future::Future;
 use std::pin::Pin;
@@ -101,6 +101,9 @@ pub(crate) struct IncarnationState<C: Component> {
     pub(crate) timers: OnceCell<Rc<TimerTable<C>>>,
     /// Checks that failed and have not passed since. There only where one has failed.
     pub(crate) failed_checks: OnceCell<Box<RefCell<SortedSet<String>>>>,
+    /// How many faults of each kind were declared within a second, which began then. There only
+    /// where one was.
+    pub(crate) declared: OnceCell<Box<RefCell<SortedMap<FaultKind, (Instant, u32)>>>>,
 }
 
 impl<C: Component> IncarnationState<C> {
@@ -117,6 +120,7 @@ impl<C: Component> IncarnationState<C> {
             wished: Cell::new(false),
             timers: OnceCell::new(),
             failed_checks: OnceCell::new(),
+            declared: OnceCell::new(),
         }
     }
 

@@ -11,9 +11,11 @@ use crate::registry::encoding::{encoded_reply, read_result};
 use crate::registry::{CapacityFuture, ContractPort, MessageMetadata, ReplyTo, Skeleton};
 use blastema_core::contract::codec;
 use blastema_core::{
-    Contract, DeliveryError, FaultKind, Lifecycle, MessageId, PeerIdentity, PreviousVersion,
+    Contract, ContractIdentity, DeliveryError, FaultKind, Lifecycle, MessageId, PeerIdentity,
+    PreviousVersion,
 };
 use bytes::Bytes;
+use std::any::Any;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -27,17 +29,27 @@ impl ContractPort {
     }
 }
 
+/// Whether another component has the name of this one now.
+fn has_successor<C: Component>(cell: &Arc<ComponentCell<C>>) -> bool {
+    let CellCore { name, environment, .. } = &cell.record;
+    let present = environment.registry.cell(name);
+    let own = |present: Arc<dyn Any + Send + Sync>| {
+        present.downcast::<ComponentCell<C>>().is_ok_and(|present| Arc::ptr_eq(&present, cell))
+    };
+    present.is_some_and(|present| !own(present))
+}
+
 /// What stands behind a sender by name: this component, and once it has been removed the one that
 /// has its name.
 struct NamedSink<C: Component>(Arc<ComponentCell<C>>);
 
 impl<C: Component> NamedSink<C> {
     /// The way to another component that has the name now.
-    fn successor<M: Contract>(&self) -> Option<Sender<M>> {
-        let CellCore { name, environment, .. } = &self.0.record;
-        let present = environment.registry.cell(name)?.downcast::<ComponentCell<C>>();
-        let is_own = present.is_ok_and(|present| Arc::ptr_eq(&present, &self.0));
-        environment.registry.sender(name.as_str()).ok().filter(|_| !is_own)
+    fn successor<M: Contract>(&self) -> Result<Sender<M>, DeliveryError> {
+        match has_successor(&self.0) {
+            true => self.0.record.environment.registry.sender(self.0.record.name.as_str()),
+            false => Err(DeliveryError::Stopped),
+        }
     }
 }
 
@@ -47,8 +59,8 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for NamedSink<C> {
         match self.0.tell(message) {
             Err(SendError { kind: DeliveryError::Stopped, message, .. }) => {
                 match self.successor() {
-                    Some(successor) => successor.0.tell(message),
-                    None => Err(SendError::new(DeliveryError::Stopped, message)),
+                    Ok(successor) => successor.0.tell(message),
+                    Err(why) => Err(SendError::new(why, message)),
                 }
             }
             told => told,
@@ -60,8 +72,8 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for NamedSink<C> {
         match self.0.offer(message) {
             Err(SendError { kind: DeliveryError::Stopped, message, .. }) => {
                 match self.successor() {
-                    Some(successor) => successor.0.offer(message),
-                    None => Err(SendError::new(DeliveryError::Stopped, message)),
+                    Ok(successor) => successor.0.offer(message),
+                    Err(why) => Err(SendError::new(why, message)),
                 }
             }
             offered => offered,
@@ -71,8 +83,8 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for NamedSink<C> {
     fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
         Box::pin(async move {
             match self.successor::<M>() {
-                Some(successor) => successor.0.space().await,
-                None => MessageSink::<M>::space(&*self.0).await,
+                Ok(successor) => successor.0.space().await,
+                Err(_) => MessageSink::<M>::space(&*self.0).await,
             }
         })
     }
@@ -95,8 +107,8 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for NamedSink<C> {
         match self.0.ask(message, id, within) {
             Err(RequestError { kind: DeliveryError::Stopped, message: Some(message), .. }) => {
                 match self.successor() {
-                    Some(successor) => successor.0.ask(message, id, within),
-                    None => Err(RequestError::new(DeliveryError::Stopped, Some(message))),
+                    Ok(successor) => successor.0.ask(message, id, within),
+                    Err(why) => Err(RequestError::new(why, Some(message))),
                 }
             }
             asked => asked,
@@ -112,6 +124,17 @@ struct LocalSkeleton<C: Handle<M>, M: Contract> {
 }
 
 impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
+    /// The way to the component that has the name after this one was removed, where it serves the
+    /// same contract.
+    fn successor(&self) -> Option<Arc<dyn Skeleton>> {
+        if self.former.is_some() || !self.cell.queue.is_stopped() || !has_successor(&self.cell) {
+            return None;
+        }
+        let CellCore { name, environment, .. } = &self.cell.record;
+        let (identity, successor) = environment.registry.skeleton(name, M::NAME).ok()?;
+        identity.check(&ContractIdentity::of::<M>().full()).is_ok().then_some(successor)
+    }
+
     fn hand_over(
         &self,
         message: M,
@@ -162,6 +185,9 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
         metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), DeliveryError> {
+        if let Some(successor) = self.successor() {
+            return successor.deliver(message, metadata, reply_to);
+        }
         // To read it runs what is the user's, on the network's thread.
         let what = || format!("to read a message of {}", M::NAME);
         let read = || match &self.former {

@@ -379,6 +379,11 @@ impl<T> BoundedQueue<T> {
         self.lock().queue.back().is_some_and(|(_, newest)| is_true(newest))
     }
 
+    /// Whether it is closed.
+    pub(crate) fn is_stopped(&self) -> bool {
+        self.lock().stopped
+    }
+
     /// A copy of everything that waits.
     pub(crate) fn snapshot(&self) -> Vec<T>
     where

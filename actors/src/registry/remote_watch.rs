@@ -144,7 +144,7 @@ async fn ask_on<O: Future<Output = ()>>(
     lost: impl Fn(String),
     opening: impl Fn() -> O,
 ) {
-    let (mut is_lost, mut is_unknown) = (false, false);
+    let (mut is_lost, mut is_gone) = (false, false);
     loop {
         let question = AwaitEnd { object: object.clone(), after };
         match sender.ask_within(question, WATCH_TIMEOUT).await.map_err(|error| error.kind) {
@@ -155,9 +155,12 @@ async fn ask_on<O: Future<Output = ()>>(
                     lost("its node has started again".to_owned());
                 }
                 (after, is_lost) = (EndsAfter::Seen(seen), false);
-                let unknown = |ended: &LastEnd| ended.ending == DownReason::Unknown;
-                let was_unknown = replace(&mut is_unknown, ended.as_ref().is_some_and(unknown));
-                if let Some(ended) = ended.filter(|_| !(was_unknown && is_unknown)) {
+                let ending = ended.as_ref().map(|ended| &ended.ending);
+                let is_unknown = ending == Some(&DownReason::Unknown);
+                let was_gone =
+                    replace(&mut is_gone, is_unknown || ending == Some(&DownReason::Stopped));
+                // One that was stopped has gone.
+                if let Some(ended) = ended.filter(|_| !(was_gone && is_unknown)) {
                     down(ended);
                 }
                 if !is_unknown {
@@ -171,6 +174,11 @@ async fn ask_on<O: Future<Output = ()>>(
             // fenced.
             Err(DeliveryError::Full | DeliveryError::WayFull { .. } | DeliveryError::Fenced) => {}
             Err(why) => {
+                // It was sent: the node had been there again.
+                is_lost &= !matches!(
+                    why,
+                    DeliveryError::OutcomeUnknown { .. } | DeliveryError::PeerDied { .. }
+                );
                 if after == EndsAfter::Question {
                     after = EndsAfter::Opening;
                 }
@@ -185,7 +193,7 @@ async fn ask_on<O: Future<Output = ()>>(
         }
         tokio::select! {
             () = platform::sleep(RETRY_DELAY) => {}
-            () = opening() => {}
+            () = opening() => is_lost = false,
         }
     }
 }

@@ -342,11 +342,13 @@ impl Detector {
     }
 
     /// Counts a fault once more, in its newest words; no, if what stands was given up in another
-    /// incarnation.
+    /// incarnation, or was treated with success: then it is back.
     fn repeat(&mut self, id: FaultId, scene: &Scene, detail: &str) -> bool {
         let Some(entry) = self.fault_log.entry_mut(id) else { return false };
         let another = scene.incarnation != entry.fault.incarnation;
-        if another && entry.given_up.is_some() {
+        let is_of_object = matches!(entry.fault.location, FaultLocation::Object(_));
+        let is_back = is_of_object && entry.recovered_at.is_some();
+        if is_back || another && entry.given_up.is_some() {
             return false;
         }
         entry.fault.count = entry.fault.count.saturating_add(1);

@@ -284,13 +284,16 @@ impl Monitor {
         hold: Option<Duration>,
         now: Instant,
     ) {
+        let (cause, key) = (NoteCause::Declared(kind.clone()), (object.clone(), kind.clone()));
+        let is_held = self.holds.contains_key(&key);
         let Some(entry) = self.admit(object, incarnation, now) else { return };
         if entry.end.is_none() {
             entry.last_sign = Some(now);
         }
-        entry.note(NoteCause::Declared(kind.clone()), detail.clone());
-        let key = (object.clone(), kind.clone());
-        match hold.map(|span| Hold { span, due: now + span }) {
+        // One that stands without a hold keeps standing.
+        let is_latched = entry.noted(&cause).is_some() && !is_held;
+        entry.note(cause, detail.clone());
+        match hold.filter(|_| !is_latched).map(|span| Hold { span, due: now + span }) {
             Some(hold) => self.holds.insert(key, hold),
             None => self.holds.remove(&key),
         };

@@ -630,5 +630,6 @@ fn a_declared_fault_ends_when_it_is_not_declared_again_within_its_hold() {
 
     declare(&mut monitor, Some(TENTH), 600);
     declare(&mut monitor, None, 610);
+    declare(&mut monitor, Some(TENTH), 620);
     assert_eq!(run(&mut monitor, 10_000), [], "its end is declared");
 }

@@ -71,7 +71,8 @@ async fn a_storm_of_one_fault_is_one_fault_one_report_and_a_count() {
     let node = TestNode::start(builder).await;
     let mut events = node.fault_events();
 
-    for _ in 0..1000 {
+    // More in a second are not told.
+    for _ in 0..1500 {
         ask(&node, "odometry", Deed::Check(7.5)).await.unwrap();
     }
     node.settle().await;

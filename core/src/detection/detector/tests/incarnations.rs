@@ -32,9 +32,12 @@ fn what_a_component_declared_stands_after_its_recovery_until_it_says_that_it_is_
     let details = (entry.first_detail.as_deref(), entry.fault.detail.as_str());
     assert_eq!(details, (Some("10 % left"), "9 % left"));
 
+    bench.see("arm", ONE, declared("8 % left"));
+    assert_eq!(bench.outputs(), ["Cleared 1", "Found 2", "+2"], "it has not helped");
+    bench.detector.handle_outcome(FaultId(2), at(2), RecoveryOutcome::Recovered);
     bench.see("arm", ONE, Finding::Cleared { kind: FaultKind::Custom("OIL".into()) });
-    assert_eq!(bench.outputs(), ["Cleared 1"]);
-    assert!(!bench.entries()[0].stands());
+    assert_eq!(bench.outputs(), ["Recovered 2", "Cleared 2"]);
+    assert!(!bench.entries()[1].stands());
 }
 
 #[test]
