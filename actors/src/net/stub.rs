@@ -92,7 +92,10 @@ impl PeerSendState {
         self.changed.notify_waiters();
     }
 
-    pub(super) fn path_found(&self) {
+    /// A path leads there; to a newer incarnation than that of the session, which has told nothing
+    /// yet, if so.
+    pub(super) fn path_found(&self, is_newer: bool) {
+        self.told.fetch_and(!is_newer, Relaxed);
         self.path.store(true, Relaxed);
         self.met.store(true, Relaxed);
         self.changed.notify_waiters();

@@ -31,9 +31,9 @@ impl Handler<SessionReported> for GatewayActor {
             SessionReported::Reachable { node, incarnation } => {
                 let (peer, send_state) = self.meet(&node);
                 self.exchange.handle_reachable(peer);
-                send_state.path_found();
                 if let Some(peer) = self.peers.get_mut(&peer) {
                     peer.left &= peer.incarnation == incarnation;
+                    send_state.path_found(incarnation > peer.incarnation);
                 }
                 if !send_state.has_session() {
                     self.set(peer, PeerCondition::Opening);
