@@ -144,7 +144,7 @@ async fn ask_on<O: Future<Output = ()>>(
     lost: impl Fn(String),
     opening: impl Fn() -> O,
 ) {
-    let (mut is_lost, mut is_gone) = (false, false);
+    let (mut is_lost, mut was_back, mut is_gone) = (false, false, false);
     loop {
         let question = AwaitEnd { object: object.clone(), after };
         match sender.ask_within(question, WATCH_TIMEOUT).await.map_err(|error| error.kind) {
@@ -154,7 +154,7 @@ async fn ask_on<O: Future<Output = ()>>(
                 if is_other && !is_lost {
                     lost("its node has started again".to_owned());
                 }
-                (after, is_lost) = (EndsAfter::Seen(seen), false);
+                (after, is_lost, was_back) = (EndsAfter::Seen(seen), false, false);
                 let ending = ended.as_ref().map(|ended| &ended.ending);
                 let is_unknown = ending == Some(&DownReason::Unknown);
                 let was_gone =
@@ -174,11 +174,13 @@ async fn ask_on<O: Future<Output = ()>>(
             // fenced.
             Err(DeliveryError::Full | DeliveryError::WayFull { .. } | DeliveryError::Fenced) => {}
             Err(why) => {
-                // It was sent: the node had been there again.
-                is_lost &= !matches!(
+                let was_sent = matches!(
                     why,
                     DeliveryError::OutcomeUnknown { .. } | DeliveryError::PeerDied { .. }
                 );
+                // Lost once more.
+                is_lost &= !(was_sent || was_back);
+                was_back = false;
                 if after == EndsAfter::Question {
                     after = EndsAfter::Opening;
                 }
@@ -193,7 +195,7 @@ async fn ask_on<O: Future<Output = ()>>(
         }
         tokio::select! {
             () = platform::sleep(RETRY_DELAY) => {}
-            () = opening() => is_lost = false,
+            () = opening() => was_back = true,
         }
     }
 }
