@@ -82,6 +82,9 @@ pub(crate) struct DeferredCommands {
     pub(crate) interval: Option<Option<Duration>>,
 }
 
+/// How many faults of each kind were declared within a second, which began then.
+pub(crate) type DeclaredCounts = SortedMap<FaultKind, (Instant, u32)>;
+
 pub(crate) struct IncarnationState<C: Component> {
     pub(crate) incarnation: Incarnation,
     pub(crate) token: Arc<IncarnationToken>,
@@ -101,9 +104,8 @@ pub(crate) struct IncarnationState<C: Component> {
     pub(crate) timers: OnceCell<Rc<TimerTable<C>>>,
     /// Checks that failed and have not passed since. There only where one has failed.
     pub(crate) failed_checks: OnceCell<Box<RefCell<SortedSet<String>>>>,
-    /// How many faults of each kind were declared within a second, which began then. There only
-    /// where one was.
-    pub(crate) declared: OnceCell<Box<RefCell<SortedMap<FaultKind, (Instant, u32)>>>>,
+    /// There only where a fault was declared.
+    pub(crate) declared: OnceCell<Box<RefCell<DeclaredCounts>>>,
 }
 
 impl<C: Component> IncarnationState<C> {
