@@ -10,6 +10,7 @@
 //! link to d ─┘ entry for d waits for its turn
 //! ```
 
+use super::hello_slowdown::HelloSlowdown;
 use super::path_mtu::PathMtu;
 use super::{Link, LinkOutput};
 use crate::machine_set::MachineSet;
@@ -40,6 +41,7 @@ pub struct LinkSet {
     overhead: usize,
     /// The links share a medium, and each sends its own hellos.
     shared: bool,
+    slowdown: HelloSlowdown,
 }
 
 /// The last entry that was sent to a neighbour.
@@ -160,6 +162,8 @@ impl LinkSet {
     /// Sets the hello interval as configured, or as long as the medium and the number of links
     /// need.
     fn pace(&mut self) {
+        let slowdown = self.slowdown.clone();
+        let slow = |link: &Link, least| slowdown.interval(link.configured_interval().max(least));
         let links = self.machines.iter().count();
         let many = match &self.bus {
             None if links > Self::LINKS_AT_ANY_PACE => Self::PACE_OF_MANY * links as u32,
@@ -173,7 +177,9 @@ impl LinkSet {
                 let bytes = 2 * (self.mtu as u64 + overhead + 2 * Link::FRAMING);
                 let whole = Duration::from_nanos(bytes.saturating_mul(1_000_000_000) / rate.max(1));
                 let least = many.max(whole);
-                self.each(|link| link.set_interval(link.interval_at(share, overhead).max(least)));
+                self.each(|link| {
+                    link.set_interval(slow(link, link.interval_at(share, overhead).max(least)));
+                });
             }
             (rate, Some(_)) => {
                 let Some((_, link)) = self.machines.iter().next() else { return };
@@ -192,7 +198,7 @@ impl LinkSet {
                 let interval = wanted.max().unwrap_or_default().max(Duration::from_nanos(nanos));
                 self.each(|link| link.set_interval(interval));
             }
-            (None, None) => self.each(|link| link.set_interval(many)),
+            (None, None) => self.each(|link| link.set_interval(slow(link, many))),
         }
     }
 
@@ -248,6 +254,10 @@ impl Machine for LinkSet {
     fn handle_timeout(&mut self, now: Instant) {
         let late = self.poll_timeout().map_or(Duration::ZERO, |due| now - due);
         self.stalled = (late >= Self::STALL).then_some(late);
+        let interval = self.machines.iter().map(|(_, link)| link.hello_interval()).max();
+        if self.slowdown.handle_late(late, interval.unwrap_or_default(), now) {
+            self.pace();
+        }
         self.machines.handle_timeout(now);
         self.greet(now);
     }

@@ -23,6 +23,7 @@ mod acquaintance;
 mod arrival;
 mod bus;
 mod flap_damping;
+mod hello_slowdown;
 mod path_mtu;
 mod quality;
 mod reassembly;
