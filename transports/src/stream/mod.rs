@@ -77,8 +77,49 @@ pub(crate) trait ByteStream: 'static {
     fn poll_write_ready(&self, task: &mut task::Context<'_>) -> Poll<io::Result<()>>;
 }
 
-macro_rules! byte_stream {
-    ($stream:ty) => {
+/// Makes a transport of a newtype of [`Streams`], whose connections are these of tokio.
+macro_rules! stream_transport {
+    ($transport:ty, $stream:ty) => {
+        crate::medium::transport!($transport);
+
+        impl crate::medium::MediumActor for $transport {
+            fn outlet(&mut self) -> &mut crate::upstream::Upstream {
+                &mut self.0.outlet
+            }
+
+            fn open(&mut self, _: &mut actix::Context<Self>) {
+                self.0.open();
+            }
+
+            fn attach(
+                &mut self,
+                message: blastema_contract::transport::Attach,
+                _: &mut actix::Context<Self>,
+            ) {
+                self.0.attach(message);
+            }
+
+            fn adopt(&mut self, message: blastema_contract::transport::Adopt) {
+                self.0.adopt(message);
+            }
+
+            fn transmit(&mut self, message: blastema_contract::transport::Transmit) {
+                self.0.transmit(message);
+            }
+
+            fn backlog(&self) -> blastema_contract::transport::TransmitBacklog {
+                self.0.backlog()
+            }
+
+            fn pump(&mut self, task: &mut std::task::Context<'_>) {
+                self.0.pump(task);
+            }
+
+            fn shut(&mut self) {
+                self.0.shut();
+            }
+        }
+
         impl crate::stream::ByteStream for $stream {
             fn try_read_buf(
                 &self,
@@ -111,7 +152,7 @@ macro_rules! byte_stream {
     };
 }
 
-pub(crate) use byte_stream;
+pub(crate) use stream_transport;
 
 /// What makes streams.
 pub(crate) trait StreamFamily: 'static {

@@ -9,11 +9,10 @@ pub use crate::stream::framing;
 
 use self::handshake::{dial, greet, introduce};
 use crate::bound_address::{BoundAddress, confine, explain};
-use crate::medium::{MediumActor, transport};
-use crate::stream::{BACKLOG, HandshakeFuture, StreamFamily, StreamLimits, Streams, byte_stream};
-use crate::upstream::Upstream;
-use actix::Context;
-use blastema_contract::transport::{Adopt, Attach, MediumAddress, Transmit, TransmitBacklog};
+use crate::stream::{
+    BACKLOG, HandshakeFuture, StreamFamily, StreamLimits, Streams, stream_transport,
+};
+use blastema_contract::transport::MediumAddress;
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -85,43 +84,7 @@ impl Tcp {
     }
 }
 
-impl MediumActor for Tcp {
-    fn outlet(&mut self) -> &mut Upstream {
-        &mut self.0.outlet
-    }
-
-    fn open(&mut self, _: &mut Context<Self>) {
-        self.0.open();
-    }
-
-    fn attach(&mut self, message: Attach, _: &mut Context<Self>) {
-        self.0.attach(message);
-    }
-
-    fn adopt(&mut self, message: Adopt) {
-        self.0.adopt(message);
-    }
-
-    fn transmit(&mut self, message: Transmit) {
-        self.0.transmit(message);
-    }
-
-    fn backlog(&self) -> TransmitBacklog {
-        self.0.backlog()
-    }
-
-    fn pump(&mut self, task: &mut task::Context<'_>) {
-        self.0.pump(task);
-    }
-
-    fn shut(&mut self) {
-        self.0.shut();
-    }
-}
-
-transport!(Tcp);
-
-byte_stream!(TcpStream);
+stream_transport!(Tcp, TcpStream);
 
 struct OverIp {
     config: TcpConfig,

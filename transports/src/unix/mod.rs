@@ -20,11 +20,8 @@ pub use self::users::{AllowedUsers, PeerRole};
 pub use crate::stream::framing;
 
 use self::socket::{dial, greet, introduce};
-use crate::medium::{MediumActor, transport};
-use crate::stream::{HandshakeFuture, StreamFamily, StreamLimits, Streams, byte_stream};
-use crate::upstream::Upstream;
-use actix::Context;
-use blastema_contract::transport::{Adopt, Attach, MediumAddress, Transmit, TransmitBacklog};
+use crate::stream::{HandshakeFuture, StreamFamily, StreamLimits, Streams, stream_transport};
+use blastema_contract::transport::MediumAddress;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io;
 use std::path::Path;
@@ -45,43 +42,7 @@ impl Unix {
     }
 }
 
-impl MediumActor for Unix {
-    fn outlet(&mut self) -> &mut Upstream {
-        &mut self.0.outlet
-    }
-
-    fn open(&mut self, _: &mut Context<Self>) {
-        self.0.open();
-    }
-
-    fn attach(&mut self, message: Attach, _: &mut Context<Self>) {
-        self.0.attach(message);
-    }
-
-    fn adopt(&mut self, message: Adopt) {
-        self.0.adopt(message);
-    }
-
-    fn transmit(&mut self, message: Transmit) {
-        self.0.transmit(message);
-    }
-
-    fn backlog(&self) -> TransmitBacklog {
-        self.0.backlog()
-    }
-
-    fn pump(&mut self, task: &mut task::Context<'_>) {
-        self.0.pump(task);
-    }
-
-    fn shut(&mut self) {
-        self.0.shut();
-    }
-}
-
-transport!(Unix);
-
-byte_stream!(UnixStream);
+stream_transport!(Unix, UnixStream);
 
 struct OverPaths {
     config: UnixConfig,
