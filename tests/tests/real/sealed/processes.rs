@@ -61,11 +61,31 @@ impl Pair {
             _ => free_addresses(2).iter().map(ToString::to_string).collect(),
         };
         at.push(folder.path().display().to_string());
-        let errors = std::fs::File::create(folder.path().join("right.errors")).expect("a folder");
-        let right = Process::start_into(errors, module_path!(), scheme, &at);
+        let right = Self::start_right(scheme, &at);
         let left = node(&keys, "left", network(scheme, 0, &at)).start().await.expect("it starts");
         assert!(left.connected("right", PATIENCE).await, "{:?}", left.links().await);
         Pair { left, right, at, _folder: folder }
+    }
+
+    /// Starts a process of the right node, which writes its errors to a file of its own.
+    fn start_right(scheme: &str, at: &[String]) -> Process {
+        let errors = std::fs::File::create(Path::new(&at[2]).join("right.errors"));
+        Process::start_into(errors.expect("a folder"), module_path!(), scheme, at)
+    }
+
+    /// Waits until a process of the right node that is later than `before` is connected.
+    async fn is_back(&self, before: u64) {
+        let back = async {
+            while !self.is_up().await || self.incarnation().await <= before {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+            self.left.connected("right", PATIENCE).await
+        };
+        if tokio::time::timeout(PATIENCE, back).await != Ok(true) {
+            let errors = std::fs::read_to_string(Path::new(&self.at[2]).join("right.errors"));
+            let (links, sessions) = (self.left.links().await, self.left.sessions().await);
+            panic!("it is not back after {before}: {links:#?}\n{sessions:#?}\n{errors:?}");
+        }
     }
 
     /// The incarnation that the right node's link is with.
@@ -116,10 +136,8 @@ fn a_killed_process_is_found_again_with_new_keys_and_serves_no_request_of_the_pa
                 }
                 assert_eq!(pair.right.exit_status(), None, "{scheme}, {round}: it was not refused");
                 pair.right.kill();
-                pair.right = Process::start_with(module_path!(), scheme, &pair.at, &[]);
-                until(async || pair.is_up().await && pair.incarnation().await > before, "again")
-                    .await;
-                assert!(pair.left.connected("right", PATIENCE).await);
+                pair.right = Pair::start_right(scheme, &pair.at);
+                pair.is_back(before).await;
             }
             // A restart within tenths of a second is no second computer with the key.
             let mut faults = pair.left.faults().await.entries.into_iter();
