@@ -356,7 +356,6 @@ impl Handler<TransportReport> for DiscoveryActor {
             TransportReport::Ended
             | TransportReport::Rate { .. }
             | TransportReport::PeerLost { .. }
-            | TransportReport::Bus { .. }
             | TransportReport::NoCarrier { .. }
             | TransportReport::Clash { .. } => {}
         }

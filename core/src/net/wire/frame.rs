@@ -4,7 +4,7 @@
 //!      0        1
 //! ┌────────┬────────┬──────────────────────────────┐
 //! │ 1011 v │  kind  │ hello, routing, data         │   v = version of the protocol, 1
-//! │        │        │ greeting, routing part, taken│
+//! │        │        │ routing part, taken, probe   │
 //! └────────┴────────┴──────────────────────────────┘
 //!
 //! hello, kind 0, 38 bytes and the name:
@@ -18,8 +18,7 @@
 //! The echo says which hello of the neighbour arrived last and how long ago: the neighbour learns
 //! that it is heard, and the round trip without any clock in common. Stance and loss say what this
 //! end thinks of the link, so that both ends use it, or neither; beside the stance stand six bits: how
-//! many hellos before this one were not sent, since their node was not run. Numbers are big-endian. On a bus
-//! one [greeting](super::bus_hello), kind 3, goes to all in place of a hello to each.
+//! many hellos before this one were not sent, since their node was not run. Numbers are big-endian.
 //!
 //! What a router says and no frame of the medium carries whole goes in parts, kind 4: one byte,
 //! which part it is from 0, with 128 added to the last, then the bytes.
@@ -32,7 +31,6 @@
 //!
 //! A frame ends where the transport says that it ends; integrity is the transport's business.
 
-use super::bus_hello::BusHello;
 use super::hello_state::HelloState;
 use super::{Reader, WireError, Write, packet};
 use crate::{GatherBuffer, Incarnation, NodeName};
@@ -49,7 +47,6 @@ pub const FRAME_HEADER: usize = 2;
 const HELLO: u8 = 0;
 const ROUTING: u8 = 1;
 const DATA: u8 = 2;
-const GREETING: u8 = 3;
 const ROUTING_PART: u8 = 4;
 const TAKEN: u8 = 5;
 const PROBE: u8 = 6;
@@ -64,8 +61,6 @@ pub enum Frame {
     Routing(Bytes),
     /// A packet on its way.
     Data(GatherBuffer),
-    /// I live, and this is what I hear of each of you.
-    Greeting(BusHello),
     /// A part of what the neighbour's router should know, where no frame carries it whole.
     RoutingPart(RoutingFragment),
     /// Another node has the receiver's name.
@@ -160,13 +155,6 @@ impl Frame {
             Frame::Hello(hello) => hello.encode().into(),
             Frame::Routing(bytes) => wrap(ROUTING, &bytes.clone().into()),
             Frame::Data(packet) => wrap(DATA, packet),
-            Frame::Greeting(greeting) => {
-                let mut bytes = BytesMut::with_capacity(greeting.length_at_most());
-                bytes.put_u8(MAGIC | VERSION);
-                bytes.put_u8(GREETING);
-                greeting.encode(&mut bytes);
-                bytes.freeze().into()
-            }
             Frame::RoutingPart(part) => {
                 let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 1 + part.bytes.len());
                 bytes.put_u8(MAGIC | VERSION);
@@ -217,7 +205,6 @@ impl Frame {
             HELLO => Hello::decode(reader).map(Frame::Hello),
             ROUTING => Ok(Frame::Routing(reader.rest())),
             DATA => Ok(Frame::Data(reader.rest().into())),
-            GREETING => BusHello::decode(reader).map(Frame::Greeting),
             ROUTING_PART => {
                 let first = reader.u8()?;
                 let (index, last) =
@@ -252,10 +239,10 @@ impl RoutingFragment {
     const LAST: u8 = 128;
 }
 
-/// Whether these bytes are a hello, or a greeting. They go before all else: a link that they do not
-/// keep up carries nothing.
+/// Whether these bytes are a hello. It goes before all else: a link that hellos do not keep up
+/// carries nothing.
 pub fn is_hello(frame: &GatherBuffer) -> bool {
-    matches!(frame.pieces()[0], [_, HELLO | GREETING, ..])
+    matches!(frame.pieces()[0], [_, HELLO, ..])
 }
 
 /// Whether these bytes of a frame should overtake what waits for a slow medium: hellos, what
@@ -418,6 +405,7 @@ mod tests {
         check(b"", WireError::Truncated);
         check(b"GET / HTTP/1.1", WireError::Foreign { first: b'G' });
         check(&[0xb2, 0], WireError::Version { theirs: 2, ours: 1 });
+        check(&[0xb1, 3], WireError::Malformed { what: "a frame's kind" });
         check(&[0xb1, 9], WireError::Malformed { what: "a frame's kind" });
         check(&[0xb1, 7, 1, 2, 3], WireError::TooLarge { what: "a probe's answer" });
         check(

@@ -1,7 +1,6 @@
 //! Reading and writing bytes that come from, or go to, outside.
 
 pub mod advertisement;
-pub mod bus_hello;
 pub mod frame;
 pub mod hello_state;
 pub mod link_id;
