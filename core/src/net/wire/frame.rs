@@ -155,32 +155,28 @@ impl Frame {
             Frame::Hello(hello) => hello.encode().into(),
             Frame::Routing(bytes) => wrap(ROUTING, &bytes.clone().into()),
             Frame::Data(packet) => wrap(DATA, packet),
-            Frame::RoutingPart(part) => {
-                let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 1 + part.bytes.len());
-                bytes.put_u8(MAGIC | VERSION);
-                bytes.put_u8(ROUTING_PART);
-                let last = if part.last { RoutingFragment::LAST } else { 0 };
-                bytes.put_u8(last | part.index & RoutingFragment::INDEX_MAX);
-                bytes.put_slice(&part.bytes);
+            Frame::RoutingPart(RoutingFragment { index, last, bytes: part }) => {
+                let mut bytes = begin(ROUTING_PART, 1 + part.len());
+                let last = if *last { RoutingFragment::LAST } else { 0 };
+                bytes.put_u8(last | index & RoutingFragment::INDEX_MAX);
+                bytes.put_slice(part);
                 bytes.freeze().into()
             }
             Frame::Taken { refused, by: NameHolder { incarnation, address } } => {
-                let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 16 + address.len());
-                bytes.put_u8(MAGIC | VERSION);
-                bytes.put_u8(TAKEN);
+                let mut bytes = begin(TAKEN, 16 + address.len());
                 bytes.put_u64(refused.0);
                 bytes.put_u64(incarnation.0);
                 bytes.put_slice(address.as_bytes());
                 bytes.freeze().into()
             }
             Frame::Probe(size) => {
-                let mut bytes = BytesMut::zeroed(usize::from(*size).max(FRAME_HEADER));
-                bytes[..FRAME_HEADER].copy_from_slice(&[MAGIC | VERSION, PROBE]);
+                let size = usize::from(*size).max(FRAME_HEADER);
+                let mut bytes = begin(PROBE, size - FRAME_HEADER);
+                bytes.resize(size, 0);
                 bytes.freeze().into()
             }
             Frame::ProbeAnswer(size) => {
-                let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 2);
-                bytes.put_slice(&[MAGIC | VERSION, PROBE_ANSWER]);
+                let mut bytes = begin(PROBE_ANSWER, 2);
                 bytes.put_u16(*size);
                 bytes.freeze().into()
             }
@@ -260,10 +256,14 @@ pub fn is_urgent(frame: &GatherBuffer) -> bool {
 }
 
 fn wrap(kind: u8, payload: &GatherBuffer) -> GatherBuffer {
-    let mut bytes = BytesMut::with_capacity(FRAME_HEADER + payload.copied());
-    bytes.put_u8(MAGIC | VERSION);
-    bytes.put_u8(kind);
-    payload.behind(bytes)
+    payload.behind(begin(kind, payload.copied()))
+}
+
+/// The header of a frame, with room for so many more bytes.
+fn begin(kind: u8, length: usize) -> BytesMut {
+    let mut bytes = BytesMut::with_capacity(FRAME_HEADER + length);
+    bytes.put_slice(&[MAGIC | VERSION, kind]);
+    bytes
 }
 
 impl Hello {
@@ -273,9 +273,7 @@ impl Hello {
     fn encode(&self) -> Bytes {
         let nothing = Echo { incarnation: Incarnation(0), sequence: 0, held_us: 0 };
         let echo = self.echo.unwrap_or(nothing);
-        let mut bytes = BytesMut::with_capacity(38 + self.node.as_str().len());
-        bytes.put_u8(MAGIC | VERSION);
-        bytes.put_u8(HELLO);
+        let mut bytes = begin(HELLO, 36 + self.node.as_str().len());
         bytes.put_u64(self.incarnation.0);
         bytes.put_u32(self.sequence);
         bytes.put_u32(self.interval_us);
