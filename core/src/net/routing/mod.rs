@@ -21,6 +21,7 @@ pub mod topology;
 pub use self::keys::RouterKeys;
 pub use self::types::{LinkHealth, LinkStatus, RouterConfig, RouterOutput};
 
+use self::keys::{CHECKS_MAX, CHECKS_PERIOD};
 use self::names::UnusedLink;
 use super::wire::Refusals;
 use super::wire::advertisement::{Advertisement, AdvertisementId, RoutingMessage};
@@ -28,7 +29,7 @@ use super::wire::link_id::LinkId;
 use super::wire::node_id::NodeId;
 use crate::sorted::{SortedMap, SortedSet};
 use crate::timer::Timers;
-use crate::{Incarnation, Instant, Machine, NodeName};
+use crate::{Incarnation, Instant, Machine, NodeName, SlidingWindow};
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -226,7 +227,7 @@ impl Router {
                         pending,
                         compare_at: now,
                         keys_differ: false,
-                        checks: Default::default(),
+                        checks: SlidingWindow::new(CHECKS_MAX, CHECKS_PERIOD),
                     },
                 );
                 self.set_silent_aside(link);
