@@ -113,8 +113,7 @@ impl LinkSet {
         // The rate is that of both directions together.
         let bytes = 2 * (self.mtu as u64 + overhead + 2 * Link::FRAMING);
         let whole = Duration::from_nanos(bytes.saturating_mul(1_000_000_000) / rate.max(1));
-        let least = many.max(whole);
-        self.each(|link| link.set_interval(link.interval_at(share, overhead).max(least)));
+        self.each(|link| link.set_interval(link.interval_at(share, overhead).max(whole).max(many)));
     }
 }
 

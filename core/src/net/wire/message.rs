@@ -237,13 +237,9 @@ impl PeerMessage {
                 [call, timestamp, within].into_iter().for_each(|number| bytes.varint(*number));
                 put_id(bytes, *id);
             }
-            PeerMessage::Reply { call, result: Ok(_) } => {
-                bytes.put_u8(REPLY);
-                bytes.varint(*call);
-            }
+            PeerMessage::Reply { call, result: Ok(_) } => numbered(bytes, REPLY, *call),
             PeerMessage::Reply { call, result: Err(why) } => {
-                bytes.put_u8(REPLY_FAILED);
-                bytes.varint(*call);
+                numbered(bytes, REPLY_FAILED, *call);
                 bytes.sized(&encode_why(why));
             }
             PeerMessage::Tell { binding, timestamp_us, id, payload: _ } => {
@@ -264,28 +260,15 @@ impl PeerMessage {
                 numbered(bytes, SUBSCRIBE_REFUSED, *subscription);
                 bytes.sized(&encode_why(why));
             }
-            PeerMessage::SubscribeAgain { subscription } => {
-                numbered(bytes, SUBSCRIBE_AGAIN, *subscription);
-            }
-            PeerMessage::Unsubscribe { subscription } => {
-                numbered(bytes, UNSUBSCRIBE, *subscription);
-            }
+            PeerMessage::SubscribeAgain { subscription: n } => numbered(bytes, SUBSCRIBE_AGAIN, *n),
+            PeerMessage::Unsubscribe { subscription: n } => numbered(bytes, UNSUBSCRIBE, *n),
             PeerMessage::Event { subscription, timestamp_us, payload: _ } => {
                 numbered(bytes, EVENT, *subscription);
                 bytes.varint(*timestamp_us);
             }
-            PeerMessage::Notice { number, payload: _ } => {
-                bytes.put_u8(NOTICE);
-                bytes.varint(*number);
-            }
-            PeerMessage::Confirmed { number } => {
-                bytes.put_u8(CONFIRMED);
-                bytes.varint(*number);
-            }
-            PeerMessage::Announced { timestamp_us } => {
-                bytes.put_u8(ANNOUNCED);
-                bytes.varint(*timestamp_us);
-            }
+            PeerMessage::Notice { number, payload: _ } => numbered(bytes, NOTICE, *number),
+            PeerMessage::Confirmed { number } => numbered(bytes, CONFIRMED, *number),
+            PeerMessage::Announced { timestamp_us } => numbered(bytes, ANNOUNCED, *timestamp_us),
             PeerMessage::Leaving => bytes.put_u8(BYE),
             PeerMessage::NotReady { binding } => numbered(bytes, FULL, *binding),
             PeerMessage::Ready { binding } => numbered(bytes, ROOM, *binding),
@@ -364,7 +347,7 @@ impl PeerMessage {
     }
 }
 
-fn numbered(bytes: &mut BytesMut, kind: u8, number: u32) {
+fn numbered(bytes: &mut BytesMut, kind: u8, number: impl Into<u64>) {
     bytes.put_u8(kind);
     bytes.varint(number.into());
 }
