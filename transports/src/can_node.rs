@@ -365,10 +365,6 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         Some((part as u64 - 1) * u64::from(self.port.bitrate()) / bits)
     }
 
-    fn to_all(&self) -> Option<MediumAddress> {
-        Some(MediumAddress::Can(BusAddress::ALL.0))
-    }
-
     fn open(&mut self) -> io::Result<OpenedMedium> {
         self.close();
         let machine = self.build()?;

@@ -196,7 +196,6 @@ impl Handler<TransportReport> for FaultInjector {
             TransportReport::Rate { bytes_per_second } => {
                 self.outlet.announce_rate(bytes_per_second);
             }
-            TransportReport::Bus { all } => self.outlet.announce_bus(all),
             TransportReport::Opened { .. }
             | TransportReport::Closed { .. }
             | TransportReport::Ended => {

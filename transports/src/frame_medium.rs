@@ -33,12 +33,6 @@ pub trait FrameMedium: Send + 'static {
         None
     }
 
-    /// The address that reaches all nodes at once, where the medium is a bus that all of them hear:
-    /// one hello is said there for all.
-    fn to_all(&self) -> Option<MediumAddress> {
-        None
-    }
-
     /// Opens it, or opens it again after it was lost or closed.
     ///
     /// # Errors

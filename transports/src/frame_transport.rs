@@ -68,9 +68,6 @@ impl FrameTransport {
                     self.open = self.opening.take();
                     let is_probed = false;
                     self.outlet.announce(TransportReport::Opened { local, mtu, is_probed });
-                    if let Some(all) = self.medium.to_all() {
-                        self.outlet.announce_bus(all);
-                    }
                     if let Some(rate) = self.medium.bytes_per_second() {
                         self.outlet.announce_rate(rate);
                     }

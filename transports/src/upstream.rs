@@ -29,8 +29,6 @@ pub(crate) struct Upstream {
     state: Option<TransportReport>,
     /// How much the medium carries, where that is little.
     rate: Option<u64>,
-    /// Where all nodes are reached at once, on a bus.
-    bus: Option<MediumAddress>,
     unconfirmed: VecDeque<Pin<Box<RecipientRequest<Received>>>>,
     in_batch: usize,
 }
@@ -57,14 +55,6 @@ impl Upstream {
         }
     }
 
-    /// The medium is a bus; it is reported now, and after each opening.
-    pub(crate) fn announce_bus(&mut self, all: MediumAddress) {
-        if self.bus.as_ref() != Some(&all) {
-            self.bus = Some(all.clone());
-            self.report(TransportReport::Bus { all });
-        }
-    }
-
     /// What time it is, if the attached receiver has a clock.
     pub(crate) fn now(&self) -> Option<Instant> {
         self.attach.as_ref()?.clock.map(|clock| clock())
@@ -74,9 +64,6 @@ impl Upstream {
         let Some(state) = self.state.clone() else { return };
         let open = matches!(state, TransportReport::Opened { .. });
         self.report(state);
-        if let Some(all) = self.bus.clone().filter(|_| open) {
-            self.report(TransportReport::Bus { all });
-        }
         if let Some(bytes_per_second) = self.rate.filter(|_| open) {
             self.report(TransportReport::Rate { bytes_per_second });
         }

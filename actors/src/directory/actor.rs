@@ -17,7 +17,6 @@ use blastema_core::directory::{
     ClaimRefused, ClaimRequest, Directory, DirectoryConfig, DirectoryKey, DirectoryOutput, Holder,
     NameHeld, UnmetClaims,
 };
-use blastema_core::net::active_alarms::ActiveAlarms;
 use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::{NodeId, Refusals};
 use blastema_core::sorted::SortedMap;
@@ -72,9 +71,6 @@ pub(crate) struct DirectoryActor {
     peers: SortedMap<NodeId, (NodeName, Incarnation)>,
     complaints: RefusalAlarms<NodeName>,
     faults: FaultReporter,
-    /// Names that were lost to others, who had claimed them out of sight: as many as are claimed
-    /// here.
-    lost: ActiveAlarms<(ObjectName, u64)>,
     /// Who goes without a name, and what was said of that last.
     without: UnmetClaims,
     reported_conflict: Option<String>,
@@ -113,7 +109,6 @@ impl DirectoryActor {
                 peers: SortedMap::new(),
                 complaints: RefusalAlarms::default(),
                 faults: FaultReporter::of("directory", setup.faults.clone(), setup.cleared.clone()),
-                lost: ActiveAlarms::default(),
                 without: UnmetClaims::default(),
                 reported_conflict: None,
                 revisions: None,
@@ -157,39 +152,24 @@ impl DirectoryActor {
             .map_or(Incarnation::default(), |(_, incarnation)| *incarnation)
     }
 
-    fn declare(&self, kind: FaultKind, detail: String) {
-        error!("{detail}");
-        self.faults.declare(kind, detail);
-    }
-
-    /// Some names are not lost any more. Of those who go without, it is said again.
-    fn clear(&mut self) {
-        self.reported_conflict = None;
-        if self.without.text().is_some() {
-            self.say_who_goes_without();
-        } else if self.lost.iter().next().is_none() {
-            self.faults.clear(FaultKind::NameTaken);
-        }
-    }
-
     /// As it is now.
     fn say_who_goes_without(&mut self) {
         match self.without.text() {
             Some(text) if self.reported_conflict.as_ref() != Some(&text) => {
                 self.reported_conflict = Some(text.clone());
-                self.declare(FaultKind::NameTaken, text);
+                error!("{text}");
+                self.faults.declare(FaultKind::NameTaken, text);
             }
-            None if self.reported_conflict.take().is_some() => self.clear(),
+            None if self.reported_conflict.take().is_some() => {
+                self.faults.clear(FaultKind::NameTaken);
+            }
             Some(_) | None => {}
         }
     }
 
     /// A claim is granted, or given back.
-    fn has_its_name(&mut self, name: ObjectName, number: u64) {
-        self.without.handle_end(&name, number);
-        if self.lost.clear(&(name, number)) {
-            self.clear();
-        }
+    fn has_its_name(&mut self, name: &ObjectName, number: u64) {
+        self.without.handle_end(name, number);
         self.say_who_goes_without();
     }
 
@@ -241,7 +221,6 @@ impl DirectoryActor {
 
     /// Raises an alarm for a node whose messages are refused for seconds.
     fn look_at_refusals(&mut self) {
-        let now = platform::now();
         let looks: Vec<(NodeName, Refusals)> =
             self.machine.refusals().map(|(node, refusals)| (node.clone(), refusals)).collect();
         for (node, refusals) in looks {
@@ -250,9 +229,6 @@ impl DirectoryActor {
                     format!("what {node} says that it has is refused all the time: {since}");
                 self.faults.declare_passing(FaultKind::CheckFailed, detail);
             }
-        }
-        if !self.lost.take_over(now).is_empty() {
-            self.clear();
         }
     }
 }
@@ -323,7 +299,7 @@ impl MachineActor for DirectoryActor {
                 info!(%name, epoch, "a name is ours");
                 self.tell(&name, ClaimState::Held { epoch });
                 if let Some(number) = self.own.get(&name).map(|own| own.number) {
-                    self.has_its_name(name, number);
+                    self.has_its_name(&name, number);
                 }
             }
             DirectoryOutput::StandsBy { name } => self.tell(&name, ClaimState::StandsBy),
@@ -341,10 +317,9 @@ impl MachineActor for DirectoryActor {
                     "the name {name} is lost to {to}, whose claim {epoch} is the later one of two \
                      that were made out of each other's sight; {what}"
                 );
-                self.declare(FaultKind::NameTaken, detail);
+                error!("{detail}");
                 // Each of the two knows it now, and what becomes of it.
-                let number = self.own.get(&name).map_or(0, |own| own.number);
-                self.lost.raise((name.clone(), number), platform::now());
+                self.faults.declare_passing(FaultKind::NameTaken, detail);
                 match stands_by {
                     true => self.tell(&name, ClaimState::StandsBy),
                     false => self.end(&name, ClaimState::Lost { to, epoch }),
@@ -400,7 +375,7 @@ impl Handler<ClaimCommand> for DirectoryActor {
                     self.machine.handle_withdrawn(&name);
                 }
                 // Also of one that was refused, and goes without.
-                self.has_its_name(name, number);
+                self.has_its_name(&name, number);
             }
         }
         self.drive(context);

@@ -179,7 +179,7 @@ fn begin(wiring: &DiscoveryRecipients) -> Discovery {
     let mut machine = Discovery::new(DiscoveryConfig::new(wiring.node.clone(), admissions));
     for (domain, field) in wiring.fields.iter().enumerate() {
         for (node, address) in &field.described {
-            machine.handle_down(domain, node.clone(), address.to_string(), now);
+            machine.handle_link((domain, node.clone()), address.to_string(), false, now);
         }
     }
     machine
@@ -300,10 +300,7 @@ impl Handler<NeighbourChange> for DiscoveryActor {
         match seen {
             NeighbourChange::Neighbour { domain, node, remote, up } => {
                 let (address, now) = (remote.to_string(), platform::now());
-                match up {
-                    true => self.machine.handle_up(domain, node, address, now),
-                    false => self.machine.handle_down(domain, node, address, now),
-                }
+                self.machine.handle_link((domain, node), address, up, now);
                 self.drive(context);
             }
             NeighbourChange::Open { domain, port } => {
@@ -356,7 +353,6 @@ impl Handler<TransportReport> for DiscoveryActor {
             TransportReport::Ended
             | TransportReport::Rate { .. }
             | TransportReport::PeerLost { .. }
-            | TransportReport::Bus { .. }
             | TransportReport::NoCarrier { .. }
             | TransportReport::Clash { .. } => {}
         }

@@ -3,7 +3,7 @@
 use crate::runtime::guardian::alive;
 use actix::prelude::*;
 use blastema_contract::reports::{DeclaredFaultCleared, FaultDeclared};
-use blastema_core::net::active_alarms::QUIET;
+use blastema_core::net::QUIET;
 use blastema_core::{FaultKind, ObjectName};
 use std::time::Duration;
 

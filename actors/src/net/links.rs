@@ -102,8 +102,6 @@ pub(super) struct LinksActor {
     local: String,
     /// How much the medium carries; `None` where it is plenty.
     bytes_per_second: Option<u64>,
-    /// Where all are reached at once, if the medium is a bus.
-    bus: Option<MediumAddress>,
     /// What the router was reported last: it must be taken back when the actor restarts.
     reported: SortedMap<LinkId, LinkStatus>,
     /// Those whose neighbour was never heard while the medium could not be opened.
@@ -129,7 +127,6 @@ impl LinksActor {
             mtu: None,
             local: String::new(),
             bytes_per_second: None,
-            bus: None,
             reported: SortedMap::new(),
             unheard: SortedSet::new(),
             complaints: RefusalAlarms::default(),
@@ -155,9 +152,6 @@ impl LinksActor {
             if let Err(error) = self.insert(number, &spec, now) {
                 error!(network = %self.wiring.network, link = %spec.name, "no link: {error}");
             }
-        }
-        if let Some(all) = self.bus.clone() {
-            self.bundle.handle_bus(all);
         }
         if let Some((mtu, is_probed)) = self.mtu {
             self.bundle.handle_mtu(mtu, is_probed);
@@ -480,10 +474,6 @@ impl Handler<TransportReport> for LinksActor {
                 self.bytes_per_second = Some(bytes_per_second);
                 self.bundle.handle_rate(bytes_per_second);
                 self.tell_router_all();
-            }
-            TransportReport::Bus { all } => {
-                self.bus = Some(all.clone());
-                self.bundle.handle_bus(all);
             }
             TransportReport::NoCarrier { reason } => self.no_carrier(reason, now),
             TransportReport::Clash { reason } => self.clash(reason),

@@ -20,7 +20,6 @@ use blastema_contract::router::{
 };
 use blastema_contract::strategy::Reroute;
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::routing::RouterAlarm;
 use blastema_core::net::wire::frame::NameHolder;
 use blastema_core::net::{self, LinkId, NodeId, RouterConfig, RouterOutput};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
@@ -87,10 +86,10 @@ impl RouterActor {
         }
     }
 
-    /// Names that are used twice: a user must act.
-    fn declare(&self, kind: FaultKind, detail: String) {
+    /// A name is used twice: a user must act.
+    fn name_taken(&self, detail: String) {
         error!("{detail}");
-        self.faults.declare(kind, detail);
+        self.faults.declare_passing(FaultKind::NameTaken, detail);
     }
 
     /// Where a link leads.
@@ -107,14 +106,6 @@ impl RouterActor {
             }
             None => "end one of them, or give it another name",
         }
-    }
-
-    fn clear(&self, trouble: RouterAlarm) {
-        let kind = match trouble {
-            RouterAlarm::NameTaken => FaultKind::NameTaken,
-        };
-        info!(fault = %kind, "nothing more of it was heard for a minute");
-        self.faults.clear(kind);
     }
 
     fn report_path(&self, report: PathReported) {
@@ -163,8 +154,6 @@ impl RouterActor {
 
     /// Builds the machine again.
     fn build(&mut self) {
-        // What persists is reported again.
-        self.machine.troubles().for_each(|trouble| self.clear(trouble));
         self.config.incarnation = self.own.present();
         let reached = self.reached.clone();
         let machine = net::Router::restarted(self.config.clone(), reached, platform::now());
@@ -251,9 +240,8 @@ impl MachineActor for RouterActor {
                 self.report_path(PathReported::Changed { node, mtu });
             }
             RouterOutput::Lost { node, incarnation } => self.lost(node, incarnation),
-            RouterOutput::Over(trouble) => self.clear(trouble),
             RouterOutput::NumberTaken { node, refused } => {
-                self.declare(FaultKind::NameTaken, format!(
+                self.name_taken(format!(
                     "the names {node} and {refused} give one node number: {refused} is kept out; \
                      rename it"
                 ));
@@ -274,7 +262,7 @@ impl MachineActor for RouterActor {
             RouterOutput::KeptOut { node, incarnation, by, link, over } => {
                 let (cure, [at, first]) =
                     (self.cure_of_namesakes(), [link, over].map(|l| self.remote(l)));
-                self.declare(FaultKind::NameTaken, format!(
+                self.name_taken(format!(
                     "another process called {node} has come up at {at} as {incarnation}, and {node} is \
                      reached at {first} as {by}, and answers: the new one is told to stop; {cure}"
                 ));

@@ -176,12 +176,6 @@ pub enum TransportReport {
         /// Bytes of frames in a second, both ways together.
         bytes_per_second: u64,
     },
-    /// The medium is a bus that all its nodes hear: one hello is said there for all of them.
-    /// Reported after each opening.
-    Bus {
-        /// What is sent to this address reaches all.
-        all: MediumAddress,
-    },
     /// The medium is open, but has found that no node is at its other end: what is heard later
     /// proves the contrary.
     NoCarrier {

@@ -138,20 +138,11 @@ impl Discovery {
         self.refusals
     }
 
-    /// A link to a neighbour is up.
-    pub fn handle_up(&mut self, domain: usize, node: NodeName, address: String, now: Instant) {
-        self.note((domain, node), address, true, now);
-    }
-
-    /// A link to a neighbour is not up: it was described, or has gone down.
-    pub fn handle_down(&mut self, domain: usize, node: NodeName, address: String, now: Instant) {
-        self.note((domain, node), address, false, now);
-    }
-
-    fn note(&mut self, link: (usize, NodeName), address: String, up: bool, now: Instant) {
+    /// A link to a neighbour of a network is up, or is not: it was described, or has gone down.
+    pub fn handle_link(&mut self, at: (usize, NodeName), address: String, up: bool, now: Instant) {
         let origin = Origin::Described;
         let fresh = KnownNeighbour { address, up: false, since: now, origin };
-        let known = self.neighbours.entry(link).or_insert(fresh);
+        let known = self.neighbours.entry(at).or_insert(fresh);
         if known.up != up {
             (known.up, known.since) = (up, now);
             if known.origin == Origin::Tried {

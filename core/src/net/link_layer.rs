@@ -11,8 +11,7 @@
 //! **With keys** every frame is sealed for the neighbour, hellos included, and a frame belongs to
 //! the link whose neighbour has sealed it: an address proves nothing. What no node of this robot
 //! has sealed is counted in [`SealRefusals`] and reaches no link. A neighbour that shakes hands in
-//! another incarnation has restarted; its link goes down at once. A bus carries sealed hellos from
-//! each node to each other instead of one greeting to all.
+//! another incarnation has restarted; its link goes down at once.
 //!
 //! Nodes may *dial in*, as into a PPP server, if their keys are given: a link is made for one when
 //! its handshake is complete ([`LinkLayerOutput::DialedIn`]), to wherever it comes from.
@@ -150,8 +149,6 @@ pub struct LinkLayer<C: SealCrypto, A> {
     by_peer: SortedMap<NodeId, LinkId>,
     /// The keys of nodes that may come without a link.
     may_dial_in: SortedMap<NodeId, [u8; PUBLIC_KEY]>,
-    /// Where all nodes are reached at once, on a bus whose frames are not sealed.
-    bus: Option<A>,
     /// The last other node with a neighbour's key, and since when it is there.
     others: SortedMap<LinkId, (Incarnation, Instant)>,
     /// What came from addresses that no link leads to.
@@ -170,7 +167,6 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
             by_address: SortedMap::new(),
             by_peer: SortedMap::new(),
             may_dial_in: SortedMap::new(),
-            bus: None,
             others: SortedMap::new(),
             strangers: Refusals::default(),
             outputs: VecDeque::new(),
@@ -438,18 +434,6 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         self.links.handle_rate(bytes_per_second);
     }
 
-    /// Every node of the medium receives every frame that is sent to this address.
-    pub fn handle_bus(&mut self, all: A) {
-        match self.sealer {
-            // A greeting to all would be under a key of all.
-            Some(_) => self.links.handle_shared_medium(),
-            None => {
-                self.bus = Some(all);
-                self.links.handle_bus();
-            }
-        }
-    }
-
     /// Takes what links and sealer want done: the links' frames are sealed here.
     fn collect(&mut self, now: Instant) {
         loop {
@@ -462,12 +446,6 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
                 LinkSetOutput::Of(link, output) => {
                     self.reopen(link, &output, now);
                     self.outputs.push_back(LinkLayerOutput::Of(link, output));
-                }
-                LinkSetOutput::Greet(frame) => {
-                    if let Some(to) = self.bus.clone() {
-                        let lane = FrameLane::Hello;
-                        self.outputs.push_back(LinkLayerOutput::Transmit { to, frame, lane });
-                    }
                 }
                 LinkSetOutput::Stalled(gap) => {
                     self.outputs.push_back(LinkLayerOutput::Stalled(gap));

@@ -2,8 +2,7 @@
 
 /// What a link has carried so far, in frames and bytes as the medium carries them, with their seal.
 ///
-/// A handshake about keys, and the greeting that a node sends to all of a bus at once, belong to no
-/// single link and are not counted as sent.
+/// A handshake about keys belongs to no link and is not counted as sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkTraffic {
     /// Frames that were given to the medium for the neighbour.

@@ -37,7 +37,6 @@
 //!
 //! What this module does not do: multicast, congestion control towards strangers.
 
-pub mod active_alarms;
 pub mod byte_rate;
 pub mod discovery;
 pub mod link;
@@ -70,6 +69,14 @@ pub use wire::link_id::LinkId;
 pub use wire::node_id::NodeId;
 pub use wire::packet::PacketPriority;
 pub use wire::{Refusals, WireError};
+
+use std::time::Duration;
+
+/// A fault of the network that is not declared again for so long has ended: longer than an
+/// advertisement lives that is not repeated.
+pub const QUIET: Duration = Duration::from_secs(60);
+/// A fault that lasts is declared again at this interval: two of three may be lost.
+const REPORT_INTERVAL: Duration = Duration::from_secs(20);
 
 /// Smaller segments are those of a medium that is taken for slow until it is measured: a serial
 /// line, or CAN, whose frames have 1,024 bytes. Larger ones fit into frames of 1,200 bytes,

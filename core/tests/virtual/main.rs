@@ -5,7 +5,6 @@ mod claims_at_scale;
 mod codec;
 mod contract_identity;
 mod derives;
-mod greetings_on_a_bus;
 mod net_header;
 mod net_hostile;
 mod net_simulation;

@@ -53,13 +53,11 @@ fuzz_target!(|script: (u8, u8, bool, Vec<(u8, u16, Vec<u8>)>)| {
             let id = Addressing::default().id(parties).expect("addresses of this bus");
             let format = if who & 0x20 != 0 { Format::Fd { fast: false } } else { Format::Classic };
             if let Some(frame) = CanFrame::new(id, format, &data) {
-                node.handle_buffer(who & 0x10 == 0, now);
                 node.handle_frame(&frame, now);
             }
         }
         drain(&mut node, now, own_to_all);
     }
-    node.handle_buffer(true, now);
     for _ in 0..100_000 {
         drain(&mut node, now, own_to_all);
         let Some(due) = node.poll_timeout() else { return };

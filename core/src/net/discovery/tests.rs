@@ -11,7 +11,7 @@ fn node(name: &str) -> NodeName {
 /// Node `a` with `b` described on its only network.
 fn beside_b(admission: DiscoveryAdmission) -> Discovery {
     let mut a = Discovery::new(DiscoveryConfig::new(node("a"), vec![admission]));
-    a.handle_up(0, node("b"), "b:1".into(), ms(0));
+    a.handle_link((0, node("b")), "b:1".into(), true, ms(0));
     a
 }
 
@@ -54,7 +54,7 @@ fn what_does_not_prove_itself_is_given_up_and_not_tried_again_soon() {
     assert_eq!(outputs(&mut a), Vec::<String>::new());
     beacon(&mut a, "c", "c:1", 34_999);
     assert_eq!(outputs(&mut a), ["0: try c at c:1"], "its right address is another matter");
-    a.handle_up(0, node("c"), "c:1".into(), ms(36_000));
+    a.handle_link((0, node("c")), "c:1".into(), true, ms(36_000));
     a.handle_timeout(ms(50_000));
     assert_eq!(outputs(&mut a), Vec::<String>::new());
 }
@@ -63,9 +63,9 @@ fn what_does_not_prove_itself_is_given_up_and_not_tried_again_soon() {
 fn a_learned_neighbour_is_tried_for_long_after_it_went_and_then_forgotten() {
     let mut a = beside_b(DiscoveryAdmission::AnyNode);
     beacon(&mut a, "c", "c:1", 0);
-    a.handle_up(0, node("c"), "c:1".into(), ms(500));
-    a.handle_down(0, node("b"), "b:1".into(), ms(1_000));
-    a.handle_down(0, node("c"), "c:1".into(), ms(2_000));
+    a.handle_link((0, node("c")), "c:1".into(), true, ms(500));
+    a.handle_link((0, node("b")), "b:1".into(), false, ms(1_000));
+    a.handle_link((0, node("c")), "c:1".into(), false, ms(2_000));
     outputs(&mut a);
 
     a.handle_timeout(ms(601_999));
@@ -80,11 +80,11 @@ fn a_learned_neighbour_is_tried_for_long_after_it_went_and_then_forgotten() {
 fn a_neighbour_that_came_back_elsewhere_is_tried_there() {
     let mut a = beside_b(DiscoveryAdmission::AnyNode);
     beacon(&mut a, "c", "c:1", 0);
-    a.handle_up(0, node("c"), "c:1".into(), ms(500));
+    a.handle_link((0, node("c")), "c:1".into(), true, ms(500));
     outputs(&mut a);
 
     beacon(&mut a, "c", "c:2", 600);
-    a.handle_down(0, node("c"), "c:1".into(), ms(1_000));
+    a.handle_link((0, node("c")), "c:1".into(), false, ms(1_000));
     beacon(&mut a, "c", "c:2", 5_999);
     assert_eq!(outputs(&mut a), Vec::<String>::new(), "who is up, or was just now, is believed");
     beacon(&mut a, "c", "c:2", 6_010);

@@ -152,7 +152,6 @@ impl Link {
             hellos_received: 0,
             stance: hello.stance,
             loss_there: 0,
-            turn: 1,
             echoed: None,
             answered: Instant::ORIGIN,
             excused_until: Instant::ORIGIN,

@@ -1,27 +1,11 @@
 //! The links over one transport, as one machine.
-//!
-//! Links along cables of their own are independent, and each sends its own hellos. On a bus, where
-//! every node receives every frame, that would be a hello from each node to each other. There the
-//! set sends one [greeting](crate::net::wire::bus_hello) for all its links:
-//!
-//! ```text
-//! link to b ─┐ entry for b (changed: goes first)
-//! link to c ─┼─ entry for c ─────────────────► greeting ──► all
-//! link to d ─┘ entry for d waits for its turn
-//! ```
 
 use super::hello_slowdown::HelloSlowdown;
 use super::path_mtu::PathMtu;
 use super::{Link, LinkOutput};
 use crate::machine_set::MachineSet;
-use crate::net::wire::bus_hello::{CompactEcho, NeighbourEntry};
-use crate::net::wire::frame::Frame;
-use crate::net::wire::hello_state::HelloState;
 use crate::net::wire::link_id::LinkId;
-use crate::net::wire::node_id::NodeId;
-use crate::sorted::SortedMap;
-use crate::{GatherBuffer, Instant, Machine};
-use std::collections::VecDeque;
+use crate::{Instant, Machine};
 use std::time::Duration;
 
 /// The machine of all links over one transport.
@@ -33,23 +17,10 @@ pub struct LinkSet {
     mtu: usize,
     /// What links begin with, where paths may drop it.
     path: Option<PathMtu>,
-    /// The last entry of each link's neighbour; `None` where there is no bus.
-    bus: Option<SortedMap<LinkId, SentState>>,
-    greetings: VecDeque<GatherBuffer>,
     stalled: Option<Duration>,
     /// What a seal adds to each frame, in bytes.
     overhead: usize,
-    /// The links share a medium, and each sends its own hellos.
-    shared: bool,
     slowdown: HelloSlowdown,
-}
-
-/// The last entry that was sent to a neighbour.
-#[derive(Clone, Copy, Debug)]
-struct SentState {
-    stance: HelloState,
-    /// Its number among all entries.
-    at: u64,
 }
 
 /// What a link set wants done.
@@ -57,23 +28,15 @@ struct SentState {
 pub enum LinkSetOutput {
     /// What one of its links wants done.
     Of(LinkId, LinkOutput),
-    /// Give this frame to all nodes of the bus.
-    Greet(GatherBuffer),
     /// This node was not run for so long: a timer fired so late. Links suffer from it.
     Stalled(Duration),
 }
 
 impl LinkSet {
-    /// So many neighbours have an entry in one greeting: with a name of ten letters, eight classic
-    /// frames of CAN. More makes every greeting longer; with fewer, a neighbour learns later that
-    /// its hellos are not received.
-    pub const WORDS: usize = 2;
-    /// The greetings of all nodes together may take one part in so many of the bus.
-    const SHARE: u64 = 10;
     /// With more links than this, a node sends no more than one hello in 5 ms, and receives as
     /// many: all hellos among `n` nodes that are linked to each other then take `200 * n` frames a
     /// second, not `20 * n * n`.
-    const LINKS_AT_ANY_PACE: usize = 10;
+    const LINKS_AT_ANY_PACE: u64 = 10;
     const PACE_OF_MANY: Duration = Duration::from_millis(5);
     /// From this lateness on, neighbours with the usual hello interval of 50 ms find two hellos
     /// missing.
@@ -86,10 +49,6 @@ impl LinkSet {
 
     /// Adds a link, or replaces it.
     pub fn insert(&mut self, number: LinkId, mut link: Link) {
-        if let Some(bus) = &mut self.bus {
-            link.join_bus();
-            bus.remove(&number);
-        }
         link.handle_mtu(self.mtu, self.path.clone());
         self.machines.insert(number, link);
         self.pace();
@@ -98,9 +57,6 @@ impl LinkSet {
     /// Takes a link out.
     pub fn remove(&mut self, number: LinkId) {
         self.machines.remove(number);
-        if let Some(bus) = &mut self.bus {
-            bus.remove(&number);
-        }
         self.pace();
     }
 
@@ -119,24 +75,8 @@ impl LinkSet {
         self.machines.iter()
     }
 
-    /// Every node of the medium receives every frame: one greeting is sent for all links.
-    pub fn handle_bus(&mut self) {
-        if self.bus.is_none() {
-            self.bus = Some(SortedMap::new());
-            self.each(Link::join_bus);
-            self.pace();
-        }
-    }
-
-    /// The links share the medium, and no frame reaches all neighbours: their hellos together take
-    /// no more of it than those of one link elsewhere.
-    pub fn handle_shared_medium(&mut self) {
-        self.shared = true;
-        self.pace();
-    }
-
-    /// The medium carries so many bytes in a second. Hellos take a twentieth of that at most on
-    /// each link, or a tenth together on a bus.
+    /// The medium carries so many bytes in a second. The hellos of all nodes together take a tenth
+    /// of that at most, if each has as many links there as this one.
     pub fn handle_rate(&mut self, bytes_per_second: u64) {
         self.bytes_per_second = Some(bytes_per_second);
         self.pace();
@@ -163,73 +103,24 @@ impl LinkSet {
     /// need.
     fn pace(&mut self) {
         let slowdown = self.slowdown.clone();
-        let slow = |link: &Link, least| slowdown.interval(link.configured_interval().max(least));
-        let links = self.machines.iter().count();
-        let many = match &self.bus {
-            None if links > Self::LINKS_AT_ANY_PACE => Self::PACE_OF_MANY * links as u32,
-            _ => Duration::ZERO,
+        let slow = |link: &Link, least| slowdown.interval(link.config.hello_interval.max(least));
+        let links = self.machines.iter().count() as u64;
+        let many = match links > Self::LINKS_AT_ANY_PACE {
+            true => Self::PACE_OF_MANY * links as u32,
+            false => Duration::ZERO,
         };
-        match (self.bytes_per_second, &self.bus) {
-            (Some(rate), None) => {
-                let sharing = if self.shared { links.max(1) } else { 1 };
-                let (share, overhead) = (rate / sharing as u64, self.overhead as u64);
-                // The rate is that of both directions together.
-                let bytes = 2 * (self.mtu as u64 + overhead + 2 * Link::FRAMING);
-                let whole = Duration::from_nanos(bytes.saturating_mul(1_000_000_000) / rate.max(1));
-                let least = many.max(whole);
-                self.each(|link| {
-                    link.set_interval(slow(link, link.interval_at(share, overhead).max(least)));
-                });
-            }
-            (rate, Some(_)) => {
-                let Some((_, link)) = self.machines.iter().next() else { return };
-                let word = NeighbourEntry {
-                    to: NodeId(0),
-                    stance: HelloState::Ready,
-                    loss_permille: 0,
-                    echo: Some(CompactEcho { incarnation: 0, sequence: 0, held_us: 0 }),
-                };
-                let greeting = link.greeting(0, 1, vec![word; links.min(Self::WORDS)]);
-                let length = Frame::Greeting(greeting).encode().len() as u64 + Link::FRAMING;
-                let bytes = length * (links as u64 + 1) * Self::SHARE;
-                let nanos = bytes * 1_000_000_000 / rate.unwrap_or(u64::MAX).max(1);
-                // One greeting for all: its interval is the longest that any of the links wants.
-                let wanted = self.machines.iter().map(|(_, link)| link.configured_interval());
-                let interval = wanted.max().unwrap_or_default().max(Duration::from_nanos(nanos));
-                self.each(|link| link.set_interval(interval));
-            }
-            (None, None) => self.each(|link| link.set_interval(slow(link, many))),
-        }
-    }
-
-    /// Sends the greeting that is due, if one is.
-    fn greet(&mut self, now: Instant) {
-        let mut due = None;
-        if self.bus.is_some() {
-            self.each(|link| due = due.max(link.take_greeting()));
-        }
-        let (Some(sequence), Some(sent)) = (due, &mut self.bus) else { return };
-        let mut words: Vec<(LinkId, bool, u64, NeighbourEntry)> = Vec::new();
-        for (number, link) in self.machines.iter() {
-            let Some(word) = link.word(now) else { continue };
-            let before = sent.get(&number);
-            let changed = before.is_none_or(|before| before.stance != word.stance);
-            if changed || link.is_received(now) {
-                words.push((number, changed, before.map_or(0, |before| before.at), word));
-            }
-        }
-        // Changed entries first, then those that have waited longest.
-        words.sort_by_key(|(number, changed, at, _)| (!changed, *at, *number));
-        let turn = words.len().div_ceil(Self::WORDS).clamp(1, usize::from(u8::MAX)) as u8;
-        words.truncate(Self::WORDS);
-        let last = sent.values().map(|sent| sent.at).max().unwrap_or(0);
-        for ((number, _, _, word), at) in words.iter().zip(last + 1..) {
-            sent.insert(*number, SentState { stance: word.stance, at });
-        }
-        let Some((_, link)) = self.machines.iter().next() else { return };
-        let words = words.into_iter().map(|(_, _, _, word)| word).collect();
-        let greeting = link.greeting(sequence, turn, words);
-        self.greetings.push_back(Frame::Greeting(greeting).parcel());
+        let Some(rate) = self.bytes_per_second else {
+            return self.each(|link| link.set_interval(slow(link, many)));
+        };
+        // As many pairs of nodes share the medium, if all have as many links as this one.
+        let (share, overhead) = (2 * rate / (links * (links + 1)).max(1), self.overhead as u64);
+        // The rate is that of both directions together.
+        let bytes = 2 * (self.mtu as u64 + overhead + 2 * Link::FRAMING);
+        let whole = Duration::from_nanos(bytes.saturating_mul(1_000_000_000) / rate.max(1));
+        let least = many.max(whole);
+        self.each(|link| {
+            link.set_interval(slow(link, link.interval_at(share, overhead).max(least)));
+        });
     }
 }
 
@@ -239,9 +130,6 @@ impl Machine for LinkSet {
     fn poll_output(&mut self) -> Option<LinkSetOutput> {
         if let Some(late) = self.stalled.take() {
             return Some(LinkSetOutput::Stalled(late));
-        }
-        if let Some(greeting) = self.greetings.pop_front() {
-            return Some(LinkSetOutput::Greet(greeting));
         }
         let (number, output) = self.machines.poll_output()?;
         Some(LinkSetOutput::Of(number, output))
@@ -259,7 +147,6 @@ impl Machine for LinkSet {
             self.pace();
         }
         self.machines.handle_timeout(now);
-        self.greet(now);
     }
 }
 
@@ -267,10 +154,7 @@ impl Machine for LinkSet {
 mod tests {
     use super::*;
     use crate::net::link::LinkConfig;
-    use crate::net::wire::bus_hello::BusHello;
     use crate::{Incarnation, NodeName};
-
-    const INTERVAL: u64 = 50;
 
     fn name(number: u16) -> NodeName {
         NodeName::new(&format!("m{number}")).unwrap()
@@ -280,85 +164,8 @@ mod tests {
         Instant::from_millis(millis)
     }
 
-    /// A bundle with links to nodes 1 to `links`, on a bus.
-    fn bundle(links: u16) -> LinkSet {
-        let mut bundle = LinkSet::default();
-        for number in 1..=links {
-            let config = LinkConfig::new(name(0), Incarnation(1));
-            bundle.insert(LinkId(number), Link::new(config, at(0)));
-        }
-        bundle.handle_bus();
-        while bundle.poll_output().is_some() {}
-        bundle
-    }
-
-    /// All neighbours greet, and what the bundle says next is read.
-    fn turn(bundle: &mut LinkSet, number: u32, speakers: &[u16]) -> BusHello {
-        let now = at(INTERVAL * u64::from(number));
-        for speaker in speakers {
-            let greeting = BusHello {
-                node: name(*speaker),
-                incarnation: Incarnation(7),
-                sequence: number,
-                interval_us: 50_000,
-                turn: 1,
-                words: Vec::new(),
-            };
-            let link = bundle.get_mut(LinkId(*speaker)).unwrap();
-            link.handle_frame(Frame::Greeting(greeting).encode(), now);
-        }
-        bundle.handle_timeout(now);
-        let mut outputs = Vec::new();
-        while let Some(output) = bundle.poll_output() {
-            if let LinkSetOutput::Greet(frame) = output {
-                outputs.push(frame);
-            }
-        }
-        assert_eq!(outputs.len(), 1, "one for all");
-        match Frame::decode(outputs.remove(0).into_bytes()) {
-            Ok(Frame::Greeting(greeting)) => greeting,
-            other => panic!("{other:?}"),
-        }
-    }
-
-    fn addressed(greeting: &BusHello) -> Vec<NodeId> {
-        greeting.words.iter().map(|word| word.to).collect()
-    }
-
     #[test]
-    fn those_who_are_heard_have_a_word_in_turn_and_nobody_else() {
-        let mut bundle = bundle(6);
-        let to = |number| NodeId::of(&name(number));
-
-        let first = turn(&mut bundle, 1, &[1, 2, 4, 5, 6]);
-        let second = turn(&mut bundle, 2, &[1, 2, 4, 5, 6]);
-        let third = turn(&mut bundle, 3, &[1, 2, 4, 5, 6]);
-
-        assert_eq!((first.turn, second.turn, third.turn), (3, 3, 3));
-        assert_eq!(addressed(&first), [to(1), to(2)]);
-        assert_eq!(addressed(&second), [to(4), to(5)]);
-        assert_eq!(addressed(&third), [to(6), to(1)]);
-        assert_eq!(third.words[1].echo.map(|echo| echo.sequence), Some(3));
-    }
-
-    #[test]
-    fn a_neighbour_that_has_left_has_no_word_any_more() {
-        let mut bundle = bundle(3);
-        for number in 1..5 {
-            turn(&mut bundle, number, &[1, 2, 3]);
-        }
-
-        for number in 5..10 {
-            turn(&mut bundle, number, &[1, 2]);
-        }
-
-        let greeting = turn(&mut bundle, 10, &[1, 2]);
-        assert_eq!(greeting.turn, 1);
-        assert!(!addressed(&greeting).contains(&NodeId::of(&name(3))));
-    }
-
-    #[test]
-    fn without_a_bus_each_link_says_its_own_hello() {
+    fn each_link_says_its_own_hello() {
         let mut bundle = LinkSet::default();
         for number in 1..=2 {
             let config = LinkConfig::new(name(0), Incarnation(1));
@@ -398,6 +205,31 @@ mod tests {
         check(11, 500, 500);
         check(19, 50, 95);
         check(64, 50, 320);
+    }
+
+    #[test]
+    fn the_hellos_of_all_nodes_of_a_bus_take_a_tenth_of_it() {
+        // In milliseconds, as the manual has them.
+        let check = |nodes: u16, rate, overhead, expected| {
+            let mut set = LinkSet::with_overhead(overhead);
+            set.handle_rate(rate);
+            set.handle_mtu(1_024 - overhead, false);
+            for number in 1..nodes {
+                let node = NodeName::new("module0").unwrap();
+                let config = LinkConfig::new(node, Incarnation(1));
+                set.insert(LinkId(number), Link::new(config, at(0)));
+            }
+            let interval = set.get(LinkId(1)).unwrap().hello_interval();
+            assert_eq!(interval.as_millis(), expected, "{nodes} nodes, {rate}, {overhead}");
+        };
+        // Classic CAN and CAN FD of 500 kbit/s; a compact seal.
+        for (nodes, classic, sealed, fd) in
+            [(2, 85, 85, 50), (4, 261, 320, 128), (8, 1221, 1497, 599)]
+        {
+            check(nodes, 24_305, 0, classic);
+            check(nodes, 24_305, 12, sealed);
+            check(nodes, 49_528, 0, fd);
+        }
     }
 
     #[test]

@@ -21,7 +21,6 @@
 
 mod acquaintance;
 mod arrival;
-mod bus;
 mod flap_damping;
 mod hello_slowdown;
 mod path_mtu;
@@ -85,9 +84,6 @@ pub struct Link {
     /// It has failed since it was trusted last. It carries only what has no other path until it has
     /// proved itself as often as it has failed lately.
     damped: bool,
-    /// It is a link of a bus, whose hellos the link set sends; and the hello that is due.
-    on_bus: bool,
-    greeting: Option<u32>,
     /// The medium's largest frame; 0 while it is not known.
     mtu: usize,
     /// What passes of that, where the path may drop large frames.
@@ -117,8 +113,6 @@ struct NeighbourRecord {
     stance: HelloState,
     /// The loss in its direction, as it reports.
     loss_there: u16,
-    /// Only one in so many of its hellos has an echo for us.
-    turn: u32,
     /// The latest of our hellos that it has echoed, and when that echo was received.
     echoed: Option<(u32, Instant)>,
     /// When the latest one that it has ever echoed was sent.
@@ -133,7 +127,7 @@ struct NeighbourRecord {
 
 impl Link {
     /// What a medium adds to a frame: a UDP header, or a serial line's framing.
-    pub(super) const FRAMING: u64 = 8;
+    const FRAMING: u64 = 8;
     /// A timer that is so late means that received frames may be unread. Timers alone are up to 1
     /// ms late.
     const LATE: Duration = Duration::from_millis(2);
@@ -168,8 +162,6 @@ impl Link {
             calm: 0,
             proving: false,
             damped: false,
-            on_bus: false,
-            greeting: None,
             mtu: 0,
             path: None,
             parts: RoutingReassembly::default(),
@@ -265,7 +257,7 @@ impl Link {
     /// and may have been recorded.
     fn takes(&self, frame: &Frame) -> bool {
         match frame {
-            Frame::Hello(_) | Frame::Greeting(_) => true,
+            Frame::Hello(_) => true,
             Frame::Data(_) => self.carries() || self.has_proved(),
             // Routers know no link that is not up; the neighbour's router retransmits.
             Frame::Routing(_) | Frame::RoutingPart(_) => self.carries(),
@@ -294,7 +286,6 @@ impl Link {
         match Frame::decode(frame) {
             Ok(frame) if !self.takes(&frame) => self.refusals.unexpected += 1,
             Ok(Frame::Hello(hello)) => self.handle_hello(hello, now),
-            Ok(Frame::Greeting(greeting)) => self.handle_greeting(greeting, now),
             Ok(frame) => self.handle_payload(frame, now),
             Err(error) => self.refusals.count(&error),
         }
@@ -306,7 +297,7 @@ impl Link {
             record.heard_at = now;
         }
         match frame {
-            Frame::Hello(_) | Frame::Greeting(_) => {}
+            Frame::Hello(_) => {}
             Frame::Routing(bytes) => self.outputs.push_back(LinkOutput::Routing(bytes)),
             Frame::RoutingPart(part) => match self.parts.handle(&part) {
                 Ok(whole) => self.outputs.extend(whole.map(LinkOutput::Routing)),
@@ -380,7 +371,7 @@ impl Link {
 
     /// The shortest hello interval where the medium carries so many bytes in a second, and a seal
     /// adds so many to each frame: hellos take a twentieth of that at most.
-    pub(super) fn interval_at(&self, bytes_per_second: u64, overhead: u64) -> Duration {
+    fn interval_at(&self, bytes_per_second: u64, overhead: u64) -> Duration {
         let hello = self.hello(Instant::ORIGIN, 0);
         let length = Frame::Hello(hello).encode().len() as u64 + overhead + Self::FRAMING;
         let nanos = (length * 20).saturating_mul(1_000_000_000) / bytes_per_second.max(1);
@@ -388,7 +379,7 @@ impl Link {
     }
 
     /// Hellos are sent at least so far apart, and as often as configured where that is less often.
-    pub(in crate::net) fn set_interval(&mut self, at_least: Duration) {
+    fn set_interval(&mut self, at_least: Duration) {
         let interval = self.config.hello_interval.max(at_least);
         let interval = interval.clamp(*HELLO_INTERVAL_RANGE.start(), *HELLO_INTERVAL_RANGE.end());
         if std::mem::replace(&mut self.hello_interval, interval) != interval {
@@ -400,11 +391,6 @@ impl Link {
                 record.echoed = None;
             }
         }
-    }
-
-    /// How often hellos are sent where nothing else needs the medium.
-    pub(super) fn configured_interval(&self) -> Duration {
-        self.config.hello_interval
     }
 
     /// How often hellos are sent.
@@ -509,10 +495,7 @@ impl Link {
         let silent = alive_at + percent(interval, after_percent);
         let deaf = record.echoed.map_or(record.received_at, |(_, at)| at)
             // An echo needs both directions: twice the patience, in the slower one's intervals.
-            + percent(
-                interval.max(self.hello_interval),
-                2 * (100 + after_percent) + 100 * (record.turn - 1),
-            );
+            + percent(interval.max(self.hello_interval), 2 * (100 + after_percent));
         Some(silent.min(deaf).max(record.excused_until))
     }
 
@@ -557,11 +540,7 @@ impl Link {
             self.sent.pop_front();
         }
         self.sent.push_back((hello.sequence, now));
-        if self.on_bus {
-            self.greeting = Some(hello.sequence);
-        } else {
-            self.outputs.push_back(LinkOutput::Transmit(Frame::Hello(hello).parcel()));
-        }
+        self.outputs.push_back(LinkOutput::Transmit(Frame::Hello(hello).parcel()));
         self.probe_path(now);
     }
 

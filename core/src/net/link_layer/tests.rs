@@ -388,11 +388,10 @@ fn a_neighbour_that_is_revoked_loses_its_link_and_one_that_is_listed_again_gets_
 }
 
 #[test]
-fn on_a_sealed_bus_each_neighbour_has_hellos_of_its_own_at_a_rate_that_the_bus_bears() {
+fn on_a_slow_medium_sealed_hellos_take_a_tenth_of_what_it_carries() {
     let mut world = World::new();
     for end in &mut world.ends {
         end.handle_rate(20_000);
-        end.handle_bus(99);
     }
 
     world.run(3_000);

@@ -3,9 +3,10 @@
 use super::keys::SignatureCheck;
 use super::names::UnusedLink;
 use super::topology::Adjacency;
-use super::{DatabaseEntry, Router, RouterAlarm, RouterOutput};
+use super::{DatabaseEntry, Router, RouterOutput};
 use crate::Instant;
 use crate::NodeName;
+use crate::net::REPORT_INTERVAL;
 use crate::net::wire::advertisement::{
     Advertisement, AdvertisementId, Edge, HAVE_HEADER, ID_LENGTH, NEIGHBOURS_MAX, RoutingMessage,
 };
@@ -265,11 +266,11 @@ impl Router {
 
     pub(super) fn tell_collision(&mut self, node: NodeName, refused: NodeName) {
         self.refusals.unexpected += 1;
-        let pair = Some((node.clone(), refused.clone()));
-        self.go_on(RouterAlarm::NameTaken);
-        if self.reported_conflict != pair {
-            self.reported_conflict = pair;
-            self.begin_trouble(RouterAlarm::NameTaken);
+        let known = self.reported_conflict.as_ref().is_some_and(|(a, b, at)| {
+            (a, b) == (&node, &refused) && self.now < *at + REPORT_INTERVAL
+        });
+        if !known {
+            self.reported_conflict = Some((node.clone(), refused.clone(), self.now));
             self.outputs.push_back(RouterOutput::NumberTaken { node, refused });
         }
     }

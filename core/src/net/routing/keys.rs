@@ -33,8 +33,8 @@ use std::time::Duration;
 
 /// So many signatures of one neighbour's advertisements are checked in a second; the protocol
 /// repeats what is beyond. A check takes some 50 µs.
-const CHECKS_MAX: u32 = 256;
-const CHECKS_PERIOD: Duration = Duration::from_secs(1);
+pub(super) const CHECKS_MAX: u32 = 256;
+pub(super) const CHECKS_PERIOD: Duration = Duration::from_secs(1);
 
 /// How long init and answer may take over several slow links; lost ones are repeated after three
 /// times as long.
@@ -47,23 +47,6 @@ pub struct RouterKeys {
     signer: AdvertisementSigner,
     listed: SortedMap<NodeId, PublicKeys>,
     sealer: Sealer<NoiseCrypto, NodeId>,
-}
-
-/// How many signatures were checked for a neighbour.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct CheckBudget {
-    since: Instant,
-    checked: u32,
-}
-
-impl CheckBudget {
-    fn take(&mut self, now: Instant) -> bool {
-        if now - self.since >= CHECKS_PERIOD {
-            *self = CheckBudget { since: now, checked: 0 };
-        }
-        self.checked += 1;
-        self.checked <= CHECKS_MAX
-    }
 }
 
 /// What is known of an advertisement's signature.
@@ -209,7 +192,7 @@ impl Router {
             return SignatureCheck::Refused;
         };
         let message = keys.message(advertisement);
-        if !self.links.get_mut(&from).is_some_and(|adjacent| adjacent.checks.take(self.now)) {
+        if !self.links.get_mut(&from).is_some_and(|adjacent| adjacent.checks.add((), self.now)) {
             return SignatureCheck::Later;
         }
         if key.has_signed(&message, &signature) {

@@ -9,7 +9,6 @@
 //!
 //! [`advertisement`]: super::wire::advertisement
 
-mod alarms;
 mod flooding;
 mod forwarding;
 mod keys;
@@ -20,17 +19,17 @@ mod types;
 pub mod topology;
 
 pub use self::keys::RouterKeys;
-pub use self::types::{LinkHealth, LinkStatus, RouterAlarm, RouterConfig, RouterOutput};
+pub use self::types::{LinkHealth, LinkStatus, RouterConfig, RouterOutput};
 
+use self::keys::{CHECKS_MAX, CHECKS_PERIOD};
 use self::names::UnusedLink;
-use super::active_alarms::ActiveAlarms;
 use super::wire::Refusals;
 use super::wire::advertisement::{Advertisement, AdvertisementId, RoutingMessage};
 use super::wire::link_id::LinkId;
 use super::wire::node_id::NodeId;
 use crate::sorted::{SortedMap, SortedSet};
 use crate::timer::Timers;
-use crate::{Incarnation, Instant, Machine, NodeName};
+use crate::{Incarnation, Instant, Machine, NodeName, SlidingWindow};
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -55,8 +54,8 @@ pub struct Router {
     /// When our own links were announced last, and whether they have changed since.
     announced_at: Instant,
     has_news: bool,
-    /// The last reported pair, so that a collision is reported once and not with every flood.
-    reported_conflict: Option<(NodeName, NodeName)>,
+    /// The last reported pair, and when, so that a collision is not reported with every flood.
+    reported_conflict: Option<(NodeName, NodeName, Instant)>,
     /// Which other incarnation advertises links in this node's name, how often it was outdone, and
     /// when last.
     outdone: Option<(Incarnation, u8, Instant)>,
@@ -64,8 +63,6 @@ pub struct Router {
     unused: SortedMap<LinkId, UnusedLink>,
     /// Signatures and seals, where nodes have keys.
     keys: Option<RouterKeys>,
-    /// Alarms that were reported and are not over.
-    troubles: ActiveAlarms<RouterAlarm>,
     /// Nodes that the router before this one could reach, and until when they may take to be found
     /// again.
     remembered: Option<(Instant, Vec<(NodeName, Incarnation)>)>,
@@ -118,7 +115,6 @@ impl Router {
             outdone: None,
             unused: SortedMap::new(),
             keys: None,
-            troubles: ActiveAlarms::default(),
             remembered: None,
             wake_at,
             now,
@@ -140,11 +136,6 @@ impl Router {
         router.remembered = Some((until, reached.into_iter().collect()));
         router.wake_at = router.wake_at.min(until);
         router
-    }
-
-    /// Alarms that were reported and are not over.
-    pub fn troubles(&self) -> impl Iterator<Item = RouterAlarm> {
-        self.troubles.iter().copied()
     }
 
     /// What was refused so far.
@@ -236,7 +227,7 @@ impl Router {
                         pending,
                         compare_at: now,
                         keys_differ: false,
-                        checks: Default::default(),
+                        checks: SlidingWindow::new(CHECKS_MAX, CHECKS_PERIOD),
                     },
                 );
                 self.set_silent_aside(link);

@@ -17,12 +17,12 @@
 //! the later incarnation of both stops.
 
 use super::topology::{Adjacency, patience};
-use super::{LinkStatus, Router, RouterAlarm, RouterOutput};
-use crate::net::active_alarms::QUIET;
+use super::{LinkStatus, Router, RouterOutput};
 use crate::net::link::Neighbour;
 use crate::net::wire::advertisement::{Advertisement, Edge};
 use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
+use crate::net::{QUIET, REPORT_INTERVAL};
 use crate::sorted::SortedMap;
 use crate::{Incarnation, Instant};
 use std::time::Duration;
@@ -46,7 +46,8 @@ pub(super) struct UnusedLink {
     /// By when it must answer; `None` once that is over.
     decide_at: Option<Instant>,
     told_at: Instant,
-    is_reported: bool,
+    /// When the user was told of it last.
+    reported_at: Option<Instant>,
 }
 
 /// The incarnation that has a name.
@@ -120,9 +121,9 @@ impl Router {
                 let holder = self.name_holder(link, &status.neighbour);
                 let decide_at = holder.map(|holder| self.now + holder.patience);
                 self.wake_at = self.wake_at.min(decide_at.unwrap_or(self.now));
-                let (told_at, is_reported) = (Instant::ORIGIN, false);
+                let (told_at, reported_at) = (Instant::ORIGIN, None);
                 let unused =
-                    UnusedLink { status, challenged: None, decide_at, told_at, is_reported };
+                    UnusedLink { status, challenged: None, decide_at, told_at, reported_at };
                 self.unused.insert(link, unused);
                 self.challenge(link);
                 self.announce_links();
@@ -226,11 +227,10 @@ impl Router {
             return;
         };
         self.outputs.push_back(RouterOutput::Refuse { link, by, over });
-        self.go_on(RouterAlarm::NameTaken);
         let Some(unused) = self.unused.get_mut(&link) else { return };
         unused.told_at = now;
-        if !std::mem::replace(&mut unused.is_reported, true) {
-            self.begin_trouble(RouterAlarm::NameTaken);
+        if unused.reported_at.is_none_or(|at| now >= at + REPORT_INTERVAL) {
+            unused.reported_at = Some(now);
             self.outputs.push_back(RouterOutput::KeptOut { node, incarnation, by, link, over });
         }
     }
@@ -260,11 +260,6 @@ impl Router {
         }
         self.own.id.sequence = sequence.saturating_add(AHEAD);
         self.renew();
-    }
-
-    /// Nothing was heard of it for a minute: what begins again is told of again.
-    pub(super) fn forget_namesakes(&mut self) {
-        self.unused.values_mut().for_each(|unused| unused.is_reported = false);
     }
 }
 

@@ -28,8 +28,6 @@ pub(crate) enum RouterTimer {
     /// Reports the nodes that a restarted router has not found again after a second (OSPF: grace
     /// period, RFC 3623).
     RestartGrace,
-    /// Clears an alarm that was not raised again for 60 s.
-    AlarmClear,
     /// Goes on with handshakes, as the sealer of paths wants it.
     Handshake,
 }
@@ -47,7 +45,6 @@ impl Timers for Router {
             ComputeRoutes,
             Challenge,
             RestartGrace,
-            AlarmClear,
             Handshake,
         ]
     };
@@ -64,7 +61,6 @@ impl Timers for Router {
             RouterTimer::ComputeRoutes => self.compute_at,
             RouterTimer::Challenge => self.challenge_due(),
             RouterTimer::RestartGrace => self.remembered.as_ref().map(|(until, _)| *until),
-            RouterTimer::AlarmClear => self.troubles.due(),
             RouterTimer::Handshake => self.keys.as_ref().and_then(RouterKeys::due),
         }
     }
@@ -77,7 +73,6 @@ impl Timers for Router {
             RouterTimer::ComputeRoutes => self.compute(),
             RouterTimer::Challenge => self.decide_challenges(),
             RouterTimer::RestartGrace => self.report_not_found_again(),
-            RouterTimer::AlarmClear => self.end_troubles(),
             RouterTimer::Handshake => self.handle_handshakes(),
         }
     }

@@ -1,6 +1,5 @@
 //! The shortest paths through a network, and the alternates to them.
 
-use super::keys::CheckBudget;
 use super::{LinkHealth, MTU_MIN};
 use crate::net::is_narrow;
 use crate::net::link::Neighbour;
@@ -11,7 +10,7 @@ use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::net::wire::packet::{HOPS_MAX, PACKET_HEADER, passed_length};
 use crate::sorted::SortedMap;
-use crate::{Incarnation, Instant, NodeName};
+use crate::{Incarnation, Instant, NodeName, SlidingWindow};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::time::Duration;
@@ -55,7 +54,7 @@ pub(crate) struct Adjacency {
     /// One end has keys, and the other has not, which was told.
     pub(crate) keys_differ: bool,
     /// The signatures that were checked for it.
-    pub(crate) checks: CheckBudget,
+    pub(crate) checks: SlidingWindow,
 }
 
 impl Adjacency {

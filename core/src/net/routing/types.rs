@@ -75,13 +75,6 @@ pub enum LinkHealth {
     Down,
 }
 
-/// A condition that a router reports, and that lasts until a user acts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum RouterAlarm {
-    /// Two nodes have one name, or one number.
-    NameTaken,
-}
-
 /// What a router wants done.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RouterOutput {
@@ -139,9 +132,8 @@ pub enum RouterOutput {
         /// In which incarnation.
         incarnation: Incarnation,
     },
-    /// Of this nothing was heard for a minute.
-    Over(RouterAlarm),
-    /// Two names give one node number. The second is ignored; give it another name.
+    /// Two names give one node number. The second is ignored; give it another name. This is
+    /// repeated every 20 s while it lasts.
     NumberTaken {
         /// Who has it.
         node: NodeName,
@@ -177,7 +169,7 @@ pub enum RouterOutput {
         neighbour: NodeName,
     },
     /// A link to this node is not used: another incarnation of it is reached by other ways, and has
-    /// answered a challenge.
+    /// answered a challenge. This is repeated every 20 s while it lasts.
     KeptOut {
         /// Its name.
         node: NodeName,

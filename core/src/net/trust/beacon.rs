@@ -16,7 +16,7 @@ use super::crypto::Seed;
 use super::roster::NodeRoster;
 use crate::net::seal::cipher::SealCrypto;
 use crate::net::seal::noise::{MacKey, derived_key};
-use crate::{Instant, NodeName};
+use crate::{Instant, NodeName, SlidingWindow};
 use std::time::Duration;
 use zeroize::Zeroizing;
 
@@ -35,7 +35,7 @@ pub struct BeaconKeys {
     serial: u64,
     /// All nodes in the order of the roster; the node itself has no key with itself.
     nodes: Vec<(NodeName, Option<MacKey>)>,
-    tried: (Instant, u32),
+    tried: SlidingWindow,
 }
 
 /// What a beacon says that was checked.
@@ -62,7 +62,8 @@ impl BeaconKeys {
             (node.name.clone(), key(node.keys.x25519.bytes()).filter(|_| is_other))
         });
         let (own, serial, nodes) = (own.clone(), roster.serial, nodes.collect());
-        BeaconKeys { own, serial, nodes, tried: (Instant::ORIGIN, 0) }
+        let tried = SlidingWindow::new(TRIES_MAX, TRIES_PERIOD);
+        BeaconKeys { own, serial, nodes, tried }
     }
 
     /// What says that this node is at this port.
@@ -114,14 +115,10 @@ impl BeaconKeys {
             is_right(code)
         } else {
             // Where this node stands in that roster is not known.
-            let (since, count) = self.tried;
-            let (since, count) = if now - since < TRIES_PERIOD { (since, count) } else { (now, 0) };
-            if count >= TRIES_MAX {
+            if !self.tried.add((), now) {
                 return Some(CheckedBeacon::NotForUs);
             }
-            let found = codes.iter().any(is_right);
-            self.tried = (since, count + 1);
-            found
+            codes.iter().any(is_right)
         };
         is_for_us.then(|| CheckedBeacon::Node(name, u16::from_be_bytes(*port)))
     }
@@ -220,7 +217,7 @@ mod tests {
             assert_eq!(keys.check(&older[0], at(10)), found);
         }
         assert_eq!(keys.check(&older[0], at(900)), CheckedBeacon::NotForUs);
-        assert_eq!(keys.check(&older[0], at(1_010)), found);
+        assert_eq!(keys.check(&older[0], at(1_011)), found);
     }
 
     #[test]

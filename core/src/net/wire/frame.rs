@@ -4,7 +4,7 @@
 //!      0        1
 //! ┌────────┬────────┬──────────────────────────────┐
 //! │ 1011 v │  kind  │ hello, routing, data         │   v = version of the protocol, 1
-//! │        │        │ greeting, routing part, taken│
+//! │        │        │ routing part, taken, probe   │
 //! └────────┴────────┴──────────────────────────────┘
 //!
 //! hello, kind 0, 38 bytes and the name:
@@ -18,8 +18,7 @@
 //! The echo says which hello of the neighbour arrived last and how long ago: the neighbour learns
 //! that it is heard, and the round trip without any clock in common. Stance and loss say what this
 //! end thinks of the link, so that both ends use it, or neither; beside the stance stand six bits: how
-//! many hellos before this one were not sent, since their node was not run. Numbers are big-endian. On a bus
-//! one [greeting](super::bus_hello), kind 3, goes to all in place of a hello to each.
+//! many hellos before this one were not sent, since their node was not run. Numbers are big-endian.
 //!
 //! What a router says and no frame of the medium carries whole goes in parts, kind 4: one byte,
 //! which part it is from 0, with 128 added to the last, then the bytes.
@@ -32,7 +31,6 @@
 //!
 //! A frame ends where the transport says that it ends; integrity is the transport's business.
 
-use super::bus_hello::BusHello;
 use super::hello_state::HelloState;
 use super::{Reader, WireError, Write, packet};
 use crate::{GatherBuffer, Incarnation, NodeName};
@@ -49,7 +47,6 @@ pub const FRAME_HEADER: usize = 2;
 const HELLO: u8 = 0;
 const ROUTING: u8 = 1;
 const DATA: u8 = 2;
-const GREETING: u8 = 3;
 const ROUTING_PART: u8 = 4;
 const TAKEN: u8 = 5;
 const PROBE: u8 = 6;
@@ -64,8 +61,6 @@ pub enum Frame {
     Routing(Bytes),
     /// A packet on its way.
     Data(GatherBuffer),
-    /// I live, and this is what I hear of each of you.
-    Greeting(BusHello),
     /// A part of what the neighbour's router should know, where no frame carries it whole.
     RoutingPart(RoutingFragment),
     /// Another node has the receiver's name.
@@ -160,39 +155,28 @@ impl Frame {
             Frame::Hello(hello) => hello.encode().into(),
             Frame::Routing(bytes) => wrap(ROUTING, &bytes.clone().into()),
             Frame::Data(packet) => wrap(DATA, packet),
-            Frame::Greeting(greeting) => {
-                let mut bytes = BytesMut::with_capacity(greeting.length_at_most());
-                bytes.put_u8(MAGIC | VERSION);
-                bytes.put_u8(GREETING);
-                greeting.encode(&mut bytes);
-                bytes.freeze().into()
-            }
-            Frame::RoutingPart(part) => {
-                let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 1 + part.bytes.len());
-                bytes.put_u8(MAGIC | VERSION);
-                bytes.put_u8(ROUTING_PART);
-                let last = if part.last { RoutingFragment::LAST } else { 0 };
-                bytes.put_u8(last | part.index & RoutingFragment::INDEX_MAX);
-                bytes.put_slice(&part.bytes);
+            Frame::RoutingPart(RoutingFragment { index, last, bytes: part }) => {
+                let mut bytes = begin(ROUTING_PART, 1 + part.len());
+                let last = if *last { RoutingFragment::LAST } else { 0 };
+                bytes.put_u8(last | index & RoutingFragment::INDEX_MAX);
+                bytes.put_slice(part);
                 bytes.freeze().into()
             }
             Frame::Taken { refused, by: NameHolder { incarnation, address } } => {
-                let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 16 + address.len());
-                bytes.put_u8(MAGIC | VERSION);
-                bytes.put_u8(TAKEN);
+                let mut bytes = begin(TAKEN, 16 + address.len());
                 bytes.put_u64(refused.0);
                 bytes.put_u64(incarnation.0);
                 bytes.put_slice(address.as_bytes());
                 bytes.freeze().into()
             }
             Frame::Probe(size) => {
-                let mut bytes = BytesMut::zeroed(usize::from(*size).max(FRAME_HEADER));
-                bytes[..FRAME_HEADER].copy_from_slice(&[MAGIC | VERSION, PROBE]);
+                let size = usize::from(*size).max(FRAME_HEADER);
+                let mut bytes = begin(PROBE, size - FRAME_HEADER);
+                bytes.resize(size, 0);
                 bytes.freeze().into()
             }
             Frame::ProbeAnswer(size) => {
-                let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 2);
-                bytes.put_slice(&[MAGIC | VERSION, PROBE_ANSWER]);
+                let mut bytes = begin(PROBE_ANSWER, 2);
                 bytes.put_u16(*size);
                 bytes.freeze().into()
             }
@@ -217,7 +201,6 @@ impl Frame {
             HELLO => Hello::decode(reader).map(Frame::Hello),
             ROUTING => Ok(Frame::Routing(reader.rest())),
             DATA => Ok(Frame::Data(reader.rest().into())),
-            GREETING => BusHello::decode(reader).map(Frame::Greeting),
             ROUTING_PART => {
                 let first = reader.u8()?;
                 let (index, last) =
@@ -252,10 +235,10 @@ impl RoutingFragment {
     const LAST: u8 = 128;
 }
 
-/// Whether these bytes are a hello, or a greeting. They go before all else: a link that they do not
-/// keep up carries nothing.
+/// Whether these bytes are a hello. It goes before all else: a link that hellos do not keep up
+/// carries nothing.
 pub fn is_hello(frame: &GatherBuffer) -> bool {
-    matches!(frame.pieces()[0], [_, HELLO | GREETING, ..])
+    matches!(frame.pieces()[0], [_, HELLO, ..])
 }
 
 /// Whether these bytes of a frame should overtake what waits for a slow medium: hellos, what
@@ -273,10 +256,14 @@ pub fn is_urgent(frame: &GatherBuffer) -> bool {
 }
 
 fn wrap(kind: u8, payload: &GatherBuffer) -> GatherBuffer {
-    let mut bytes = BytesMut::with_capacity(FRAME_HEADER + payload.copied());
-    bytes.put_u8(MAGIC | VERSION);
-    bytes.put_u8(kind);
-    payload.behind(bytes)
+    payload.behind(begin(kind, payload.copied()))
+}
+
+/// The header of a frame, with room for so many more bytes.
+fn begin(kind: u8, length: usize) -> BytesMut {
+    let mut bytes = BytesMut::with_capacity(FRAME_HEADER + length);
+    bytes.put_slice(&[MAGIC | VERSION, kind]);
+    bytes
 }
 
 impl Hello {
@@ -286,9 +273,7 @@ impl Hello {
     fn encode(&self) -> Bytes {
         let nothing = Echo { incarnation: Incarnation(0), sequence: 0, held_us: 0 };
         let echo = self.echo.unwrap_or(nothing);
-        let mut bytes = BytesMut::with_capacity(38 + self.node.as_str().len());
-        bytes.put_u8(MAGIC | VERSION);
-        bytes.put_u8(HELLO);
+        let mut bytes = begin(HELLO, 36 + self.node.as_str().len());
         bytes.put_u64(self.incarnation.0);
         bytes.put_u32(self.sequence);
         bytes.put_u32(self.interval_us);
@@ -418,6 +403,7 @@ mod tests {
         check(b"", WireError::Truncated);
         check(b"GET / HTTP/1.1", WireError::Foreign { first: b'G' });
         check(&[0xb2, 0], WireError::Version { theirs: 2, ours: 1 });
+        check(&[0xb1, 3], WireError::Malformed { what: "a frame's kind" });
         check(&[0xb1, 9], WireError::Malformed { what: "a frame's kind" });
         check(&[0xb1, 7, 1, 2, 3], WireError::TooLarge { what: "a probe's answer" });
         check(

@@ -237,13 +237,9 @@ impl PeerMessage {
                 [call, timestamp, within].into_iter().for_each(|number| bytes.varint(*number));
                 put_id(bytes, *id);
             }
-            PeerMessage::Reply { call, result: Ok(_) } => {
-                bytes.put_u8(REPLY);
-                bytes.varint(*call);
-            }
+            PeerMessage::Reply { call, result: Ok(_) } => numbered(bytes, REPLY, *call),
             PeerMessage::Reply { call, result: Err(why) } => {
-                bytes.put_u8(REPLY_FAILED);
-                bytes.varint(*call);
+                numbered(bytes, REPLY_FAILED, *call);
                 bytes.sized(&encode_why(why));
             }
             PeerMessage::Tell { binding, timestamp_us, id, payload: _ } => {
@@ -264,28 +260,15 @@ impl PeerMessage {
                 numbered(bytes, SUBSCRIBE_REFUSED, *subscription);
                 bytes.sized(&encode_why(why));
             }
-            PeerMessage::SubscribeAgain { subscription } => {
-                numbered(bytes, SUBSCRIBE_AGAIN, *subscription);
-            }
-            PeerMessage::Unsubscribe { subscription } => {
-                numbered(bytes, UNSUBSCRIBE, *subscription);
-            }
+            PeerMessage::SubscribeAgain { subscription: n } => numbered(bytes, SUBSCRIBE_AGAIN, *n),
+            PeerMessage::Unsubscribe { subscription: n } => numbered(bytes, UNSUBSCRIBE, *n),
             PeerMessage::Event { subscription, timestamp_us, payload: _ } => {
                 numbered(bytes, EVENT, *subscription);
                 bytes.varint(*timestamp_us);
             }
-            PeerMessage::Notice { number, payload: _ } => {
-                bytes.put_u8(NOTICE);
-                bytes.varint(*number);
-            }
-            PeerMessage::Confirmed { number } => {
-                bytes.put_u8(CONFIRMED);
-                bytes.varint(*number);
-            }
-            PeerMessage::Announced { timestamp_us } => {
-                bytes.put_u8(ANNOUNCED);
-                bytes.varint(*timestamp_us);
-            }
+            PeerMessage::Notice { number, payload: _ } => numbered(bytes, NOTICE, *number),
+            PeerMessage::Confirmed { number } => numbered(bytes, CONFIRMED, *number),
+            PeerMessage::Announced { timestamp_us } => numbered(bytes, ANNOUNCED, *timestamp_us),
             PeerMessage::Leaving => bytes.put_u8(BYE),
             PeerMessage::NotReady { binding } => numbered(bytes, FULL, *binding),
             PeerMessage::Ready { binding } => numbered(bytes, ROOM, *binding),
@@ -297,112 +280,74 @@ impl PeerMessage {
     /// # Errors
     /// [`WireError`] for anything that [`encode`](PeerMessage::encode) does not write.
     pub fn decode(bytes: Bytes) -> Result<PeerMessage, WireError> {
-        let mut reader = Reader::new(bytes);
-        let what = "a message";
-        Ok(match reader.u8()? {
+        let reader = &mut Reader::new(bytes);
+        let message = match reader.u8()? {
             BIND => PeerMessage::Bind {
-                binding: number(&mut reader)?,
+                binding: number(reader)?,
                 object: reader.parsed("an object's name")?,
                 identity: rest(reader, IDENTITY_MAX, "a contract's identity")?,
             },
-            BOUND => {
-                let binding = number(&mut reader)?;
-                reader.end(what)?;
-                PeerMessage::Bound { binding }
-            }
+            BOUND => PeerMessage::Bound { binding: number(reader)? },
             BIND_REFUSED => PeerMessage::BindRefused {
-                binding: number(&mut reader)?,
-                why: read_why(&mut reader)?,
+                binding: number(reader)?,
+                why: read_why(reader)?,
                 identity: rest(reader, IDENTITY_MAX, "a contract's identity")?,
             },
             REQUEST => PeerMessage::Request {
-                binding: number(&mut reader)?,
+                binding: number(reader)?,
                 call: reader.varint()?,
                 timestamp: reader.varint()?,
                 within: reader.varint()?,
-                id: read_id(&mut reader)?,
+                id: read_id(reader)?,
                 payload: reader.rest().into(),
             },
             REPLY => {
                 PeerMessage::Reply { call: reader.varint()?, result: Ok(reader.rest().into()) }
             }
             REPLY_FAILED => {
-                let call = reader.varint()?;
-                let why = read_why(&mut reader)?;
-                reader.end(what)?;
-                PeerMessage::Reply { call, result: Err(why) }
+                PeerMessage::Reply { call: reader.varint()?, result: Err(read_why(reader)?) }
             }
             TELL => PeerMessage::Tell {
-                binding: number(&mut reader)?,
+                binding: number(reader)?,
                 timestamp_us: reader.varint()?,
-                id: read_id(&mut reader)?,
+                id: read_id(reader)?,
                 payload: reader.rest().into(),
             },
             TELL_REFUSED => {
-                let binding = number(&mut reader)?;
-                let why = read_why(&mut reader)?;
-                reader.end(what)?;
-                PeerMessage::TellRefused { binding, why }
+                PeerMessage::TellRefused { binding: number(reader)?, why: read_why(reader)? }
             }
             SUBSCRIBE => PeerMessage::Subscribe {
-                subscription: number(&mut reader)?,
+                subscription: number(reader)?,
                 topic: reader.text(TOPIC_MAX, "a topic's name")?,
                 identities: read_identities(reader)?,
             },
-            SUBSCRIBE_REFUSED => {
-                let subscription = number(&mut reader)?;
-                let why = read_why(&mut reader)?;
-                reader.end(what)?;
-                PeerMessage::SubscribeRefused { subscription, why }
-            }
-            SUBSCRIBE_AGAIN => {
-                let subscription = number(&mut reader)?;
-                reader.end(what)?;
-                PeerMessage::SubscribeAgain { subscription }
-            }
-            UNSUBSCRIBE => {
-                let subscription = number(&mut reader)?;
-                reader.end(what)?;
-                PeerMessage::Unsubscribe { subscription }
-            }
+            SUBSCRIBE_REFUSED => PeerMessage::SubscribeRefused {
+                subscription: number(reader)?,
+                why: read_why(reader)?,
+            },
+            SUBSCRIBE_AGAIN => PeerMessage::SubscribeAgain { subscription: number(reader)? },
+            UNSUBSCRIBE => PeerMessage::Unsubscribe { subscription: number(reader)? },
             EVENT => PeerMessage::Event {
-                subscription: number(&mut reader)?,
+                subscription: number(reader)?,
                 timestamp_us: reader.varint()?,
                 payload: reader.rest().into(),
             },
             NOTICE => {
                 PeerMessage::Notice { number: reader.varint()?, payload: reader.rest().into() }
             }
-            CONFIRMED => {
-                let number = reader.varint()?;
-                reader.end(what)?;
-                PeerMessage::Confirmed { number }
-            }
-            ANNOUNCED => {
-                let timestamp_us = reader.varint()?;
-                reader.end(what)?;
-                PeerMessage::Announced { timestamp_us }
-            }
-            BYE => {
-                reader.end(what)?;
-                PeerMessage::Leaving
-            }
-            FULL => {
-                let binding = number(&mut reader)?;
-                reader.end(what)?;
-                PeerMessage::NotReady { binding }
-            }
-            ROOM => {
-                let binding = number(&mut reader)?;
-                reader.end(what)?;
-                PeerMessage::Ready { binding }
-            }
+            CONFIRMED => PeerMessage::Confirmed { number: reader.varint()? },
+            ANNOUNCED => PeerMessage::Announced { timestamp_us: reader.varint()? },
+            BYE => PeerMessage::Leaving,
+            FULL => PeerMessage::NotReady { binding: number(reader)? },
+            ROOM => PeerMessage::Ready { binding: number(reader)? },
             _ => return Err(WireError::Malformed { what: "a message's kind" }),
-        })
+        };
+        reader.end("a message")?;
+        Ok(message)
     }
 }
 
-fn numbered(bytes: &mut BytesMut, kind: u8, number: u32) {
+fn numbered(bytes: &mut BytesMut, kind: u8, number: impl Into<u64>) {
     bytes.put_u8(kind);
     bytes.varint(number.into());
 }
@@ -411,12 +356,12 @@ fn number(reader: &mut Reader) -> Result<u32, WireError> {
     u32::try_from(reader.varint()?).map_err(|_| WireError::TooLarge { what: "a number" })
 }
 
-fn rest(reader: Reader, limit: usize, what: &'static str) -> Result<Bytes, WireError> {
+fn rest(reader: &mut Reader, limit: usize, what: &'static str) -> Result<Bytes, WireError> {
     let rest = reader.rest();
     if rest.len() > limit { Err(WireError::TooLarge { what }) } else { Ok(rest) }
 }
 
-fn read_identities(mut reader: Reader) -> Result<Vec<Bytes>, WireError> {
+fn read_identities(reader: &mut Reader) -> Result<Vec<Bytes>, WireError> {
     let what = "a contract's identity";
     let mut identities = Vec::new();
     while !reader.is_empty() {

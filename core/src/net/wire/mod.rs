@@ -1,7 +1,6 @@
 //! Reading and writing bytes that come from, or go to, outside.
 
 pub mod advertisement;
-pub mod bus_hello;
 pub mod frame;
 pub mod hello_state;
 pub mod link_id;
@@ -107,21 +106,11 @@ impl Refusals {
 
     /// All of them.
     pub fn total(&self) -> u64 {
-        self.foreign
-            + self.version
-            + self.truncated
-            + self.too_large
-            + self.malformed
-            + self.stale
-            + self.unexpected
-            + self.isolated
-            + self.forged
+        self.counts().iter().map(|(count, _)| count).sum()
     }
-}
 
-impl fmt::Display for Refusals {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let counts = [
+    fn counts(&self) -> [(u64, &'static str); 9] {
+        [
             (self.foreign, "foreign"),
             (self.version, "of another version"),
             (self.truncated, "truncated"),
@@ -131,8 +120,13 @@ impl fmt::Display for Refusals {
             (self.unexpected, "unexpected"),
             (self.isolated, "of isolated nodes"),
             (self.forged, "forged"),
-        ];
-        let mut counts = counts.into_iter().filter(|(count, _)| *count > 0);
+        ]
+    }
+}
+
+impl fmt::Display for Refusals {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut counts = self.counts().into_iter().filter(|(count, _)| *count > 0);
         let Some((count, what)) = counts.next() else { return f.write_str("none") };
         write!(f, "{count} {what}")?;
         counts.try_for_each(|(count, what)| write!(f, ", {count} {what}"))
@@ -231,12 +225,12 @@ impl Reader {
         text.parse().map_err(|_| WireError::Malformed { what })
     }
 
-    pub(crate) fn rest(self) -> Bytes {
-        self.0
+    pub(crate) fn rest(&mut self) -> Bytes {
+        std::mem::take(&mut self.0)
     }
 
     /// Nothing may follow.
-    pub(crate) fn end(self, what: &'static str) -> Result<(), WireError> {
+    pub(crate) fn end(&self, what: &'static str) -> Result<(), WireError> {
         if self.0.is_empty() { Ok(()) } else { Err(WireError::TooLarge { what }) }
     }
 }

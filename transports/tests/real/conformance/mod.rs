@@ -106,10 +106,7 @@ impl End {
     /// What was reported, but for what the medium is like.
     fn events(&self) -> Vec<TransportReport> {
         let mut reports = self.reports.drain();
-        let is_event = |report: &TransportReport| {
-            !matches!(report, TransportReport::Rate { .. } | TransportReport::Bus { .. })
-        };
-        reports.retain(is_event);
+        reports.retain(|report| !matches!(report, TransportReport::Rate { .. }));
         reports
     }
 

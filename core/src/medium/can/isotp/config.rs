@@ -11,8 +11,6 @@ use std::time::Duration;
 pub struct IsoTpConfig {
     /// Classic or FD, for what is sent; both are understood.
     pub format: Format,
-    /// Fills frames up to eight bytes at least. Costs bus time; some devices insist on it.
-    pub padding: Option<u8>,
     /// The longest message, both ways. Longer ones keep others, and hellos, waiting longer behind
     /// them.
     pub message_max: usize,
@@ -37,9 +35,7 @@ pub struct IsoTpConfig {
     /// How long a frame may wait for the bus to take it (N_As, N_Ar). A bus without another
     /// node never takes one.
     pub bus_timeout: Duration,
-    /// How often a sender is told to wait while we have no room.
-    pub wait_interval: Duration,
-    /// How often in a row (N_WFTmax), both ways: no sender waits for ever.
+    /// How often in a row a receiver may let us wait (N_WFTmax): no sender waits for ever.
     pub waits_max: u8,
 }
 
@@ -47,7 +43,6 @@ impl Default for IsoTpConfig {
     fn default() -> Self {
         IsoTpConfig {
             format: Format::Classic,
-            padding: None,
             // 147 classic frames: 35 ms of a bus of 500 kbit/s.
             message_max: 1024,
             // What a busy object says in a second; more would only be older when it is out.
@@ -63,8 +58,6 @@ impl Default for IsoTpConfig {
             flow_timeout: Duration::from_secs(1),
             frame_timeout: Duration::from_secs(1),
             bus_timeout: Duration::from_secs(1),
-            // A tenth of the sender's patience: a lost word is no failure.
-            wait_interval: Duration::from_millis(100),
             waits_max: 10,
         }
     }

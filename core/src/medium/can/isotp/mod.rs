@@ -6,7 +6,6 @@
 //!   │◄──── flow: go on, 8 at a time, 1 ms ─┤
 //!   ├─ consecutive 1 ─────────────────────►│
 //!   ├─ … 8 ───────────────────────────────►│
-//!   │◄──────── flow: wait (no has_buffer yet) ───┤
 //!   │◄──────── flow: go on ────────────────┤
 //!   ├─ consecutive 9 …  ──────────────────►│
 //! ```
@@ -17,6 +16,8 @@
 //!   single frames to all; longer messages go as Linux sends them (`CAN_ISOTP_CF_BROADCAST`).
 //! * All messages that wait for a target that does not answer are dropped: they would be too old
 //!   when it is back.
+//! * A receiver of another make may let a sender wait. This one does not: its user takes every
+//!   message, or drops it.
 //!
 //! Nothing is repeated here: a message that fails is reported and gone. ISO 15765-2 has no check
 //! over a message, only that of each frame; a user that wants one puts it into the message.
@@ -134,7 +135,6 @@ pub struct IsoTp {
     incoming: SortedMap<(BusAddress, bool), Reception>,
     /// Whose frame went out last.
     last: BusAddress,
-    has_buffer: bool,
     refusals: IsoTpErrorCounts,
     outputs: VecDeque<IsoTpOutput>,
 }
@@ -158,7 +158,6 @@ impl IsoTp {
             outgoing: SortedMap::new(),
             incoming: SortedMap::new(),
             last: BusAddress::ALL,
-            has_buffer: true,
             refusals: IsoTpErrorCounts::default(),
             outputs: VecDeque::new(),
         })
@@ -260,7 +259,7 @@ impl IsoTp {
         let audience = if to_all { TargetType::All } else { TargetType::One };
         let admitted =
             self.incoming.contains_key(&key) || self.incoming.len() < self.config.receptions_max;
-        let terms = ReceptionContext { config: &self.config, has_buffer: self.has_buffer, now };
+        let terms = ReceptionContext { config: &self.config, now };
         let reception = self.incoming.entry(key).or_insert_with(|| Reception::new(audience));
         let result = match pdu {
             Pdu::Single(data) => reception.handle_single(data),
@@ -282,27 +281,6 @@ impl IsoTp {
         }
     }
 
-    /// Whether the receiver of the messages can take more. While not, senders are told to wait;
-    /// what is in a single frame or under way already comes nevertheless.
-    pub fn handle_buffer(&mut self, has_buffer: bool, now: Instant) {
-        if has_buffer && !self.has_buffer {
-            let terms = ReceptionContext { config: &self.config, has_buffer, now };
-            self.incoming.values_mut().for_each(|reception| reception.handle_buffer(terms));
-        }
-        self.has_buffer = has_buffer;
-    }
-
-    /// The bus is gone: nothing that waits or is under way will arrive. The answer is how many
-    /// messages were to go out.
-    pub fn handle_loss(&mut self) -> u64 {
-        self.incoming.clear();
-        let lanes = std::mem::take(&mut self.outgoing).into_values();
-        let all = |lane: Lane| {
-            usize::from(lane.current.is_some()) + lane.urgent.len() + lane.waiting.len()
-        };
-        lanes.map(|lane| all(lane) as u64).sum()
-    }
-
     /// The next frame that is to go out now, if any. Ask only when the bus takes one: it counts as
     /// sent.
     pub fn poll_frame(&mut self, now: Instant) -> Option<CanFrame> {
@@ -315,8 +293,8 @@ impl IsoTp {
             self.incoming.iter_mut().find(|(_, reception)| reception.is_ready())?;
         let id = self.addressing.id(AddressInfo { source: self.own, target: source });
         let id = id.expect("this node and the sender have addresses of this bus");
-        let writer = PduWriter { id, format: self.config.format, padding: self.config.padding };
-        let terms = ReceptionContext { config: &self.config, has_buffer: self.has_buffer, now };
+        let writer = PduWriter { id, format: self.config.format };
+        let terms = ReceptionContext { config: &self.config, now };
         let frame = reception.poll_frame(&writer, terms);
         if reception.is_idle() {
             self.incoming.remove(&(source, to_all));
@@ -338,7 +316,7 @@ impl IsoTp {
         let to = self.turn()?;
         let id = self.addressing.id(AddressInfo { source: self.own, target: to });
         let id = id.expect("messages are taken for addresses of this bus only");
-        let writer = PduWriter { id, format: self.config.format, padding: self.config.padding };
+        let writer = PduWriter { id, format: self.config.format };
         let current = self.outgoing.get_mut(&to)?.current.as_mut()?;
         let frame = current.poll_frame(&writer, &self.config, now);
         self.last = to;
@@ -405,10 +383,9 @@ impl Machine for IsoTp {
             }
             self.settle(to, now);
         }
-        let terms = ReceptionContext { config: &self.config, has_buffer: self.has_buffer, now };
         let mut failed = Vec::new();
         self.incoming.retain(|(from, _), reception| {
-            failed.extend(reception.handle_timeout(terms).map(|error| (*from, error)));
+            failed.extend(reception.handle_timeout(now).map(|error| (*from, error)));
             !reception.is_idle()
         });
         failed.into_iter().for_each(|(from, error)| self.fail(from, error));

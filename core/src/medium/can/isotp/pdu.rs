@@ -193,8 +193,6 @@ pub struct PduWriter {
     pub id: CanId,
     /// Classic or FD.
     pub format: Format,
-    /// Fills frames up to eight bytes at least, for buses whose nodes expect that.
-    pub padding: Option<u8>,
 }
 
 impl PduWriter {
@@ -246,15 +244,12 @@ impl PduWriter {
     }
 
     fn frame(&self, header: &[u8], data: &[u8]) -> CanFrame {
-        let mut bytes = [self.padding.unwrap_or(FILLER); super::super::frame::FD_MAX];
+        let mut bytes = [FILLER; super::super::frame::FD_MAX];
         let (head, rest) = bytes.split_at_mut(header.len());
         head.copy_from_slice(header);
         rest[..data.len()].copy_from_slice(data);
-        let least = if self.padding.is_some() { CLASSIC_MAX } else { 0 };
-        let length = self
-            .format
-            .length_for((header.len() + data.len()).max(least))
-            .expect("no more is written than the format holds");
+        let length = self.format.length_for(header.len() + data.len());
+        let length = length.expect("no more is written than the format holds");
         CanFrame::new(self.id, self.format, &bytes[..length])
             .expect("the length is one that the format has")
     }
@@ -267,7 +262,7 @@ mod tests {
     const FD: Format = Format::Fd { fast: true };
 
     fn writer(format: Format) -> PduWriter {
-        PduWriter { id: CanId::standard(1).unwrap(), format, padding: None }
+        PduWriter { id: CanId::standard(1).unwrap(), format }
     }
 
     #[test]
@@ -286,8 +281,6 @@ mod tests {
             separation: SeparationTime::at_least(Duration::from_millis(20)),
         };
         assert_eq!(classic.flow(flow).data(), b"\x31\x08\x14");
-        let padded = PduWriter { padding: Some(0xaa), ..classic };
-        assert_eq!(padded.flow(flow).data(), b"\x31\x08\x14\xaa\xaa\xaa\xaa\xaa");
 
         let fd = writer(FD);
         assert_eq!(fd.single(b"1234567").data(), b"\x071234567");
@@ -299,19 +292,17 @@ mod tests {
     #[test]
     fn what_is_written_is_read_back() {
         for format in [Format::Classic, FD] {
-            for padding in [None, Some(0)] {
-                let writer = PduWriter { padding, ..writer(format) };
-                for length in 1..=writer.single_max() {
-                    let message = vec![9; length];
-                    let frame = writer.single(&message);
-                    assert_eq!(Pdu::decode(frame.data()), Ok(Pdu::Single(&message)));
-                }
-                for length in [writer.single_max() + 1, 4095, 4096, 70_000] {
-                    let message = vec![9; length];
-                    let (frame, taken) = writer.first(&message);
-                    let (length, data) = (length as u32, &message[..taken]);
-                    assert_eq!(Pdu::decode(frame.data()), Ok(Pdu::First { length, data }));
-                }
+            let writer = writer(format);
+            for length in 1..=writer.single_max() {
+                let message = vec![9; length];
+                let frame = writer.single(&message);
+                assert_eq!(Pdu::decode(frame.data()), Ok(Pdu::Single(&message)));
+            }
+            for length in [writer.single_max() + 1, 4095, 4096, 70_000] {
+                let message = vec![9; length];
+                let (frame, taken) = writer.first(&message);
+                let (length, data) = (length as u32, &message[..taken]);
+                assert_eq!(Pdu::decode(frame.data()), Ok(Pdu::First { length, data }));
             }
         }
     }

@@ -3,9 +3,8 @@
 //! ```text
 //!        first                   "go on" taken               last frame
 //! Idle ─────────► Answering ───────────────────► Receiving ─────────────► Idle
-//!                  ▲     │ "wait" taken              │ end of block
-//!         time over│     ▼                           ▼
-//!                  └── Holding                   Answering
+//!                     ▲                              │ end of block
+//!                     └──────────────────────────────┘
 //! ```
 
 use super::config::IsoTpConfig;
@@ -42,9 +41,6 @@ pub enum ReceptionError {
     /// Too many messages are under way to us.
     #[error("too many messages arrive at one time")]
     TooMany,
-    /// There was no room for it for too long.
-    #[error("there was no room for the message")]
-    NoBuffer,
     /// The bus did not take our word on how to go on.
     #[error("the bus takes no frames")]
     BusStuck,
@@ -75,8 +71,6 @@ impl FrameResult {
 #[derive(Clone, Copy)]
 pub(super) struct ReceptionContext<'a> {
     pub(super) config: &'a IsoTpConfig,
-    /// Whether the receiver of the message could take one.
-    pub(super) has_buffer: bool,
     pub(super) now: Instant,
 }
 
@@ -93,19 +87,11 @@ enum State {
     /// Our word is to go out.
     Answering {
         partial: Partial,
-        status: FlowStatus,
-        waits: u8,
         until: Instant,
     },
     /// A refusal is to go out.
     Refusing {
         until: Instant,
-    },
-    /// The sender was told to wait.
-    Holding {
-        partial: Partial,
-        waits: u8,
-        at: Instant,
     },
     /// Frames come.
     Receiving {
@@ -149,7 +135,7 @@ impl Reception {
         admitted: bool,
         terms: ReceptionContext<'_>,
     ) -> FrameResult {
-        let ReceptionContext { config, now, .. } = terms;
+        let ReceptionContext { config, now } = terms;
         let interrupted = self.interrupt();
         let whole = length as usize;
         if whole > config.message_max || !admitted {
@@ -167,7 +153,7 @@ impl Reception {
         let header = if whole > super::pdu::SHORT_LENGTH_MAX { 6 } else { 2 };
         let partial = Partial { bytes, length: whole, frame: data.len() + header, sequence: 1 };
         self.state = match self.audience {
-            TargetType::One => answer(partial, 0, terms),
+            TargetType::One => answer(partial, terms),
             TargetType::All => {
                 let until = now + config.frame_timeout;
                 State::Receiving { partial, left_in_block: None, until }
@@ -183,7 +169,7 @@ impl Reception {
         data: &[u8],
         terms: ReceptionContext<'_>,
     ) -> FrameResult {
-        let ReceptionContext { config, now, .. } = terms;
+        let ReceptionContext { config, now } = terms;
         let (mut partial, left_in_block) = match std::mem::replace(&mut self.state, State::Idle) {
             State::Receiving { partial, left_in_block, .. } => (partial, left_in_block),
             // No sender was told to go on. What is under way goes on when he is.
@@ -207,19 +193,11 @@ impl Reception {
         }
         let left_in_block = left_in_block.map(|left| left - 1);
         self.state = if left_in_block == Some(0) {
-            answer(partial, 0, terms)
+            answer(partial, terms)
         } else {
             State::Receiving { partial, left_in_block, until: now + config.frame_timeout }
         };
         FrameResult::default()
-    }
-
-    /// There is room again: a sender that waits need not wait any longer.
-    pub(super) fn handle_buffer(&mut self, terms: ReceptionContext<'_>) {
-        self.state = match std::mem::replace(&mut self.state, State::Idle) {
-            State::Holding { partial, waits, .. } => answer(partial, waits, terms),
-            other => other,
-        };
     }
 
     /// Whether a frame is to go out.
@@ -233,17 +211,13 @@ impl Reception {
         writer: &PduWriter,
         terms: ReceptionContext<'_>,
     ) -> Option<CanFrame> {
-        let ReceptionContext { config, now, .. } = terms;
+        let ReceptionContext { config, now } = terms;
         let (status, next) = match std::mem::replace(&mut self.state, State::Idle) {
             State::Refusing { .. } => (FlowStatus::Overflow, State::Idle),
-            State::Answering { partial, status: FlowStatus::Continue, .. } => {
+            State::Answering { partial, .. } => {
                 let left_in_block = (config.block_size != 0).then_some(config.block_size);
                 let until = now + config.frame_timeout;
                 (FlowStatus::Continue, State::Receiving { partial, left_in_block, until })
-            }
-            State::Answering { partial, status, waits, .. } => {
-                let at = now + config.wait_interval;
-                (status, State::Holding { partial, waits: waits + 1, at })
             }
             other => {
                 self.state = other;
@@ -260,13 +234,11 @@ impl Reception {
             State::Answering { until, .. }
             | State::Refusing { until }
             | State::Receiving { until, .. } => Some(*until),
-            State::Holding { at, .. } => Some(*at),
         }
     }
 
     /// Gives up what takes too long.
-    pub(super) fn handle_timeout(&mut self, terms: ReceptionContext<'_>) -> Option<ReceptionError> {
-        let ReceptionContext { config, now, .. } = terms;
+    pub(super) fn handle_timeout(&mut self, now: Instant) -> Option<ReceptionError> {
         if self.poll_timeout().is_none_or(|due| due > now) {
             return None;
         }
@@ -274,29 +246,19 @@ impl Reception {
             State::Idle => None,
             State::Answering { .. } | State::Refusing { .. } => Some(ReceptionError::BusStuck),
             State::Receiving { .. } => Some(ReceptionError::Silent),
-            State::Holding { waits, .. } if !terms.has_buffer && waits >= config.waits_max => {
-                Some(ReceptionError::NoBuffer)
-            }
-            State::Holding { partial, waits, .. } => {
-                self.state = answer(partial, waits, terms);
-                None
-            }
         }
     }
 
     fn interrupt(&mut self) -> Option<ReceptionError> {
         match std::mem::replace(&mut self.state, State::Idle) {
             State::Idle | State::Refusing { .. } => None,
-            State::Answering { .. } | State::Holding { .. } | State::Receiving { .. } => {
-                Some(ReceptionError::Interrupted)
-            }
+            State::Answering { .. } | State::Receiving { .. } => Some(ReceptionError::Interrupted),
         }
     }
 }
 
-fn answer(partial: Partial, waits: u8, terms: ReceptionContext<'_>) -> State {
-    let status = if terms.has_buffer { FlowStatus::Continue } else { FlowStatus::Wait };
-    State::Answering { partial, status, waits, until: terms.now + terms.config.bus_timeout }
+fn answer(partial: Partial, terms: ReceptionContext<'_>) -> State {
+    State::Answering { partial, until: terms.now + terms.config.bus_timeout }
 }
 
 #[cfg(test)]

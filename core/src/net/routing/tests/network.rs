@@ -161,9 +161,6 @@ impl Net {
                     self.outputs.push(format!("{far:?} stops for {by}"));
                     self.kill(far);
                 }
-                RouterOutput::Over(trouble) => {
-                    self.outputs.push(format!("{who:?} is rid of {trouble:?}"));
-                }
                 _ => {}
             }
         }

@@ -3,22 +3,22 @@ use super::*;
 use crate::medium::can::{CanId, Format};
 
 fn config() -> IsoTpConfig {
-    IsoTpConfig { message_max: 100, waits_max: 2, block_size: 2, ..IsoTpConfig::default() }
+    IsoTpConfig { message_max: 100, block_size: 2, ..IsoTpConfig::default() }
 }
 
 fn at(millis: u64) -> Instant {
     Instant::from_millis(millis)
 }
 
-fn with(has_buffer: bool, millis: u64, test: impl FnOnce(ReceptionContext<'_>)) {
-    test(ReceptionContext { config: &config(), has_buffer, now: at(millis) });
+fn with(test: impl FnOnce(ReceptionContext<'_>)) {
+    test(ReceptionContext { config: &config(), now: at(0) });
 }
 
-fn poll(reception: &mut Reception, has_buffer: bool, millis: u64) -> Option<FlowStatus> {
+fn poll(reception: &mut Reception) -> Option<FlowStatus> {
     let id = CanId::standard(1).unwrap();
-    let writer = PduWriter { id, format: Format::Classic, padding: None };
+    let writer = PduWriter { id, format: Format::Classic };
     let mut sent = None;
-    with(has_buffer, millis, |terms| {
+    with(|terms| {
         sent = reception.poll_frame(&writer, terms).map(|frame| match Pdu::decode(frame.data()) {
             Ok(Pdu::Flow(flow)) => flow.status,
             other => panic!("{other:?} is no word on how to go on"),
@@ -27,22 +27,16 @@ fn poll(reception: &mut Reception, has_buffer: bool, millis: u64) -> Option<Flow
     sent
 }
 
-fn first(reception: &mut Reception, length: u32, has_buffer: bool) -> FrameResult {
+fn first(reception: &mut Reception, length: u32) -> FrameResult {
     let mut result = FrameResult::default();
-    with(has_buffer, 0, |terms| result = reception.handle_first(length, b"abcdef", true, terms));
+    with(|terms| result = reception.handle_first(length, b"abcdef", true, terms));
     result
 }
 
 fn next(reception: &mut Reception, sequence: u8, data: &[u8]) -> FrameResult {
     let mut result = FrameResult::default();
-    with(true, 0, |terms| result = reception.handle_consecutive(sequence, data, terms));
+    with(|terms| result = reception.handle_consecutive(sequence, data, terms));
     result
-}
-
-fn time_out(reception: &mut Reception, has_buffer: bool, millis: u64) -> Option<ReceptionError> {
-    let mut failed = None;
-    with(has_buffer, millis, |terms| failed = reception.handle_timeout(terms));
-    failed
 }
 
 fn kind(reception: &Reception) -> &'static str {
@@ -50,7 +44,6 @@ fn kind(reception: &Reception) -> &'static str {
         State::Idle => "idle",
         State::Answering { .. } => "answering",
         State::Refusing { .. } => "refusing",
-        State::Holding { .. } => "holding",
         State::Receiving { .. } => "receiving",
     }
 }
@@ -62,30 +55,23 @@ fn idle() -> Reception {
 
 fn answering() -> Reception {
     let mut reception = idle();
-    first(&mut reception, 30, true);
+    first(&mut reception, 30);
     reception
 }
 
 fn refusing() -> Reception {
     let mut reception = idle();
-    first(&mut reception, 101, true);
-    reception
-}
-
-fn holding() -> Reception {
-    let mut reception = idle();
-    first(&mut reception, 30, false);
-    assert_eq!(poll(&mut reception, false, 0), Some(FlowStatus::Wait));
+    first(&mut reception, 101);
     reception
 }
 
 fn receiving() -> Reception {
     let mut reception = answering();
-    assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Continue));
+    assert_eq!(poll(&mut reception), Some(FlowStatus::Continue));
     reception
 }
 
-const ALL: [fn() -> Reception; 5] = [idle, answering, refusing, holding, receiving];
+const ALL: [fn() -> Reception; 4] = [idle, answering, refusing, receiving];
 
 #[test]
 fn a_message_comes_in_blocks_each_of_which_is_asked_for() {
@@ -94,7 +80,7 @@ fn a_message_comes_in_blocks_each_of_which_is_asked_for() {
     assert_eq!(next(&mut reception, 1, b"ghijklm"), FrameResult::default());
     assert_eq!(next(&mut reception, 2, b"nopqrst"), FrameResult::default());
     assert_eq!(kind(&reception), "answering");
-    assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Continue));
+    assert_eq!(poll(&mut reception), Some(FlowStatus::Continue));
     assert_eq!(next(&mut reception, 3, b"uvwxyzA"), FrameResult::default());
     let result = next(&mut reception, 4, b"BCD\xcc\xcc\xcc\xcc");
 
@@ -105,7 +91,7 @@ fn a_message_comes_in_blocks_each_of_which_is_asked_for() {
 
 #[test]
 fn a_whole_message_is_taken_in_every_state_and_ends_what_was_under_way() {
-    for (state, interrupts) in ALL.into_iter().zip([false, true, false, true, true]) {
+    for (state, interrupts) in ALL.into_iter().zip([false, true, false, true]) {
         let mut reception = state();
         let failed = interrupts.then_some(ReceptionError::Interrupted);
 
@@ -118,11 +104,11 @@ fn a_whole_message_is_taken_in_every_state_and_ends_what_was_under_way() {
 
 #[test]
 fn a_beginning_is_taken_in_every_state_and_ends_what_was_under_way() {
-    for (state, interrupts) in ALL.into_iter().zip([false, true, false, true, true]) {
+    for (state, interrupts) in ALL.into_iter().zip([false, true, false, true]) {
         let mut reception = state();
         let failed = interrupts.then_some(ReceptionError::Interrupted);
 
-        let result = first(&mut reception, 40, true);
+        let result = first(&mut reception, 40);
 
         assert_eq!(result, FrameResult { failed, message: None });
         assert_eq!(kind(&reception), "answering");
@@ -131,7 +117,7 @@ fn a_beginning_is_taken_in_every_state_and_ends_what_was_under_way() {
 
 #[test]
 fn more_is_taken_only_where_it_was_asked_for() {
-    for state in [idle, answering, refusing, holding] {
+    for state in [idle, answering, refusing] {
         let mut reception = state();
         let before = kind(&reception);
 
@@ -165,26 +151,26 @@ fn a_frame_that_is_too_short_and_not_the_last_ends_the_message() {
 #[test]
 fn what_is_too_long_or_one_too_many_is_refused_by_a_word() {
     let mut reception = idle();
-    let result = first(&mut reception, 101, true);
+    let result = first(&mut reception, 101);
     assert_eq!(result, FrameResult::failure(ReceptionError::TooLong { length: 101 }));
-    assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Overflow));
+    assert_eq!(poll(&mut reception), Some(FlowStatus::Overflow));
     assert!(reception.is_idle());
 
-    with(true, 0, |terms| {
+    with(|terms| {
         let result = reception.handle_first(50, b"abcdef", false, terms);
         assert_eq!(result, FrameResult::failure(ReceptionError::TooMany));
     });
-    assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Overflow));
+    assert_eq!(poll(&mut reception), Some(FlowStatus::Overflow));
 }
 
 #[test]
 fn what_goes_to_all_is_never_answered() {
     let mut reception = Reception::new(TargetType::All);
 
-    first(&mut reception, 101, true);
+    first(&mut reception, 101);
     assert!(reception.is_idle());
-    first(&mut reception, 10, true);
-    assert_eq!((kind(&reception), poll(&mut reception, true, 0)), ("receiving", None));
+    first(&mut reception, 10);
+    assert_eq!((kind(&reception), poll(&mut reception)), ("receiving", None));
     let result = next(&mut reception, 1, b"ghij");
     assert_eq!(result.message, Some(Bytes::from("abcdefghij")));
 }
@@ -196,54 +182,21 @@ fn every_timeout_in_every_state() {
         let before = kind(&reception);
         assert_eq!(reception.poll_timeout(), due.map(at), "{before}");
         // Early is harmless.
-        assert_eq!((time_out(&mut reception, false, 1), kind(&reception)), (None, before));
-        assert_eq!(time_out(&mut reception, false, 9_000), failed, "{before}");
+        assert_eq!((reception.handle_timeout(at(1)), kind(&reception)), (None, before));
+        assert_eq!(reception.handle_timeout(at(9_000)), failed, "{before}");
         assert_eq!(kind(&reception), expected, "{before}");
     };
     check(idle, None, None, "idle");
     check(answering, Some(1000), Some(ReceptionError::BusStuck), "idle");
     check(refusing, Some(1000), Some(ReceptionError::BusStuck), "idle");
-    check(holding, Some(100), None, "answering");
     check(receiving, Some(1000), Some(ReceptionError::Silent), "idle");
 }
 
 #[test]
 fn only_what_has_a_word_to_say_gives_a_frame() {
-    for (state, gives) in ALL.into_iter().zip([false, true, true, false, false]) {
+    for (state, gives) in ALL.into_iter().zip([false, true, true, false]) {
         let mut reception = state();
         assert_eq!(reception.is_ready(), gives);
-        assert_eq!(poll(&mut reception, true, 0).is_some(), gives);
+        assert_eq!(poll(&mut reception).is_some(), gives);
     }
-}
-
-#[test]
-fn room_lets_only_the_one_who_waits_go_on() {
-    for (state, expected) in
-        ALL.into_iter().zip(["idle", "answering", "refusing", "answering", "receiving"])
-    {
-        let mut reception = state();
-        with(true, 0, |terms| reception.handle_buffer(terms));
-        assert_eq!(kind(&reception), expected);
-    }
-    let mut reception = holding();
-    with(true, 0, |terms| reception.handle_buffer(terms));
-    assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Continue));
-}
-
-#[test]
-fn nobody_is_told_to_wait_for_ever() {
-    let mut reception = holding();
-    let mut count = 1;
-
-    let failed = loop {
-        let failed = time_out(&mut reception, false, 100 * count);
-        if failed.is_some() {
-            break failed;
-        }
-        assert_eq!(poll(&mut reception, false, 100 * count), Some(FlowStatus::Wait));
-        count += 1;
-    };
-
-    assert_eq!((failed, count), (Some(ReceptionError::NoBuffer), u64::from(config().waits_max)));
-    assert!(reception.is_idle());
 }

@@ -6,7 +6,7 @@ fn config() -> IsoTpConfig {
 }
 
 fn writer() -> PduWriter {
-    PduWriter { id: CanId::standard(1).unwrap(), format: Format::Classic, padding: None }
+    PduWriter { id: CanId::standard(1).unwrap(), format: Format::Classic }
 }
 
 fn at(millis: u64) -> Instant {
