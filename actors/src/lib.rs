@@ -229,7 +229,8 @@ pub use crate::process::{ProcessSpec, SupervisedProcess};
 // Names of the whole robot.
 #[cfg(feature = "network")]
 pub use crate::directory::{
-    Claim, ClaimError, ClaimPolicy, ClaimRow, ClaimState, Holder, NameHeld, NameWatch, NodeRow,
+    Claim, ClaimError, ClaimPolicy, ClaimRefused, ClaimRow, ClaimState, Holder, NameHeld,
+    NameWatch, NodeRow,
 };
 
 // Nodes, their trees and their networks.

@@ -181,7 +181,7 @@ impl DirectoryActor {
             self.say_who_goes_without();
         }
         let is_forbidden = matches!(refused, ClaimRefused::Forbidden { .. });
-        self.tell(name, ClaimState::Refused(refused.into()));
+        self.tell(name, ClaimState::Refused(refused));
         if let Some(own) = self.own.remove(name).filter(|own| own.unattended && is_forbidden) {
             self.forbidden.insert(name.clone(), own);
         }

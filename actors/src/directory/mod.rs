@@ -12,12 +12,12 @@ pub(crate) mod actor;
 mod spec;
 pub(crate) mod table;
 
-pub use blastema_core::directory::{ClaimPolicy, Holder, NameHeld};
+pub use blastema_core::directory::{ClaimPolicy, ClaimRefused, Holder, NameHeld};
 
 pub(crate) use table::{ClaimCommand, DirectoryTable};
 
 use crate::registry::remote::NameResolver;
-use blastema_core::directory::{ClaimRefused, ClaimRequest};
+use blastema_core::directory::ClaimRequest;
 use blastema_core::{Incarnation, NameError, NodeName, ObjectAddress, ObjectName};
 use std::fmt;
 use std::time::Duration;
@@ -30,43 +30,12 @@ pub enum ClaimError {
     /// The name does not parse.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// Another object holds the name. Stand by for it, or use another name.
+    /// The robot does not grant it.
     #[error(transparent)]
-    Held(#[from] NameHeld),
-    /// This node claims too many names already. Give some back.
-    #[error("this node claims {limit} names already, and no more: give some back")]
-    TooMany {
-        /// The most that it may.
-        limit: usize,
-    },
-    /// The [policy](crate::manual::security#roles-and-policy) of the robot does not let this node
-    /// claim the name. Change roles or policy.
-    #[error(
-        "node {node} may not claim {name}, by its roster {serial}: change roles or policy by `blastema keys edit`"
-    )]
-    Forbidden {
-        /// The name.
-        name: String,
-        /// This node.
-        node: NodeName,
-        /// The serial number of its roster.
-        serial: u64,
-    },
+    Refused(#[from] ClaimRefused),
     /// The node has ended.
     #[error("the node has ended")]
     Stopped,
-}
-
-impl From<ClaimRefused> for ClaimError {
-    fn from(refused: ClaimRefused) -> Self {
-        match refused {
-            ClaimRefused::Held(held) => ClaimError::Held(held),
-            ClaimRefused::TooMany { limit } => ClaimError::TooMany { limit },
-            ClaimRefused::Forbidden { name, node, serial } => {
-                ClaimError::Forbidden { name, node, serial }
-            }
-        }
-    }
 }
 
 /// How a claim stands.
@@ -83,7 +52,7 @@ pub enum ClaimState {
     /// Another node holds it; we are to follow.
     StandsBy,
     /// The claim is over: it was not granted.
-    Refused(ClaimError),
+    Refused(ClaimRefused),
     /// The claim is over: two had claimed the name, out of each other's sight, and the other's is
     /// the later claim.
     Lost {
@@ -121,7 +90,7 @@ impl Claim {
         let mut claim = Claim { name, number, names: names.clone(), state };
         let decided = claim.state.wait_for(|state| *state != ClaimState::Waiting).await;
         match decided.map(|state| state.clone()) {
-            Ok(ClaimState::Refused(error)) => Err(error),
+            Ok(ClaimState::Refused(refused)) => Err(refused.into()),
             Ok(_) => Ok(claim),
             Err(_) => Err(ClaimError::Stopped),
         }

@@ -15,7 +15,7 @@ impl Node {
     /// [`ChildSpec::claim`](crate::ChildSpec::claim).
     ///
     /// # Errors
-    /// [`ClaimError::Held`] where another object has the name, on whichever node, and the policy is
+    /// [`ClaimRefused::Held`](crate::ClaimRefused::Held) where another object has the name, on whichever node, and the policy is
     /// to be refused.
     pub async fn claim(&self, name: &str, policy: ClaimPolicy) -> Result<Claim, ClaimError> {
         self.claim_for(name, name, policy).await

@@ -8,8 +8,8 @@ use super::{PATIENCE, until};
 use blastema::core::net::trust::policy::Role;
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, ClaimError, ClaimPolicy, ClaimState, DeadReason, FaultKind, Hold, Network,
-    NodeBuilder, ServiceSpec, Stateful, VariableSpec,
+    ActuatorSpec, ClaimError, ClaimPolicy, ClaimRefused, ClaimState, DeadReason, FaultKind, Hold,
+    Network, NodeBuilder, ServiceSpec, Stateful, VariableSpec,
 };
 use blastema_tests::{RobotKeys, free_addresses};
 use std::fs;
@@ -327,7 +327,10 @@ fn a_name_is_had_only_by_a_node_that_may_claim_it_and_until_it_may_no_more() {
         let robot = Robot::new(&open, &["only arm may claim on map".to_owned()]);
         let [base, arm, head] = robot.start_all().await;
         let refused = head.claim("map", ClaimPolicy::Standby).await;
-        assert!(matches!(refused, Err(ClaimError::Forbidden { .. })), "{refused:?}");
+        assert!(
+            matches!(refused, Err(ClaimError::Refused(ClaimRefused::Forbidden { .. }))),
+            "{refused:?}"
+        );
         let claim = arm.claim("map", ClaimPolicy::Refuse).await.expect("it may");
         let is = |node: Option<&str>| {
             let holder = base.holder("map");
