@@ -8,7 +8,7 @@ use blastema_tests::{Process, addresses, free_addresses, role};
 use std::net::SocketAddr;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -23,6 +23,14 @@ struct End {
     times: u64,
 }
 
+/// Has the node of the receiver shut itself down.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "outage/leave")]
+struct Leave;
+
+/// The node of this process, in the role of the arm.
+static ARM: OnceLock<Node> = OnceLock::new();
+
 /// How many incarnations are still to end by themselves.
 static TO_END: AtomicU64 = AtomicU64::new(0);
 
@@ -31,7 +39,7 @@ struct Grip(Duration);
 
 impl Component for Grip {
     fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<End>();
+        ports.serve::<End>().accept::<Leave>();
     }
 
     async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
@@ -55,6 +63,17 @@ impl Handle<End> for Grip {
             cx.after(MS * after_ms as u32, |_, cx| cx.stop());
         }
         cx.incarnation().0
+    }
+}
+
+impl Handle<Leave> for Grip {
+    async fn handle(&mut self, _: Leave, _: &mut Context<Self>) {
+        drop(actix_rt::spawn(async {
+            while ARM.get().is_none() {
+                blastema::sleep(MS).await;
+            }
+            ARM.get().expect("it is there").shutdown().await;
+        }));
     }
 }
 
@@ -88,7 +107,8 @@ fn a_process_plays_its_role() {
     blastema::run(async {
         let first = AtomicU64::new(1);
         let grip = ChildSpec::new("grip", move || Grip(slow * first.swap(0, SeqCst) as u32));
-        node(1, &addresses()).child(grip).run_until(std::future::pending()).await.unwrap();
+        let arm = node(1, &addresses()).child(grip).start().await.unwrap();
+        ARM.get_or_init(|| arm).run_until_signal().await.unwrap();
     });
 }
 
@@ -259,6 +279,31 @@ fn a_process_that_may_be_away_ends_and_dies_without_a_fault_and_each_is_told_onc
             blastema::sleep(100 * MS).await;
             let more = std::mem::take(&mut *base.told.lock().unwrap());
             assert_eq!((told.len(), more), (1, vec![]), "{in_order}: {told:?}");
+        }
+        let faults = base.node.faults().await.entries;
+        assert!(faults.is_empty(), "{faults:?}");
+        base.node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_node_that_a_component_of_its_own_shuts_down_leaves_in_order_before_its_program_ends() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let base = Base::start(|node| node).await;
+        for _ in 0..5 {
+            let mut arm = base.arm(0);
+            base.connected().await;
+            base.told.lock().unwrap().clear();
+
+            base.node.sender::<Leave>("arm:grip").unwrap().tell(Leave).unwrap();
+
+            assert!(arm.succeeds());
+            let told = base.told(|told| told.iter().any(is_lost)).await;
+            let [Down { ending: DownReason::NodeLost { reason }, .. }] = &told[..] else {
+                panic!("{told:?}");
+            };
+            assert_eq!(reason, "node arm has left in order");
         }
         let faults = base.node.faults().await.entries;
         assert!(faults.is_empty(), "{faults:?}");
