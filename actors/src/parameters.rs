@@ -128,19 +128,21 @@ impl Configured {
         inner.takers.insert(component.to_owned());
     }
 
-    /// Finds values for a component that takes none.
-    pub(crate) fn check(&self) -> Result<(), String> {
+    /// Finds values for a component that takes none, and the file that they stand in.
+    pub(crate) fn check(&self) -> Result<(), (Option<PathBuf>, String)> {
         let inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(wrong) = inner.given.keys().find(|name| !inner.takers.contains(*name)) else {
             return Ok(());
         };
         let takers = inner.takers.iter().map(String::as_str);
-        Err(match suggestion::nearest(wrong, takers) {
+        let reason = match suggestion::nearest(wrong, takers) {
             Some(nearest) => {
                 format!("no component `{wrong}` has parameters: did you mean `{nearest}`?")
             }
             None => format!("no component `{wrong}` has parameters"),
-        })
+        };
+        let file = inner.files.iter().find(|((component, _), _)| component == wrong);
+        Err((file.map(|(_, file)| file.clone()), reason))
     }
 }
 

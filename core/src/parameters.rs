@@ -153,8 +153,8 @@ pub enum ParameterError {
         key: String,
         /// The value that was given.
         found: String,
-        /// What it takes.
-        expected: &'static str,
+        /// What it takes, and its range.
+        expected: String,
     },
     /// The value was written without the parameter's unit, or with another one.
     #[error("`{key}` is `{found}`, and is given in {unit}: write a number and {unit}")]
@@ -345,11 +345,14 @@ fn without_unit<'a>(
 ///
 /// # Errors
 /// It is of another type.
-pub fn read<T: ParameterType>(key: &str, value: &ParameterValue) -> Result<T, ParameterError> {
-    T::of(value).ok_or_else(|| ParameterError::Type {
-        key: key.to_owned(),
-        found: value.to_string(),
-        expected: T::EXPECTED,
+pub fn read<T: ParameterType>(
+    field: &ParameterField,
+    value: &ParameterValue,
+) -> Result<T, ParameterError> {
+    T::of(value).ok_or_else(|| {
+        let range = field.range.map(|range| format!(", in {range}{}", in_unit(&field.unit)));
+        let expected = format!("{}{}", T::EXPECTED, range.unwrap_or_default());
+        ParameterError::Type { key: field.name.to_owned(), found: value.to_string(), expected }
     })
 }
 

@@ -221,7 +221,9 @@ impl<C: Component> Context<C> {
         self.state.operations().begin(span)
     }
 
-    /// Changes how often `on_execute` is called; `None` for never.
+    /// Changes how often `on_execute` is called; `None` for never. The interval is not checked: one
+    /// that is shorter than the start [allows](crate::ChildSpec::rate_hz) is kept down to 1 µs, and
+    /// costs the other components of the thread their time.
     pub fn set_interval(&mut self, interval: Option<Duration>) {
         self.state.defer(|wishes| wishes.interval = Some(interval));
     }
@@ -354,7 +356,7 @@ impl<C: Component> Context<C> {
     /// supervisor or one of the middleware's own, here or, as `module2:arm`, on another node; of
     /// such a one it is also told when its node is lost, and it is watched further when that is
     /// back. The name is watched: also an object that gets it later, or again after another one was
-    /// removed. On another node that is noticed within a second.
+    /// removed. While no object of another node has the name, that node is asked once a second.
     ///
     /// A notice comes before the messages that wait, and though the queue is full. Of an object
     /// that ended twice before the component had its turn the last end is reported. The watch ends

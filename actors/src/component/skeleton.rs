@@ -160,8 +160,10 @@ impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
                     let converted = |reply| {
                         let what = || format!("the conversion of a reply to {}", M::NAME);
                         let encode = || encoded_reply(reply, former.as_deref());
-                        let encoded = cell.record.guard(what, encode);
-                        encoded.unwrap_or_else(|reason| Err(DeliveryError::Undecodable { reason }))
+                        cell.record.guard(what, encode).unwrap_or_else(|panicked| {
+                            let reason = format!("the request was served, and {panicked}");
+                            Err(DeliveryError::Undecodable { reason })
+                        })
                     };
                     reply_to(result.and_then(converted));
                 };

@@ -33,8 +33,10 @@ use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::{
     PeerProtocol, PeerProtocolOutput, SessionEpoch, TopicContract,
 };
-use blastema_core::sorted::SortedMap;
-use blastema_core::{DeliveryError, FaultKind, FaultLocation, GatherBuffer, Incarnation, NodeName};
+use blastema_core::sorted::{SortedMap, SortedSet};
+use blastema_core::{
+    DeliveryError, FaultKind, FaultLocation, GatherBuffer, Incarnation, NodeName, ObjectName,
+};
 use bytes::Bytes;
 use forbidden::ForbiddenAlarm;
 use inbound::{InboundBacklog, PeerBinding, REFUSAL_CHECK_INTERVAL};
@@ -44,7 +46,6 @@ use std::time::Duration;
 use subscriptions::Forwarded;
 use tokio::sync::oneshot;
 use tracing::{debug, error, info, warn};
-use undelivered::EndedSubscription;
 
 /// How often what was lost is brought together, and what has waited too long given up.
 const TIME_INTERVAL: Duration = Duration::from_millis(200);
@@ -63,6 +64,7 @@ struct GatewaySetup {
     deaths: DeathWatchService,
     isolation: IsolationControl,
     dead_letters: DeadLetterLog,
+    may_be_away: SortedSet<NodeName>,
     /// Who of this node talks to others like itself.
     observers: Vec<Recipient<PeerStatusChanged>>,
 }
@@ -88,8 +90,8 @@ pub(super) struct GatewayActor {
     queues: InboundBacklog,
     /// What peers listen to here.
     forwards: SortedMap<(NodeId, u32), Forwarded>,
-    /// What they listened to, until their next session.
-    past: SortedMap<(NodeId, u32), EndedSubscription>,
+    /// What they listened to when their last sessions ended, until they have told it again.
+    past: SortedMap<(NodeId, ObjectName), Forwarded>,
     notices: SortedMap<u64, oneshot::Sender<Confirmed>>,
     next: u64,
     /// Messages of isolated nodes.
@@ -109,6 +111,7 @@ impl GatewayActor {
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         let NetEnvironment { registry, topics, recoverer, nodes, dead_letters, observers, .. } =
             environment.clone();
+        let may_be_away = environment.may_be_away.clone();
         let faults = environment.own_faults("gateway");
         move |context| {
             let isolation = IsolationControl {
@@ -130,6 +133,7 @@ impl GatewayActor {
                 deaths,
                 isolation,
                 dead_letters,
+                may_be_away,
                 observers,
             })
         }
@@ -266,6 +270,7 @@ impl GatewayActor {
                 }
             }
             PeerProtocolOutput::Announced { peer } => {
+                self.forget_past(peer);
                 self.with_send_state(peer, PeerSendState::handle_announced)
             }
             PeerProtocolOutput::Bye { peer } => self.handle_bye(peer),

@@ -43,17 +43,6 @@ pub(super) struct LocalReply {
     pub(super) result: Result<GatherBuffer, DeliveryError>,
 }
 
-/// An event was published here that a peer listens to.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(super) struct LocalEvent {
-    pub(super) peer: NodeId,
-    pub(super) subscription: u32,
-    pub(super) event: GatherBuffer,
-    pub(super) sent: Instant,
-    pub(super) credit: Credit,
-}
-
 /// A topic got its first listener here, or lost its last, or its contract is known now. Reports
 /// of several threads come in any order: the topic is asked what is so now.
 #[derive(Message)]

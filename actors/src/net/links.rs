@@ -397,8 +397,8 @@ impl MachineActor for LinksActor {
                     stalls.do_send(LivenessReported(LivenessEvent::Stalled { gap }));
                 }
             }
-            LinkLayerOutput::KeyInUse { link, open, refused, address } => {
-                self.key_in_use(link, (open, refused), &address);
+            LinkLayerOutput::KeyInUse { link, open, refused, at, address } => {
+                self.key_in_use(link, (open, refused), [&at, &address].map(MediumAddress::peer));
             }
         }
     }

@@ -146,6 +146,8 @@ pub(crate) struct NetEnvironment {
     pub(crate) topics: Topics,
     /// Gets what was accepted and did not arrive.
     pub(crate) dead_letters: DeadLetterLog,
+    /// Other nodes that may be away without a fault.
+    pub(crate) may_be_away: SortedSet<NodeName>,
     /// Gets faults that other nodes tell us of.
     pub(crate) recoverer: Option<Recipient<Recover>>,
     /// Is told how links are.

@@ -93,8 +93,9 @@ impl RouterActor {
     }
 
     /// Where a link leads.
-    fn remote(&self, link: LinkId) -> Arc<str> {
-        self.remotes.get(&link).cloned().unwrap_or_default()
+    fn remote(&self, link: Option<LinkId>) -> Arc<str> {
+        let remote = link.and_then(|link| self.remotes.get(&link));
+        remote.cloned().unwrap_or(NameHolder::NOWHERE.into())
     }
 
     /// What a user does about two nodes of one name.
@@ -261,7 +262,7 @@ impl MachineActor for RouterActor {
             },
             RouterOutput::KeptOut { node, incarnation, by, link, over } => {
                 let (cure, [at, first]) =
-                    (self.cure_of_namesakes(), [link, over].map(|l| self.remote(l)));
+                    (self.cure_of_namesakes(), [Some(link), over].map(|l| self.remote(l)));
                 self.name_taken(format!(
                     "another process called {node} has come up at {at} as {incarnation}, and {node} is \
                      reached at {first} as {by}, and answers: the new one is told to stop; {cure}"

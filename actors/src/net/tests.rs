@@ -41,6 +41,7 @@ use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::detection::{LinkCondition, NodeCondition};
 use blastema_core::net::session::IDLE_TIMEOUT;
 use blastema_core::net::{LinkId, LinkState};
+use blastema_core::sorted::SortedSet;
 use blastema_core::{
     DeliveryError, Fault, FaultId, FaultKind, FaultLocation, Incarnation, NodeName, ObjectName,
     Severity,
@@ -206,6 +207,7 @@ impl Robot {
             registry: host.registry.clone(),
             topics: host.topics().clone(),
             dead_letters: host.dead_letters.clone(),
+            may_be_away: SortedSet::new(),
             recoverer: Some(faults.recipient()),
             links: Some(links.recipient()),
             stalls: None,

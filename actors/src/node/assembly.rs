@@ -145,7 +145,8 @@ impl NodeBuilder {
     /// Returns what [`start`](Self::start) would refuse in the description: everything that is wrong
     /// with the node, its components and its supervisors, or all connections and policies for lost
     /// communication that are, else the first other error. No component is made, and no medium, file
-    /// of variables or journal is opened; keys and files of parameters are read.
+    /// of variables or journal is opened; keys and files of parameters are read. The computer on
+    /// which the node starts may refuse more, such as its [memory](NodeBuilder::locked_memory).
     pub fn check(self) -> Vec<StartError> {
         let mut refused = check_settings(&self);
         refused.extend(check(self).unwrap_or_else(|refused| refused));
@@ -360,7 +361,7 @@ impl NodeAssembly {
         let run = policies.iter().flat_map(LostCommunicationPolicy::components);
         run.for_each(|name| self.environment.configured().expect(name));
         let unused = self.environment.configured().check();
-        unused.map_err(|reason| StartError::Parameters { file: None, reason })
+        unused.map_err(|(file, reason)| StartError::Parameters { file, reason })
     }
 
     /// The supervisors and their children. Nothing of them is started yet.

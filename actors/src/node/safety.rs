@@ -245,7 +245,8 @@ impl Node {
     /// at the latest a second after the longest [`shutdown_within`](crate::ChildSpec::shutdown_within).
     /// Where another process with this node's name is reached by a neighbour, and answers, this
     /// node stops in order, and the process ends here with the status 3. Returns too when the node
-    /// was shut down otherwise; a node in the safe state waits on, so that a person can look at it.
+    /// was shut down otherwise and has left its peers; a node in the safe state waits on, so that a
+    /// person can look at it.
     ///
     /// ```no_run
     /// use blastema::prelude::*;
@@ -272,12 +273,19 @@ impl Node {
     /// Shuts down for the first of these causes, unless the node has been shut down before.
     pub(super) async fn run_to(&self, cause: impl Future<Output = EndCause>) {
         let mut state = self.0.state.clone();
-        tokio::select! {
-            cause = cause => self.end_for(cause).await,
+        let cause = tokio::select! {
+            cause = cause => Some(cause),
             // Also if the sender of the state was dropped.
-            _ = state.wait_for(|state| *state == NodeState::Stopped) => {}
+            _ = state.wait_for(|state| *state == NodeState::Stopped) => None,
+        };
+        match cause {
+            Some(cause) => self.end_for(cause).await,
+            // Its components have ended, and it may not have left its peers.
+            None => {
+                self.end_if_displaced().await;
+                self.shutdown().await;
+            }
         }
-        self.end_if_displaced().await;
     }
 
     /// Shuts this node down once another process has its name, and answers.

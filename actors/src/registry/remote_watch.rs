@@ -51,6 +51,8 @@ const RETRY_DELAY: Duration = Duration::from_secs(1);
 const WAITING_MAX: usize = 4096;
 /// Nodes of which refused questions are counted: as many as there are sessions with.
 const REFUSED_MAX: usize = 512;
+/// What is known of a node that has another incarnation.
+const STARTED_AGAIN: &str = "its node has started again";
 /// The most bytes of a panic's text that go to another node.
 const TEXT_MAX: usize = 4096;
 
@@ -152,7 +154,7 @@ async fn ask_on<O: Future<Output = ()>>(
                 let is_other =
                     matches!(after, EndsAfter::Seen(known) if known.service != seen.service);
                 if is_other && !is_lost {
-                    lost("its node has started again".to_owned());
+                    lost(STARTED_AGAIN.to_owned());
                 }
                 (after, is_lost, was_back) = (EndsAfter::Seen(seen), false, false);
                 let ending = ended.as_ref().map(|ended| &ended.ending);
@@ -187,6 +189,8 @@ async fn ask_on<O: Future<Output = ()>>(
                 if !is_lost && why != DeliveryError::Restarting {
                     lost(match why {
                         DeliveryError::OutcomeUnknown { reason } => reason,
+                        // The message of which its text speaks is this question.
+                        DeliveryError::PeerDied { .. } => STARTED_AGAIN.to_owned(),
                         why => why.to_string(),
                     });
                     is_lost = true;
@@ -419,38 +423,42 @@ mod tests {
     }
 
     #[test]
-    fn a_node_that_was_started_again_between_two_questions_was_lost() {
+    fn a_node_that_was_started_again_between_two_questions_or_during_one_was_lost() {
         paused(async {
-            let asked = Arc::new(Mutex::new(Vec::new()));
-            let questions = asked.clone();
-            let serve = move |AwaitEnd { after, .. }, _, answer: Responder<AwaitEnd>| {
-                let mut asked = questions.lock().unwrap();
-                asked.push(after);
-                let watched =
-                    |service| Watched { seen: SeenEnd { service, number: 0 }, ended: None };
-                match asked.len() {
-                    1 => answer.give(watched(7)),
-                    2 => answer.refuse(DeliveryError::Full, None),
-                    3 => answer.give(watched(8)),
-                    _ => std::mem::forget(answer),
-                }
-            };
-            let sender = Sender(Arc::new(ServiceFn::<AwaitEnd>(Arc::new(serve))));
-            let told = Arc::new(Mutex::new(Vec::new()));
-            let losses = told.clone();
-            let arm = ObjectName::new("arm").unwrap();
-            actix_rt::spawn(async move {
-                let lost = |reason| losses.lock().unwrap().push(reason);
-                let down = |end| panic!("{end:?}");
-                let of = (&arm, EndsAfter::Question);
-                ask_on(&sender, of, down, lost, std::future::pending).await;
-            });
-            advance(5 * RETRY_DELAY).await;
+            for why in
+                [DeliveryError::Full, DeliveryError::PeerDied { incarnation: Incarnation(1) }]
+            {
+                let asked = Arc::new(Mutex::new(Vec::new()));
+                let questions = asked.clone();
+                let serve = move |AwaitEnd { after, .. }, _, answer: Responder<AwaitEnd>| {
+                    let mut asked = questions.lock().unwrap();
+                    asked.push(after);
+                    let watched =
+                        |service| Watched { seen: SeenEnd { service, number: 0 }, ended: None };
+                    match asked.len() {
+                        1 => answer.give(watched(7)),
+                        2 => answer.refuse(why.clone(), None),
+                        3 => answer.give(watched(8)),
+                        _ => std::mem::forget(answer),
+                    }
+                };
+                let sender = Sender(Arc::new(ServiceFn::<AwaitEnd>(Arc::new(serve))));
+                let told = Arc::new(Mutex::new(Vec::new()));
+                let losses = told.clone();
+                let arm = ObjectName::new("arm").unwrap();
+                actix_rt::spawn(async move {
+                    let lost = |reason| losses.lock().unwrap().push(reason);
+                    let down = |end| panic!("{end:?}");
+                    let of = (&arm, EndsAfter::Question);
+                    ask_on(&sender, of, down, lost, std::future::pending).await;
+                });
+                advance(5 * RETRY_DELAY).await;
 
-            assert_eq!(*told.lock().unwrap(), ["its node has started again"]);
-            let seen = |service| EndsAfter::Seen(SeenEnd { service, number: 0 });
-            let expected = [EndsAfter::Question, seen(7), seen(7), seen(8)];
-            assert_eq!(*asked.lock().unwrap(), expected);
+                assert_eq!(*told.lock().unwrap(), ["its node has started again"]);
+                let seen = |service| EndsAfter::Seen(SeenEnd { service, number: 0 });
+                let expected = [EndsAfter::Question, seen(7), seen(7), seen(8)];
+                assert_eq!(*asked.lock().unwrap(), expected);
+            }
         });
     }
 

@@ -66,6 +66,9 @@ use traffic::Traffic;
 pub(crate) type EventFilter<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
 /// Takes a topic's events out of the process, to the listeners of another node.
 pub(crate) trait EventForward: Send + Sync {
+    /// Whether its session has ended: no listener is matched, and each event is counted as lost.
+    fn has_ended(&self) -> bool;
+
     /// Sends an encoded event, with the time by which its age is judged. Does not wait: an event for
     /// which there is no capacity is lost, and counted: false then.
     fn forward(&self, event: &GatherBuffer, sent: Instant) -> bool;
@@ -442,7 +445,8 @@ impl<E: Event> Topic<E> {
     fn renew_matched(&self) {
         self.matched.send_modify(|matched| {
             let here = self.listeners.load(Relaxed);
-            let elsewhere = lock(&self.forwards).len();
+            let forwards = lock(&self.forwards).clone();
+            let elsewhere = forwards.iter().filter(|forward| !forward.has_ended()).count();
             *matched = usize::try_from(here).unwrap_or(usize::MAX).saturating_add(elsewhere);
         });
     }

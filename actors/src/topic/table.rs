@@ -253,14 +253,16 @@ impl Topics {
 
     /// Ships every event that is published here on this topic to this node, from now on, also if the topic does
     /// not exist yet; none if it carries no version that is `wanted`. Events that came in by
-    /// [`inject`](Self::inject) are not shipped.
+    /// [`inject`](Self::inject) are not shipped. Ends the forward `before` in the same step.
     pub(crate) fn forward(
         &self,
         key: &TopicKey,
         (node, wanted): (NodeName, Vec<PeerIdentity>),
         forward: RemoteForward,
+        before: Option<&ForwardId>,
     ) -> ForwardId {
         let mut inner = lock(&self.inner);
+        before.into_iter().for_each(|before| inner.remove_forward(before));
         let id = inner.next_forward;
         inner.next_forward += 1;
         let kept = WantedForward { node, wanted, forward };
@@ -274,10 +276,13 @@ impl Topics {
     /// Ends a forward.
     pub(crate) fn end_forward(&self, forward: &ForwardId) {
         let mut inner = lock(&self.inner);
-        if let Some(forwards) = inner.forwards.get_mut(&forward.topic) {
-            forwards.remove(&forward.id);
-        }
+        inner.remove_forward(forward);
         inner.renew_forwards(&forward.topic, None);
+    }
+
+    /// A forward of this topic has ended, and is kept: its listener is matched no more.
+    pub(crate) fn renew_forwards(&self, topic: &ObjectName) {
+        lock(&self.inner).renew_forwards(topic, None);
     }
 
     /// Gives an event that came from another node to the listeners here, read by this version of
@@ -321,7 +326,7 @@ impl Topics {
         let Ok(topic) = ObjectName::new(topic) else { return false };
         let inner = lock(&self.inner);
         let here = inner.topics.get(&topic).is_some_and(|known| known.erased.has_listeners());
-        here || inner.forwards.get(&topic).is_some_and(|forwards| !forwards.is_empty())
+        here || inner.forwards.get(&topic).is_some_and(is_listened)
     }
 
     /// Tells by another number that a publisher came or went.
@@ -356,7 +361,7 @@ impl TopicTable {
     /// The topic of the most similar name that has listeners, here or on other nodes, and no
     /// publisher.
     pub(super) fn lonely_like(&self, key: &TopicKey) -> Option<Box<str>> {
-        let elsewhere = self.forwards.iter().filter(|(_, forwards)| !forwards.is_empty());
+        let elsewhere = self.forwards.iter().filter(|(_, forwards)| is_listened(forwards));
         let here = self.topics.iter().filter(|(_, known)| known.erased.has_listeners());
         let listened = elsewhere.map(|(topic, _)| topic).chain(here.map(|(topic, _)| topic));
         let is_lonely = |other: &&ObjectName| {
@@ -372,9 +377,16 @@ impl TopicTable {
         let identity = known.erased.identity();
         let forwards = self.forwards.get(&known.erased.key().topic);
         let forwards = forwards.into_iter().flat_map(SortedMap::values);
-        let understood = forwards.filter(|kept| kept.is_understood_of(&identity));
+        let understood =
+            forwards.filter(|kept| kept.is_understood_of(&identity) && !kept.forward.has_ended());
         let nodes: SortedSet<NodeName> = understood.map(|kept| kept.node.clone()).collect();
         nodes.into_iter().collect()
+    }
+
+    fn remove_forward(&mut self, forward: &ForwardId) {
+        if let Some(forwards) = self.forwards.get_mut(&forward.topic) {
+            forwards.remove(&forward.id);
+        }
     }
 
     /// Tells a topic which forwards it has, and which of them joins. Says whether there are some.
@@ -391,6 +403,10 @@ impl TopicTable {
         known.erased.forward_to(all, joins);
         !forwards.is_empty()
     }
+}
+
+fn is_listened(forwards: &SortedMap<u64, WantedForward>) -> bool {
+    forwards.values().any(|kept| !kept.forward.has_ended())
 }
 
 impl WantedForward {

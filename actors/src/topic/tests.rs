@@ -224,6 +224,10 @@ impl ToNarrow {
 }
 
 impl EventForward for ToNarrow {
+    fn has_ended(&self) -> bool {
+        false
+    }
+
     fn forward(&self, event: &GatherBuffer, _: Instant) -> bool {
         let event: Sample = codec::decode(&event.clone().into_bytes()).unwrap();
         lock(&self.0.got).push(event.0);
@@ -264,7 +268,7 @@ fn joins<E: Event>(topics: &Topics, topic: &str, node: &Arc<Narrow>) {
     let key = TopicKey::new(topic, E::NAME).unwrap();
     let wanted = vec![ContractIdentity::of::<E>().brief()];
     let far = NodeName::new("far").unwrap();
-    topics.forward(&key, (far, wanted), Arc::new(ToNarrow(node.clone())));
+    topics.forward(&key, (far, wanted), Arc::new(ToNarrow(node.clone())), None);
 }
 
 #[test]

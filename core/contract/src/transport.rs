@@ -58,6 +58,10 @@ impl blastema_core::net::LinkAddress for MediumAddress {
     fn is_connection(&self) -> bool {
         matches!(self, MediumAddress::Connection { .. })
     }
+
+    fn peer(&self) -> &Self {
+        self.peer()
+    }
 }
 
 impl From<SocketAddr> for MediumAddress {

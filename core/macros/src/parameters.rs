@@ -90,7 +90,7 @@ pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
         });
         arms.push(quote! {
             #name => {
-                self.#ident = #facade::core::parameters::read(key, value)?;
+                self.#ident = #facade::core::parameters::read(&Self::FIELDS[#at], value)?;
                 ::std::result::Result::Ok(())
             }
         });

@@ -107,10 +107,10 @@ pub enum DeliveryError {
         /// The contract's limit in bytes.
         limit: usize,
     },
-    /// The bytes are not a message of this contract.
-    #[error("the message could not be decoded: {reason}")]
+    /// The bytes are not a message of this contract, or its reply could not be made or read.
+    #[error("undecodable: {reason}")]
     Undecodable {
-        /// What the codec said.
+        /// What the codec said, or where a conversion panicked.
         reason: String,
     },
     /// The receiver's node has ended in order; what is sent to it arrives nowhere until it is back.

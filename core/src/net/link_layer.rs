@@ -46,6 +46,10 @@ pub trait LinkAddress: Clone + Ord + Hash + fmt::Display {
     /// Whether it is that of a connection whose other end has made it, and has not proved who it
     /// is.
     fn is_connection(&self) -> bool;
+    /// The address that the other end of a connection claims; else this one.
+    fn peer(&self) -> &Self {
+        self
+    }
 }
 
 /// A neighbour's key, by which its frames are opened.
@@ -120,6 +124,8 @@ pub enum LinkLayerOutput<A> {
         open: Incarnation,
         /// The other one, which is refused.
         refused: Incarnation,
+        /// Where the one that has answered is.
+        at: A,
         /// Where the other one is.
         address: A,
     },
@@ -562,12 +568,14 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
             }
             return;
         }
-        let taken = Frame::Taken { refused, by: NameHolder::new(open, &end.address) }.encode();
+        // Over a connection it may have come from another place than where the link leads.
+        let at = end.adopted.as_ref().unwrap_or(&end.address).clone();
+        let taken = Frame::Taken { refused, by: NameHolder::new(open, at.peer()) }.encode();
         if let Some(sealed) = sealer.seal_for_other(peer, &taken) {
             let (to, frame, lane) = (address.clone(), sealed.into(), FrameLane::Hello);
             self.outputs.push_back(LinkLayerOutput::Transmit { to, frame, lane });
         }
-        self.outputs.push_back(LinkLayerOutput::KeyInUse { link, open, refused, address });
+        self.outputs.push_back(LinkLayerOutput::KeyInUse { link, open, refused, at, address });
     }
 
     /// A node that has dialed in is where it comes from, which may be another place than before. No

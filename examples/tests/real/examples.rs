@@ -293,7 +293,7 @@ fn parameters_are_read_set_and_refused_with_the_reason() {
         &[
             "refused by a check: `max_speed` is 5.0, and must be in 0.0..=2.0 m/s",
             "refused by a check: there is no parameter `max_sped`: did you mean `max_speed`?",
-            "parameters of arm: `attempts` is \"many\", and must be a whole number from 0 to 255",
+            "parameters of arm: `attempts` is \"many\", and must be a whole number from 0 to 255, in 1..=10",
         ],
     );
 }

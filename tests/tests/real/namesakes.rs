@@ -119,8 +119,11 @@ fn a_second_node_of_a_name_stops_and_the_first_ones_traffic_is_unharmed() {
         }
 
         assert_eq!(of_far.location.to_string(), "head:net/router");
-        let parts =
-            [other.to_string(), base.to_string(), "told to stop; end one of them".to_owned()];
+        let parts = [
+            format!("has come up at {other}"),
+            "reached at an address that is not known".to_owned(),
+            "told to stop; end one of them".to_owned(),
+        ];
         assert!(parts.iter().all(|part| of_far.detail.contains(part)), "{}", of_far.detail);
         assert_eq!(first.state(), NodeState::Running);
         drop((first, second));

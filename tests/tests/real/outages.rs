@@ -8,7 +8,7 @@ use blastema_tests::{Process, addresses, free_addresses, role};
 use std::net::SocketAddr;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -23,6 +23,49 @@ struct End {
     times: u64,
 }
 
+/// Has the node of the receiver shut itself down.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "outage/leave")]
+struct Leave;
+
+/// Has a number, and is published by the base.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "outage/tick")]
+struct Tick(u64);
+
+/// Replies with how many ticks have arrived at this node, served or not.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "outage/ticks", reply = u64)]
+struct Ticks;
+
+/// Counts ticks.
+#[derive(Default)]
+struct Clock(u64);
+
+impl Component for Clock {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Ticks>();
+        ports.listen::<Tick>();
+    }
+}
+
+impl Handle<Tick> for Clock {
+    async fn handle(&mut self, _: Tick, _: &mut Context<Self>) {
+        self.0 += 1;
+    }
+}
+
+impl Handle<Ticks> for Clock {
+    async fn handle(&mut self, _: Ticks, _: &mut Context<Self>) -> u64 {
+        let letters = ARM.get().map_or_else(Vec::new, |arm| arm.dead_letters().counts());
+        let lost = letters.iter().filter(|letter| letter.contract == "outage/tick");
+        self.0 + lost.map(|letter| letter.count).sum::<u64>()
+    }
+}
+
+/// The node of this process, in the role of the arm.
+static ARM: OnceLock<Node> = OnceLock::new();
+
 /// How many incarnations are still to end by themselves.
 static TO_END: AtomicU64 = AtomicU64::new(0);
 
@@ -31,7 +74,7 @@ struct Grip(Duration);
 
 impl Component for Grip {
     fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<End>();
+        ports.serve::<End>().accept::<Leave>();
     }
 
     async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
@@ -55,6 +98,17 @@ impl Handle<End> for Grip {
             cx.after(MS * after_ms as u32, |_, cx| cx.stop());
         }
         cx.incarnation().0
+    }
+}
+
+impl Handle<Leave> for Grip {
+    async fn handle(&mut self, _: Leave, _: &mut Context<Self>) {
+        drop(actix_rt::spawn(async {
+            while ARM.get().is_none() {
+                blastema::sleep(MS).await;
+            }
+            ARM.get().expect("it is there").shutdown().await;
+        }));
     }
 }
 
@@ -88,7 +142,9 @@ fn a_process_plays_its_role() {
     blastema::run(async {
         let first = AtomicU64::new(1);
         let grip = ChildSpec::new("grip", move || Grip(slow * first.swap(0, SeqCst) as u32));
-        node(1, &addresses()).child(grip).run_until(std::future::pending()).await.unwrap();
+        let clock = ChildSpec::new("clock", Clock::default);
+        let arm = node(1, &addresses()).child(grip).child(clock).start().await.unwrap();
+        ARM.get_or_init(|| arm).run_until_signal().await.unwrap();
     });
 }
 
@@ -262,6 +318,107 @@ fn a_process_that_may_be_away_ends_and_dies_without_a_fault_and_each_is_told_onc
         }
         let faults = base.node.faults().await.entries;
         assert!(faults.is_empty(), "{faults:?}");
+        base.node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_node_that_a_component_of_its_own_shuts_down_leaves_in_order_before_its_program_ends() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let base = Base::start(|node| node).await;
+        for _ in 0..5 {
+            let mut arm = base.arm(0);
+            base.connected().await;
+            base.told.lock().unwrap().clear();
+
+            base.node.sender::<Leave>("arm:grip").unwrap().tell(Leave).unwrap();
+
+            assert!(arm.succeeds());
+            let told = base.told(|told| told.iter().any(is_lost)).await;
+            let [Down { ending: DownReason::NodeLost { reason }, .. }] = &told[..] else {
+                panic!("{told:?}");
+            };
+            assert_eq!(reason, "node arm has left in order");
+        }
+        let faults = base.node.faults().await.entries;
+        assert!(faults.is_empty(), "{faults:?}");
+        base.node.shutdown().await;
+    });
+}
+
+#[test]
+fn what_is_published_until_a_listener_is_back_arrives_or_is_counted_as_lost_to_its_node() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let base = Base::start(|node| node).await;
+        let ticks = base.node.publisher("outage/tick").unwrap();
+        let mut arm = base.arm(0);
+        base.connected().await;
+        ticks.matched_at_least(1).await;
+        let cable = base.node.cable("lan").unwrap();
+        let mut next = 0;
+        // Until so many listeners have been there so many times.
+        let mut publish = async |listeners: usize, mut times: u32| {
+            while times > 0 {
+                ticks.publish(Tick(next)).unwrap();
+                next += 1;
+                times -= u32::from(ticks.matched() == listeners);
+                blastema::sleep(2 * MS).await;
+            }
+            next
+        };
+        let lost = || {
+            let letters = base.node.dead_letters().counts().into_iter();
+            let lost = letters.filter(|letter| letter.contract == "outage/tick");
+            lost.map(|letter| letter.count).sum::<u64>()
+        };
+        let clock = base.node.sender::<Ticks>("arm:clock").unwrap();
+        // How many ticks the present process counts, once the session holds none.
+        let arrived = async || {
+            loop {
+                let arrived = clock.ask_within(Ticks, PATIENCE).await.unwrap();
+                let rows = base.node.sessions().await;
+                if rows.iter().all(|row| row.status.unacknowledged == 0) {
+                    return arrived;
+                }
+            }
+        };
+
+        let mut before = [0; 3];
+        for ending in ["stop", "cut", "kill", "cut", "kill"] {
+            match ending {
+                "stop" => arm.signal("-STOP"),
+                "cut" => cable.cut(Direction::Both, false),
+                _ => arm.kill(),
+            }
+            publish(0, 500).await;
+            match ending {
+                "stop" => arm.signal("-CONT"),
+                "cut" => cable.restore(),
+                _ => (arm, before[1]) = (base.arm(0), 0),
+            }
+            let published = publish(1, 100).await;
+
+            let count = async || [published, arrived().await, lost()];
+            let is_balanced = |counts: [u64; 3]| {
+                let [published, arrived, lost] = [0, 1, 2].map(|at| counts[at] - before[at]);
+                assert!(arrived + lost <= published, "{ending}: {arrived} + {lost} of {published}");
+                arrived + lost == published
+            };
+            let balanced = async {
+                while !is_balanced(count().await) {
+                    blastema::sleep(MS).await;
+                }
+            };
+            let in_time = tokio::time::timeout(PATIENCE, balanced).await;
+            assert!(in_time.is_ok(), "{ending}: {:?} after {before:?}", count().await);
+            // No loss is counted late.
+            blastema::sleep(500 * MS).await;
+            let counts = count().await;
+            assert!(is_balanced(counts) && counts[2] - before[2] >= 500, "{ending}: {counts:?}");
+            before = counts;
+        }
         base.node.shutdown().await;
     });
 }

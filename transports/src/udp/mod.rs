@@ -400,7 +400,9 @@ mod tests {
         let discovery = |address| ip_mtu_discover(socket(address)).unwrap();
         assert_eq!(discovery("0.0.0.0:0"), Ipv4PathMtuDiscovery::PROBE);
         assert_ne!(discovery("127.0.0.1:0"), Ipv4PathMtuDiscovery::PROBE);
-        let discovery = ipv6_mtu_discover(socket("[::]:0")).unwrap();
-        assert_eq!(discovery, Ipv6PathMtuDiscovery::PROBE);
+        if std::net::UdpSocket::bind("[::]:0").is_ok() {
+            let discovery = ipv6_mtu_discover(socket("[::]:0")).unwrap();
+            assert_eq!(discovery, Ipv6PathMtuDiscovery::PROBE);
+        }
     }
 }

@@ -228,6 +228,10 @@ fn an_event_that_waited_too_long_is_counted_instead() {
 struct Shipped(Arc<Mutex<Vec<GatherBuffer>>>);
 
 impl EventForward for Shipped {
+    fn has_ended(&self) -> bool {
+        false
+    }
+
     fn forward(&self, event: &GatherBuffer, _: Instant) -> bool {
         self.0.lock().unwrap().push(event.clone());
         true
@@ -256,7 +260,7 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         let shipped = Arc::new(Mutex::new(vec![]));
         let kept = shipped.clone();
         let wanted = vec![ContractIdentity::of::<Sample>().brief()];
-        let forward = topics.forward(&key, (far, wanted), Arc::new(Shipped(kept)));
+        let forward = topics.forward(&key, (far, wanted), Arc::new(Shipped(kept)), None);
         assert!(matches!(
             topics.inject(&key.topic, 0, &Bytes::from_static(&[1]), Duration::ZERO),
             Err(DeliveryError::Unknown { .. })

@@ -1,10 +1,10 @@
 //! The messages that the gateway handles.
 
 use super::peer::GatewayPeer;
+use super::subscriptions::LocalEvent;
 use super::{GatewayActor, LEAVE_TIMEOUT, topic};
 use crate::net::gateway_messages::{
-    FaultForwarded, ForwardFault, LocalEvent, LocalReply, SendToPeer, StartCompleted,
-    TopicInterestChanged,
+    FaultForwarded, ForwardFault, LocalReply, SendToPeer, StartCompleted, TopicInterestChanged,
 };
 use crate::net::isolation::IsolationChanged;
 use crate::net::stub::PeerCondition;
@@ -21,6 +21,7 @@ use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::{Call, TransmitState};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
 use blastema_core::{DeliveryError, Incarnation, NodeName, ObjectAddress};
+use std::sync::Arc;
 use tracing::debug;
 
 impl Handler<SessionReported> for GatewayActor {
@@ -75,7 +76,6 @@ impl GatewayActor {
     fn session_opened(&mut self, node: NodeName, incarnation: Incarnation, session: u32) {
         let (id, send_state) = self.meet(&node);
         self.begin_peer(id, session, incarnation);
-        self.forget_past(id);
         // Before the peer learns that it is connected.
         self.wiring.deaths.handle_opening(id);
         self.exchange.handle_opened(id, incarnation, platform::now());
@@ -173,10 +173,11 @@ impl Handler<LocalEvent> for GatewayActor {
     type Result = ();
 
     fn handle(&mut self, message: LocalEvent, context: &mut Context<Self>) {
-        let LocalEvent { peer, subscription, event, sent, credit } = message;
-        match self.forwards.get(&(peer, subscription)).map(|known| known.by) {
-            Some(by) => self.exchange.handle_event(peer, by, event, sent, Some(credit)),
-            None => self.record_late((peer, subscription)),
+        let LocalEvent { peer, subscription, losses, event, sent, credit } = message;
+        let known = self.forwards.get(&(peer, subscription));
+        match known.filter(|known| Arc::ptr_eq(&known.losses, &losses)) {
+            Some(known) => self.exchange.handle_event(peer, known.by, event, sent, Some(credit)),
+            None => _ = losses.take_late(),
         }
         self.drive(context);
     }

@@ -3,7 +3,6 @@
 use super::GatewayActor;
 use super::undelivered::UndeliveredEvents;
 use crate::net::credit::SenderCredit;
-use crate::net::gateway_messages::LocalEvent;
 use crate::net::stub::PeerSendState;
 use crate::topic::{EventForward, ForwardId, RemoteForward, Reservation, TopicKey, described};
 use actix::prelude::*;
@@ -28,6 +27,19 @@ pub(super) struct Forwarded {
     pub(super) losses: Arc<UndeliveredEvents>,
 }
 
+/// An event was published here that a peer listens to.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct LocalEvent {
+    pub(super) peer: NodeId,
+    pub(super) subscription: u32,
+    /// Counts it where the subscription has ended meanwhile.
+    pub(super) losses: Arc<UndeliveredEvents>,
+    pub(super) event: GatherBuffer,
+    pub(super) sent: Instant,
+    pub(super) credit: Credit,
+}
+
 /// Takes events of one topic to one peer.
 struct PeerForward {
     target: ForwardTarget,
@@ -36,7 +48,6 @@ struct PeerForward {
     class: Option<TrafficClass>,
     /// What they hold.
     credit: Arc<SenderCredit>,
-    unsent: Arc<UndeliveredEvents>,
 }
 
 #[derive(Clone)]
@@ -44,13 +55,14 @@ struct ForwardTarget {
     gateway: Recipient<LocalEvent>,
     peer: NodeId,
     subscription: u32,
+    losses: Arc<UndeliveredEvents>,
 }
 
 impl ForwardTarget {
     fn send(&self, event: &GatherBuffer, sent: Instant, credit: Credit) {
-        let ForwardTarget { gateway, peer, subscription } = self.clone();
+        let ForwardTarget { gateway, peer, subscription, losses } = self.clone();
         let event = event.clone();
-        gateway.do_send(LocalEvent { peer, subscription, event, sent, credit });
+        gateway.do_send(LocalEvent { peer, subscription, losses, event, sent, credit });
     }
 }
 
@@ -60,7 +72,14 @@ fn event_stream(delivery: Delivery, bulk: bool) -> Option<TrafficClass> {
 }
 
 impl EventForward for PeerForward {
+    fn has_ended(&self) -> bool {
+        self.target.losses.have_ended()
+    }
+
     fn forward(&self, event: &GatherBuffer, sent: Instant) -> bool {
+        if self.target.losses.take_late() {
+            return true;
+        }
         let is_open = self.send_state.has_session() && !self.send_state.is_isolated();
         let taken = is_open.then(|| self.credit.take_for_event(event.len())).flatten();
         match taken {
@@ -70,14 +89,14 @@ impl EventForward for PeerForward {
             }
             None => {
                 let why = self.send_state.why_not();
-                self.unsent.take(why);
+                self.target.losses.take(why);
                 why != DeadReason::WayFull
             }
         }
     }
 
     fn reserve(&self, bytes: usize, waits: bool) -> Reservation {
-        if self.class.is_none() || !self.send_state.takes_messages() {
+        if self.class.is_none() || self.has_ended() || !self.send_state.takes_messages() {
             return Reservation::Needless;
         }
         let taken = match waits {
@@ -138,12 +157,13 @@ impl GatewayActor {
         let Some(known) = self.peers.get(&peer) else { return };
         let (send_state, gateway) = (known.send_state.clone(), context.address().recipient());
         let (losses, node) = (self.losses(known, &key), known.node.clone());
-        let (target, unsent) = (ForwardTarget { gateway, peer, subscription }, losses.clone());
+        let target = ForwardTarget { gateway, peer, subscription, losses: losses.clone() };
         let credit = send_state.credits().sender(by.1);
-        let forward = PeerForward { target, send_state, class: by.1, credit, unsent };
+        let forward = PeerForward { target, send_state, class: by.1, credit };
         let forward: RemoteForward = Arc::new(forward);
         self.end_forward((peer, subscription));
-        let id = self.wiring.topics.forward(&key, (node, wanted), forward);
+        let before = self.past.get(&(peer, key.topic.clone())).map(|past| &past.id);
+        let id = self.wiring.topics.forward(&key, (node, wanted), forward, before);
         let forwarded = Forwarded { id, key: key.clone(), unverified, by, losses };
         self.forwards.insert((peer, subscription), forwarded);
         // An object may have named the topic just now.

@@ -10,16 +10,17 @@ use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::MessageTarget;
 use blastema_core::{DeliveryError, FaultKind, NodeName, ObjectName};
-use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, OnceLock};
 use tracing::{debug, warn};
 
 /// Why an event is not sent at all, to a peer that listens.
-const REASONS: [DeadReason; 5] = [
+const REASONS: [DeadReason; 6] = [
     DeadReason::WayFull,
     DeadReason::Restarting,
     DeadReason::Unreachable,
+    DeadReason::PeerDied,
     DeadReason::Left,
     DeadReason::Isolated,
 ];
@@ -29,8 +30,8 @@ const LOST_SHARE: u64 = 10;
 /// if there are so many of them.
 const LOST_MIN: u64 = 10;
 
-/// Subscriptions of the past of which it is known what they were, of all peers: as many as one peer
-/// has at most.
+/// Subscriptions of the past whose losses are counted, of all peers: as many as one peer has at
+/// most.
 const PAST_MAX: usize = 16 * 1024;
 
 /// Counts the events of one topic that do not go to one peer.
@@ -42,6 +43,8 @@ pub(super) struct UndeliveredEvents {
     /// Losses that are not in the dead-letter log yet, by reason: a publisher only counts here,
     /// however many events are lost.
     counts: [AtomicU64; REASONS.len()],
+    /// Why the subscription has ended with its session, once it has.
+    ended: OnceLock<DeadReason>,
 }
 
 impl UndeliveredEvents {
@@ -51,6 +54,16 @@ impl UndeliveredEvents {
             Some(place) => drop(self.counts[place].fetch_add(1, Relaxed)),
             None => self.write_down(reason, 1),
         }
+    }
+
+    pub(super) fn have_ended(&self) -> bool {
+        self.ended.get().is_some()
+    }
+
+    /// One event more whose subscription may have ended. If the peer has ended it, the event is not
+    /// missed. Returns whether it is counted.
+    pub(super) fn take_late(&self) -> bool {
+        self.ended.get().inspect(|why| self.take(**why)).is_some()
     }
 
     /// Records the counted losses in the dead-letter log.
@@ -76,15 +89,6 @@ impl Drop for UndeliveredEvents {
     }
 }
 
-/// A subscription whose events may still come back, or be about to go.
-pub(super) struct EndedSubscription {
-    /// Under which number its events went.
-    number: u32,
-    losses: Arc<UndeliveredEvents>,
-    /// Why it ended.
-    reason: DeadReason,
-}
-
 impl GatewayActor {
     /// What this peer does not get of the topic.
     pub(super) fn losses(&self, peer: &GatewayPeer, key: &TopicKey) -> Arc<UndeliveredEvents> {
@@ -94,6 +98,7 @@ impl GatewayActor {
             contract: key.contract.to_string(),
             topic: key.topic.clone(),
             counts: Default::default(),
+            ended: OnceLock::new(),
         })
     }
 
@@ -103,31 +108,35 @@ impl GatewayActor {
         self.past.values().for_each(|past| past.losses.collect());
     }
 
-    /// Ends a subscription that the peer has not ended: what is lost of it is counted until the
-    /// peer's next session is open.
+    /// Ends a subscription that the peer has not ended. What is published is lost to the peer, and
+    /// counted, until it subscribes again; and where it has left or may be away, no longer than its
+    /// session has lasted.
     pub(super) fn retire(&mut self, forward: (NodeId, u32), why: &DeliveryError) {
-        if let Some(ended) = self.end_forward(forward)
-            && self.past.len() < PAST_MAX
-        {
-            let past =
-                EndedSubscription { number: ended.by.0, losses: ended.losses, reason: why.into() };
-            self.past.insert(forward, past);
+        let Some(ended) = self.forwards.remove(&forward) else { return };
+        // The first reason stays.
+        let _ = ended.losses.ended.set(why.into());
+        let is_away = matches!(why, DeliveryError::Left { .. })
+            || self.wiring.may_be_away.contains(&ended.losses.node);
+        let (is_kept, topics) = (self.past.len() < PAST_MAX, &self.wiring.topics);
+        match is_kept && !is_away {
+            true => topics.renew_forwards(&ended.key.topic),
+            false => topics.end_forward(&ended.id),
+        }
+        if is_kept {
+            let before = self.past.insert((forward.0, ended.key.topic.clone()), ended);
+            before.iter().for_each(|before| topics.end_forward(&before.id));
         }
     }
 
-    /// A session begins: nothing of the one before comes back any more.
+    /// The peer has told what it listens to: what it listened to before is over.
     pub(super) fn forget_past(&mut self, peer: NodeId) {
-        let all = (peer, 0)..=(peer, u32::MAX);
-        let past: Vec<_> = self.past.range(all).map(|(key, _)| *key).collect();
-        past.iter().for_each(|key| drop(self.past.remove(key)));
-    }
-
-    /// Counts an event that found its subscription ended. If the peer has ended it, the
-    /// event is not missed.
-    pub(super) fn record_late(&self, forward: (NodeId, u32)) {
-        if let Some(past) = self.past.get(&forward) {
-            past.losses.write_down(past.reason, 1);
-        }
+        let topics = &self.wiring.topics;
+        self.past.retain(|(of, _), past| {
+            if *of == peer {
+                topics.end_forward(&past.id);
+            }
+            *of != peer
+        });
     }
 
     /// Counts a message to this peer that did not arrive, or perhaps not.
@@ -200,13 +209,12 @@ impl GatewayActor {
     }
 
     /// What counts the events that went to the peer under this number: the version of a contract is
-    /// added to that of the subscription, so that it is the nearest below.
+    /// added to that of the subscription, so that it is the nearest below. As long as the peer has
+    /// not told what it listens to, they went in the session before.
     fn losses_under(&self, peer: NodeId, number: u32) -> Option<&UndeliveredEvents> {
-        let below = (peer, 0)..=(peer, number);
-        let present = self.forwards.range(below.clone()).next_back();
-        let present = present.map(|(_, forwarded)| (forwarded.by.0, &forwarded.losses));
-        let past = self.past.range(below).next_back().map(|(_, past)| (past.number, &past.losses));
-        let mut all = present.into_iter().chain(past);
-        all.find(|(by, _)| *by == number).map(|(_, losses)| &**losses)
+        let past = self.past.iter().filter(|((of, _), _)| *of == peer).map(|(_, past)| past);
+        let present = self.forwards.range((peer, 0)..=(peer, number)).next_back();
+        let mut all = past.chain(present.map(|(_, forwarded)| forwarded));
+        all.find(|of| of.by.0 == number).map(|of| &*of.losses)
     }
 }

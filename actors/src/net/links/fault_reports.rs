@@ -128,24 +128,25 @@ impl LinksActor {
         self.tell_monitor(number, condition);
     }
 
-    /// Another process with the neighbour's key is there, at this address, and the neighbour has
-    /// answered.
+    /// Another process with the neighbour's key is there, at the second address, and the neighbour
+    /// has answered, at the first.
     pub(super) fn key_in_use(
         &mut self,
         number: LinkId,
         (open, refused): (Incarnation, Incarnation),
-        address: &MediumAddress,
+        [at, address]: [&MediumAddress; 2],
     ) {
         if self.keys_in_use.insert(number, platform::now()).is_some() {
             return;
         }
         let Some(spec) = self.specs.get(&number) else { return };
         let neighbour = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
+        // Over a connection that was adopted it may have come from any place.
+        let at = if at == address { NameHolder::NOWHERE.to_owned() } else { at.to_string() };
         let detail = format!(
-            "the key of {neighbour} is in use twice, as incarnation {open} at {}, which answers, and as \
+            "the key of {neighbour} is in use twice, as incarnation {open} at {at}, which answers, and as \
              {refused} at {address}, which is told to stop: two processes, perhaps of two computers, have \
-             one key file; give one of them a key of its own",
-            spec.remote
+             one key file; give one of them a key of its own"
         );
         error!(network = %self.wiring.network, link = %spec.name, "{detail}");
         self.wiring.faults.declare(FaultKind::NameTaken, detail);
@@ -156,6 +157,8 @@ impl LinksActor {
         let NameHolder { incarnation, address } = holder;
         let (node, own) = (&self.wiring.node, self.wiring.incarnation.present());
         let local = &self.local;
+        // The neighbour may know no other address of that name.
+        let address: &str = if address == local { NameHolder::NOWHERE } else { address };
         let neighbour = self.bundle.get(number).and_then(Link::neighbour);
         let neighbour = neighbour.map(|neighbour| neighbour.node.clone());
         let neighbour =

@@ -1,6 +1,7 @@
 //! Neighbours that never come, and ways that are not left.
 
 use super::*;
+use blastema_contract::session::SessionReported;
 use blastema_contract::strategy::Reroute;
 use blastema_core::FaultLocation;
 
@@ -79,5 +80,20 @@ fn another_way_is_promised_where_one_is_left_and_is_connected_no_longer_than_one
         robot.restore("ieee1394/left");
         advance(800 * MS).await;
         assert!(connected().await.is_ok());
+    });
+}
+
+#[test]
+fn a_peer_that_has_restarted_is_not_connected_by_the_session_of_its_last_incarnation() {
+    paused(async {
+        let (_robot, left, _right) = pair().await;
+        let peer = right();
+        for (incarnation, is_connected) in [(1, true), (2, false)] {
+            let (node, incarnation) = (peer.clone(), Incarnation(incarnation));
+            left.net.gateway.do_send(SessionReported::Reachable { node, incarnation });
+            settle().await;
+            let connected = tokio::time::timeout(MS, left.net.connected(&peer)).await;
+            assert_eq!(connected.is_ok(), is_connected);
+        }
     });
 }

@@ -144,6 +144,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             registry: host.registry.clone(),
             topics: host.topics().clone(),
             dead_letters: host.dead_letters.clone(),
+            may_be_away: SortedSet::new(),
             recoverer: None,
             links: None,
             stalls: None,

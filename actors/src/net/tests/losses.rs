@@ -136,6 +136,58 @@ fn events_for_which_there_is_no_room_on_the_way_are_counted_under_their_topic() 
     });
 }
 
+#[test]
+fn events_between_two_sessions_are_lost_to_the_node_that_listened_and_each_is_counted() {
+    paused(async {
+        for restarts in [false, true] {
+            let mut robot = Robot::default();
+            let left = robot.module("left", 1, &[("ethernet", &["right"])]).await;
+            let mut right = robot.module("right", 1, &[("ethernet", &["left"])]).await;
+            advance(500 * MS).await;
+            let publisher = left.publisher();
+            let publish = async |numbers: std::ops::Range<u64>, every: Duration| {
+                for n in numbers {
+                    publisher.publish(Note(n)).unwrap();
+                    advance(every).await;
+                }
+            };
+            publish(0..5, 20 * MS).await;
+            assert_eq!((right.log.take(), publisher.matched()), ((0..5).collect(), 2));
+
+            match restarts {
+                true => robot.kill("ethernet/right"),
+                false => robot.cut("ethernet/left"),
+            }
+            publish(5..100, 100 * MS).await;
+            assert_eq!(publisher.matched(), 1, "the other node is not there");
+            assert!(left.host.topics().rows()[0].listening_nodes.is_empty());
+            match restarts {
+                true => right = robot.module("right", 2, &[("ethernet", &["left"])]).await,
+                false => robot.restore("ethernet/left"),
+            }
+            publish(100..200, 20 * MS).await;
+
+            let arrived = right.log.take();
+            let lost = *arrived.first().expect("it is back");
+            assert_eq!(arrived, (lost..200).collect::<Vec<_>>(), "it restarts: {restarts}");
+            let counts = counted(&left).into_iter().map(|(.., count)| count);
+            assert_eq!((counts.sum::<u64>(), publisher.matched()), (lost - 5, 2), "{restarts}");
+        }
+    });
+}
+
+#[test]
+fn events_after_the_end_of_a_node_that_left_are_lost_to_no_listener() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        right.net.leave();
+        advance(500 * MS).await;
+        (0..5).for_each(|n| left.publisher().publish(Note(n)).unwrap());
+        advance(500 * MS).await;
+        assert_eq!(counted(&left), []);
+    });
+}
+
 /// What is reported of messages that were lost, and since it was asked last.
 fn reported_losses(node: &Module) -> Vec<NodeCondition> {
     let mut conditions: Vec<_> =

@@ -159,7 +159,9 @@ fn make_networks(
     environment: &ComponentEnvironment,
 ) -> Result<(Networks, Vec<Register>), StartError> {
     let FaultChainParts { guardian, chain, monitor, .. } = parts;
-    for node in description.may_be_away.iter().filter_map(|node| NodeName::new(node).ok()) {
+    let may_be_away = description.may_be_away.iter().filter_map(|node| NodeName::new(node).ok());
+    let may_be_away: SortedSet<_> = may_be_away.collect();
+    for node in may_be_away.iter().cloned() {
         let (incarnation, condition) = (Incarnation::default(), NodeCondition::MayBeAway);
         monitor.do_send(NodeReported { node, incarnation, condition });
     }
@@ -202,6 +204,7 @@ fn make_networks(
         registry: environment.registry.clone(),
         topics: environment.topics().clone(),
         dead_letters: environment.dead_letters.clone(),
+        may_be_away,
         recoverer: Some(chain.recoverer.clone()),
         links: Some(monitor.clone().recipient()),
         stalls: Some(monitor.clone().recipient()),

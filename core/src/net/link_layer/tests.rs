@@ -443,7 +443,13 @@ fn a_second_node_with_a_key_is_told_where_the_first_is_once_that_has_answered() 
         assert_eq!(told[0], NameHolder::new(Incarnation(1), of));
         let in_use = world.outputs.iter().any(|(_, node, output)| {
             let (open, refused) = (Incarnation(1), Incarnation(incarnation));
-            let expected = LinkLayerOutput::KeyInUse { link: LINK, open, refused, address: COPY };
+            let expected = LinkLayerOutput::KeyInUse {
+                link: LINK,
+                open,
+                refused,
+                at: of as Address,
+                address: COPY,
+            };
             (*node, output) == (1 - of, &expected)
         });
         assert!(in_use);
@@ -464,7 +470,8 @@ fn a_node_whose_place_another_has_taken_while_it_was_stopped_is_the_one_that_is_
 
         let told = with_a_copy(&mut world, of, &mut first, 3_000);
 
-        assert_eq!(told[0], NameHolder::new(Incarnation(2), of));
+        // It is at the end of the connection, and not where the link leads.
+        assert_eq!(told[0], NameHolder::new(Incarnation(2), 12));
         assert_eq!(world.states(), [LinkState::Up; 2]);
         assert_eq!(world.changes(1 - of), []);
     }

@@ -54,8 +54,8 @@ pub(super) struct UnusedLink {
 #[derive(Clone, Copy)]
 struct ReachedHolder {
     incarnation: Incarnation,
-    /// The link by which it is reached.
-    over: LinkId,
+    /// The link with it; `None` where it is reached over other nodes.
+    over: Option<LinkId>,
     /// How long its answer may take.
     patience: Duration,
 }
@@ -74,8 +74,9 @@ impl Router {
     /// another link to it, or without any link of this node to that name.
     fn name_holder(&self, link: LinkId, neighbour: &Neighbour) -> Option<ReachedHolder> {
         if let Some((over, near)) = self.links_to_others(link, neighbour).next() {
+            let (incarnation, over) = (near.neighbour.incarnation, Some(over));
             let patience = near.patience(ANSWER_WITHIN);
-            return Some(ReachedHolder { incarnation: near.neighbour.incarnation, over, patience });
+            return Some(ReachedHolder { incarnation, over, patience });
         }
         let id = NodeId::of(&neighbour.node);
         let incarnation = self.known.get(&id)?.advertisement.incarnation;
@@ -87,7 +88,7 @@ impl Router {
         let routes = self.topology_over(&others).routes();
         let route = routes.get(&id)?;
         let patience = patience(route.mtu, ANSWER_WITHIN);
-        Some(ReachedHolder { incarnation, over: route.next, patience })
+        Some(ReachedHolder { incarnation, over: None, patience })
     }
 
     /// Links to other incarnations of a link's neighbour.

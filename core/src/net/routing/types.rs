@@ -152,8 +152,8 @@ pub enum RouterOutput {
         link: LinkId,
         /// The other node's incarnation.
         by: Incarnation,
-        /// The link by which the other one is reached.
-        over: LinkId,
+        /// The link with the other one; `None` where it is reached over other nodes.
+        over: Option<LinkId>,
     },
     /// A node that is reached over relays knows a later incarnation of this one.
     Outnumbered {
@@ -179,7 +179,7 @@ pub enum RouterOutput {
         by: Incarnation,
         /// The link with the one that is kept out.
         link: LinkId,
-        /// The link by which the other one is reached.
-        over: LinkId,
+        /// The link with the other one; `None` where it is reached over other nodes.
+        over: Option<LinkId>,
     },
 }

@@ -81,13 +81,17 @@ pub enum Frame {
 pub struct NameHolder {
     /// Its incarnation.
     pub incarnation: Incarnation,
-    /// Where the neighbour reaches it, in [`ADDRESS_MAX`](NameHolder::ADDRESS_MAX) bytes.
+    /// Where the neighbour reaches it, in [`ADDRESS_MAX`](NameHolder::ADDRESS_MAX) bytes, or
+    /// [`NOWHERE`](NameHolder::NOWHERE).
     pub address: String,
 }
 
 impl NameHolder {
     /// The longest address, in bytes: with it, the frame fits into the smallest one of a medium.
     pub const ADDRESS_MAX: usize = 72;
+
+    /// In the place of an address that the neighbour does not know.
+    pub const NOWHERE: &'static str = "an address that is not known";
 
     /// An address that is too long loses its end.
     pub fn new(incarnation: Incarnation, address: impl fmt::Display) -> Self {

@@ -155,7 +155,7 @@ async fn what_a_parameter_does_not_take_is_refused_with_the_reason_and_changes_n
         ("max_speed", ParameterValue::Float(2.5), "0.0..=2.0 m/s"),
         ("max_speed", ParameterValue::Float(f64::NAN), "0.0..=2.0 m/s"),
         ("max_sped", ParameterValue::Float(1.0), "`max_speed`"),
-        ("attempts", ParameterValue::Integer(256), "0 to 255"),
+        ("attempts", ParameterValue::Integer(256), "a whole number from 0 to 255, in 1.."),
         ("attempts", ParameterValue::Integer(0), "1.."),
         ("careful", ParameterValue::Text("yes".into()), "true or false"),
     ] {
@@ -212,6 +212,11 @@ async fn a_configuration_that_nobody_takes_is_refused_before_anything_starts() {
         let error = TestNode::try_start(refused).await.err().expect("it is out of range");
         assert!(error.to_string().contains(named), "{error}");
     }
+    std::fs::write(&file, "[amr]\nattempts = 2\n").unwrap();
+    let (builder, _) = arm();
+    let refused = TestNode::try_start(builder.parameters_from(&file)).await;
+    let error = refused.err().expect("no component is called so").to_string();
+    assert!(error.contains("`arm`") && error.contains(&*file.to_string_lossy()), "{error}");
     let (builder, _) = arm();
     let missing = TestNode::try_start(builder.parameters_from("/nowhere/robot.toml")).await;
     assert!(matches!(missing, Err(StartError::Parameters { file: Some(_), .. })));

@@ -76,7 +76,7 @@ fn a_second_node_on_another_network_takes_nothing_from_the_first_that_answers() 
 
         router.handle_routing(SECOND, announce, at(2070));
         let (node, incarnation, by) = (named("a"), Incarnation(second), Incarnation(first));
-        let (link, over) = (SECOND, FIRST);
+        let (link, over) = (SECOND, Some(FIRST));
         let reported = [
             RouterOutput::Refuse { link, by, over },
             RouterOutput::KeptOut { node, incarnation, by, link, over },
@@ -124,7 +124,7 @@ fn a_node_that_was_displaced_while_it_stood_still_is_the_one_that_stops() {
     tell(&mut router, SECOND, said_by(2, 1 + ANSWER), 2100);
     tell(&mut router, FIRST, said_by(1, 3), 2110);
 
-    let refuse = RouterOutput::Refuse { link: FIRST, by: Incarnation(2), over: SECOND };
+    let refuse = RouterOutput::Refuse { link: FIRST, by: Incarnation(2), over: Some(SECOND) };
     assert!(outputs(&mut router, 2110).contains(&refuse));
     assert_eq!(sent_to_a(&mut router), Some(SECOND));
 }
