@@ -159,7 +159,7 @@ pub use blastema_core::parameters::{
     ParameterError, ParameterField, ParameterType, ParameterValue, Parameters,
 };
 pub use blastema_core::{Blob, Contract, Described, Event, Request, Variable};
-pub use blastema_macros::{Event, Parameters, Request, Structure, Variable};
+pub use blastema_macros::{Event, ParameterType, Parameters, Request, Structure, Variable};
 pub use serde;
 
 // Components.
@@ -312,8 +312,9 @@ pub mod prelude {
     pub use crate::recovery::{Ladder, Plan, RecoveryAction, Restart, Strategy, WhenExceeded};
     pub use crate::{
         ActorRef, ChildSpec, Component, Context, DeliveryError, Event, Failure, FaultKind, Handle,
-        Node, NodeState, Outcome, Parameters, Ports, Publisher, Request, Sender, StartError,
-        Structure, SupervisorSpec, Variable, VariableRef, VariableSpec, WhenFull, sleep,
+        Node, NodeState, Outcome, ParameterType, Parameters, Ports, Publisher, Request, Sender,
+        StartError, Structure, SupervisorSpec, Variable, VariableRef, VariableSpec, WhenFull,
+        sleep,
     };
 }
 

@@ -152,7 +152,9 @@ fn read(value: Value) -> Result<ParameterValue, &'static str> {
         Value::Integer(value) => Ok(ParameterValue::Integer(value)),
         Value::Float(value) => Ok(ParameterValue::Float(value)),
         Value::String(value) => Ok(ParameterValue::Text(value)),
-        Value::Array(_) => Err("a list"),
+        Value::Array(values) => {
+            Ok(ParameterValue::List(values.into_iter().map(read).collect::<Result<_, _>>()?))
+        }
         Value::Table(_) => Err("a table"),
         Value::Datetime(_) => Err("a date"),
     }

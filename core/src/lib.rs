@@ -36,7 +36,6 @@ pub mod recovery;
 #[cfg(feature = "network")]
 pub mod service;
 #[cfg(feature = "network")]
-pub mod snapshot_server;
 pub mod sorted;
 pub mod suggestion;
 pub mod time;

@@ -7,6 +7,7 @@ use crate::Variable;
 use crate::suggestion::nearest;
 use serde::{Deserialize, Serialize};
 use std::fmt;
+use std::ops::RangeBounds;
 
 /// The settings of a component. Derived.
 #[diagnostic::on_unimplemented(
@@ -38,7 +39,7 @@ pub trait Parameters: Variable + Default {
         let described = |field: &ParameterField| {
             Some(ParameterDescription {
                 name: field.name.to_owned(),
-                takes: field.takes.to_owned(),
+                takes: (field.takes)(),
                 unit: field.unit.map(str::to_owned),
                 range: field.range.map(str::to_owned),
                 default: defaults.value(field.name)?,
@@ -76,15 +77,16 @@ pub trait Parameters: Variable + Default {
 }
 
 /// What is declared of one parameter.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub struct ParameterField {
     /// Its name.
     pub name: &'static str,
-    /// What it takes, in words.
-    pub takes: &'static str,
+    /// Returns what it takes, in words.
+    pub takes: fn() -> String,
     /// Its unit, if it has one.
     pub unit: Option<&'static str>,
-    /// The range of its values, if it is bounded, as it is written.
+    /// The range of its values, if it is bounded, as it is written. Each element of a list lies
+    /// in it.
     pub range: Option<&'static str>,
 }
 
@@ -113,10 +115,12 @@ pub enum ParameterValue {
     Integer(i64),
     /// A number with a fraction.
     Float(f64),
-    /// A text.
+    /// A text, or the name of a variant.
     Text(String),
-    /// A value as a file or a command line writes it, such as `12 m`: the parameter's type says how
-    /// it is read.
+    /// Several values.
+    List(Vec<ParameterValue>),
+    /// A value as a file or a command line writes it, such as `12 m` or `[0.1, 0.2] m`: the
+    /// parameter's type says how it is read.
     Written(String),
 }
 
@@ -127,6 +131,10 @@ impl fmt::Display for ParameterValue {
             ParameterValue::Integer(value) => write!(f, "{value}"),
             ParameterValue::Float(value) => write!(f, "{value:?}"),
             ParameterValue::Text(value) => write!(f, "{value:?}"),
+            ParameterValue::List(values) => {
+                let values: Vec<_> = values.iter().map(ToString::to_string).collect();
+                write!(f, "[{}]", values.join(", "))
+            }
             ParameterValue::Written(value) => write!(f, "`{value}`"),
         }
     }
@@ -157,7 +165,10 @@ pub enum ParameterError {
         expected: String,
     },
     /// The value was written without the parameter's unit, or with another one.
-    #[error("`{key}` is `{found}`, and is given in {unit}: write a number and {unit}")]
+    #[error(
+        "`{key}` is `{found}`, and is given in {unit}: write a {} and {unit}",
+        if found.starts_with('[') { "list" } else { "number" }
+    )]
     Unit {
         /// The parameter.
         key: &'static str,
@@ -222,21 +233,73 @@ fn in_unit(unit: &Option<&'static str>) -> String {
 /// A type that a parameter may have.
 #[diagnostic::on_unimplemented(
     message = "`{Self}` cannot be the type of a parameter",
-    note = "parameters are `bool`, whole numbers up to 64 bits, `f32`, `f64` and `String`"
+    note = "parameters are `bool`, whole numbers up to 64 bits, `f32`, `f64`, `String`, enums with \
+            `#[derive(ParameterType)]`, and a `Vec` of these"
 )]
 pub trait ParameterType: Sized {
-    /// What it is called in errors.
-    const EXPECTED: &'static str;
+    /// What a range bounds: the elements of a list, or the value itself.
+    type Element;
+
+    /// Returns what it is called in errors.
+    fn expected() -> String;
 
     /// The value, where it is one of this type.
     fn of(value: &ParameterValue) -> Option<Self>;
 
     /// The same value as one of any type.
     fn value(&self) -> ParameterValue;
+
+    /// Returns what a range bounds.
+    fn elements(&self) -> &[Self::Element];
+}
+
+/// What all types but lists have in common, and what the value is called in errors.
+macro_rules! single {
+    ($expected:literal) => {
+        type Element = Self;
+
+        fn expected() -> String {
+            $expected.to_owned()
+        }
+
+        fn elements(&self) -> &[Self] {
+            std::slice::from_ref(self)
+        }
+    };
+}
+
+impl<T: ParameterType<Element = T>> ParameterType for Vec<T> {
+    type Element = T;
+
+    fn expected() -> String {
+        format!("a list in `[]`, each {}", T::expected())
+    }
+
+    fn of(value: &ParameterValue) -> Option<Self> {
+        match value {
+            ParameterValue::List(values) => values.iter().map(T::of).collect(),
+            ParameterValue::Written(text) => {
+                let inner = text.strip_prefix('[')?.strip_suffix(']')?.trim();
+                let elements = inner.split(',').map(str::trim);
+                let written = |text: &str| ParameterValue::Written(text.to_owned());
+                let read = |text: &str| T::of(&written(text)).filter(|_| !text.is_empty());
+                if inner.is_empty() { Some(Vec::new()) } else { elements.map(read).collect() }
+            }
+            _ => None,
+        }
+    }
+
+    fn value(&self) -> ParameterValue {
+        ParameterValue::List(self.iter().map(T::value).collect())
+    }
+
+    fn elements(&self) -> &[T] {
+        self
+    }
 }
 
 impl ParameterType for bool {
-    const EXPECTED: &'static str = "true or false";
+    single!("true or false");
 
     fn of(value: &ParameterValue) -> Option<Self> {
         match value {
@@ -252,7 +315,7 @@ impl ParameterType for bool {
 }
 
 impl ParameterType for String {
-    const EXPECTED: &'static str = "a text";
+    single!("a text");
 
     fn of(value: &ParameterValue) -> Option<Self> {
         match value {
@@ -267,7 +330,7 @@ impl ParameterType for String {
 }
 
 impl ParameterType for f64 {
-    const EXPECTED: &'static str = "a number";
+    single!("a number");
 
     fn of(value: &ParameterValue) -> Option<Self> {
         match value {
@@ -284,7 +347,7 @@ impl ParameterType for f64 {
 }
 
 impl ParameterType for f32 {
-    const EXPECTED: &'static str = "a number";
+    single!("a number");
 
     fn of(value: &ParameterValue) -> Option<Self> {
         f64::of(value).map(|value| value as f32)
@@ -298,7 +361,7 @@ impl ParameterType for f32 {
 macro_rules! whole_numbers {
     ($($number:ty: $expected:literal),*) => {$(
         impl ParameterType for $number {
-            const EXPECTED: &'static str = $expected;
+            single!($expected);
 
             fn of(value: &ParameterValue) -> Option<Self> {
                 match value {
@@ -337,7 +400,7 @@ fn without_unit<'a>(
     let Some(&ParameterField { name, unit: Some(unit), .. }) = field else { return Ok(text) };
     let number = text.strip_suffix(unit).map(str::trim_end);
     number
-        .filter(|number| number.ends_with(|c: char| c.is_ascii_digit() || c == '.'))
+        .filter(|number| number.ends_with(|c: char| c.is_ascii_digit() || ".]".contains(c)))
         .ok_or_else(|| ParameterError::Unit { key: name, found: text.to_owned(), unit })
 }
 
@@ -351,7 +414,7 @@ pub fn read<T: ParameterType>(
 ) -> Result<T, ParameterError> {
     T::of(value).ok_or_else(|| {
         let range = field.range.map(|range| format!(", in {range}{}", in_unit(&field.unit)));
-        let expected = format!("{}{}", T::EXPECTED, range.unwrap_or_default());
+        let expected = format!("{}{}", T::expected(), range.unwrap_or_default());
         ParameterError::Type { key: field.name.to_owned(), found: value.to_string(), expected }
     })
 }
@@ -363,12 +426,22 @@ pub fn unknown(key: &str, fields: &'static [ParameterField]) -> ParameterError {
     ParameterError::Unknown { key: key.to_owned(), nearest, known }
 }
 
-/// What to say of a parameter outside of its range; called by what is derived.
-pub fn out_of_range(field: &ParameterField, found: &dyn fmt::Debug) -> ParameterError {
-    ParameterError::Range {
+/// Checks that a value, or each element of a list, lies in its range; called by what is derived.
+///
+/// # Errors
+/// It does not.
+pub fn check_range<T: ParameterType<Element: PartialOrd> + fmt::Debug>(
+    field: &ParameterField,
+    value: &T,
+    range: impl RangeBounds<T::Element>,
+) -> Result<(), ParameterError> {
+    if value.elements().iter().all(|element| range.contains(element)) {
+        return Ok(());
+    }
+    Err(ParameterError::Range {
         key: field.name,
-        found: format!("{found:?}"),
+        found: format!("{value:?}"),
         range: field.range.unwrap_or_default(),
         unit: field.unit,
-    }
+    })
 }

@@ -47,17 +47,6 @@ pub enum ValueState {
     Undecided,
 }
 
-/// The answer to a variable that awaits a decision.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum RestoreChoice {
-    /// The value from before.
-    Restore,
-    /// The default.
-    Default,
-    /// This one.
-    Value(Bytes),
-}
-
 /// A variable as it stands.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ValueReport {
@@ -87,11 +76,13 @@ pub struct ValueWrite {
 
 /// A variable as its owner declares it.
 #[derive(Clone, Debug)]
-pub struct VariableDeclaration {
+pub struct VariableDeclaration<F> {
     /// Its value until it is written.
     pub default: Bytes,
     /// What becomes of it when an incarnation of its owner ends.
     pub policy: RestorePolicy,
+    /// What else is known of it.
+    pub facts: F,
 }
 
 /// A value as it is kept for the node's next process.
@@ -107,25 +98,25 @@ pub struct PersistedValue {
 
 /// An answer to a watcher.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct WatchReport {
-    /// The number under which it was asked.
-    pub watcher: u64,
+pub struct WatchReport<W> {
+    /// The one that asked.
+    pub watcher: W,
     /// What has become of the variable.
     pub result: Result<ValueReport, DeliveryError>,
 }
 
-/// The variables of one node.
+/// The variables of one node: facts `F` are known of each, and watchers `W` are answered.
 #[derive(Debug)]
-pub struct Variables {
-    entries: SortedMap<VariableKey, Entry>,
+pub struct Variables<F, W> {
+    entries: SortedMap<VariableKey, Entry<F>>,
     last_revision: u64,
-    watchers: SortedMap<u64, VariableWatcher>,
-    outputs: VecDeque<WatchReport>,
+    watchers: Vec<VariableWatcher<W>>,
+    outputs: VecDeque<WatchReport<W>>,
 }
 
 #[derive(Debug)]
-struct Entry {
-    declaration: VariableDeclaration,
+struct Entry<F> {
+    declaration: VariableDeclaration<F>,
     value: Bytes,
     revision: u64,
     state: ValueState,
@@ -133,25 +124,26 @@ struct Entry {
 }
 
 #[derive(Debug)]
-struct VariableWatcher {
+struct VariableWatcher<W> {
+    watcher: W,
     variable: VariableKey,
     asked: Instant,
 }
 
-impl Variables {
+impl<F, W> Variables<F, W> {
     /// No variables yet. Revisions are above this one; let it rise with every incarnation of the
     /// node.
     pub fn new(last_revision: u64) -> Self {
         Variables {
             entries: SortedMap::new(),
             last_revision,
-            watchers: SortedMap::new(),
+            watchers: Vec::new(),
             outputs: VecDeque::new(),
         }
     }
 
     /// The next watcher to be answered.
-    pub fn poll_output(&mut self) -> Option<WatchReport> {
+    pub fn poll_output(&mut self) -> Option<WatchReport<W>> {
         self.outputs.pop_front()
     }
 
@@ -160,7 +152,7 @@ impl Variables {
     pub fn handle_declared(
         &mut self,
         variable: VariableKey,
-        declared: VariableDeclaration,
+        declared: VariableDeclaration<F>,
         kept: Option<Bytes>,
         now: Instant,
     ) {
@@ -180,10 +172,20 @@ impl Variables {
     }
 
     /// What is worth keeping for the next process.
-    pub fn kept(&self) -> impl Iterator<Item = (&VariableKey, &Bytes)> {
-        let restored = |entry: &Entry| entry.declaration.policy != RestorePolicy::Default;
+    pub fn kept(&self) -> impl Iterator<Item = (&VariableKey, &F, &Bytes)> {
+        let restored = |entry: &Entry<F>| entry.declaration.policy != RestorePolicy::Default;
         let entries = self.entries.iter().filter(move |(_, entry)| restored(entry));
-        entries.map(|(variable, entry)| (variable, &entry.value))
+        entries.map(|(variable, entry)| (variable, &entry.declaration.facts, &entry.value))
+    }
+
+    /// The variables, in order.
+    pub fn keys(&self) -> impl Iterator<Item = &VariableKey> {
+        self.entries.keys()
+    }
+
+    /// A variable as its owner has declared it.
+    pub fn declaration(&self, variable: &VariableKey) -> Option<&VariableDeclaration<F>> {
+        self.entries.get(variable).map(|entry| &entry.declaration)
     }
 
     /// An object has gone for good.
@@ -206,17 +208,16 @@ impl Variables {
     }
 
     /// A watcher wants to know as soon as the variable's revision is another than `after`.
-    pub fn handle_watch(&mut self, watcher: u64, variable: VariableKey, after: u64, now: Instant) {
+    pub fn handle_watch(&mut self, watcher: W, variable: VariableKey, after: u64, now: Instant) {
         let result = match self.entries.get(&variable) {
             None => Err(unknown(&variable)),
             Some(entry) if entry.revision != after => Ok(entry.report(now)),
             Some(_) => {
                 // Those who went without a word make room.
-                let stale = |known: &VariableWatcher| now - known.asked > WATCHER_TIMEOUT;
+                let stale = |known: &VariableWatcher<W>| now - known.asked > WATCHER_TIMEOUT;
                 self.answer(stale, |_| Err(DeliveryError::DeadlinePassed));
                 if self.watchers.len() < WATCHERS_MAX {
-                    let waiting = VariableWatcher { variable, asked: now };
-                    self.watchers.insert(watcher, waiting);
+                    self.watchers.push(VariableWatcher { watcher, variable, asked: now });
                     return;
                 }
                 Err(DeliveryError::Full)
@@ -225,9 +226,14 @@ impl Variables {
         self.outputs.push_back(WatchReport { watcher, result });
     }
 
-    /// This watcher does not wait any more.
-    pub fn handle_gone(&mut self, watcher: u64) {
-        self.watchers.remove(&watcher);
+    /// Only these watchers wait still.
+    pub fn retain_watchers(&mut self, waits: impl Fn(&W) -> bool) {
+        self.watchers.retain(|known| waits(&known.watcher));
+    }
+
+    /// How many watchers wait.
+    pub fn watchers(&self) -> usize {
+        self.watchers.len()
     }
 
     /// Writes all of these, or none.
@@ -259,8 +265,7 @@ impl Variables {
 
     /// An incarnation of the owner has ended: each variable becomes what its policy says.
     pub fn handle_owner_ended(&mut self, object: &ObjectName, now: Instant) {
-        let own = |(key, _): &(&VariableKey, &Entry)| &key.0 == object;
-        let keys: Vec<_> = self.entries.iter().filter(own).map(|(key, _)| key.clone()).collect();
+        let keys: Vec<_> = self.keys().filter(|key| &key.0 == object).cloned().collect();
         keys.iter().for_each(|key| self.end_incarnation_of(key, now));
     }
 
@@ -278,7 +283,7 @@ impl Variables {
         self.set(key, value, state, now);
     }
 
-    /// A user has decided what a variable is to be.
+    /// A user has decided what a variable is to be: this value, or the one from before.
     ///
     /// # Errors
     /// [`DeliveryError::Unknown`]; [`DeliveryError::Changed`] where no decision is awaited, or not
@@ -286,7 +291,7 @@ impl Variables {
     pub fn handle_choice(
         &mut self,
         variable: &VariableKey,
-        choice: RestoreChoice,
+        value: Option<Bytes>,
         now: Instant,
     ) -> Result<u64, DeliveryError> {
         let entry = self.entries.get(variable).ok_or_else(|| unknown(variable))?;
@@ -296,11 +301,6 @@ impl Variables {
                 revision: entry.revision,
             });
         }
-        let value = match choice {
-            RestoreChoice::Restore => None,
-            RestoreChoice::Default => Some(entry.declaration.default.clone()),
-            RestoreChoice::Value(value) => Some(value),
-        };
         self.last_revision += 1;
         self.set(variable, value, ValueState::Current, now);
         Ok(self.last_revision)
@@ -315,28 +315,24 @@ impl Variables {
         entry.revision = self.last_revision;
         entry.since = now;
         let report = entry.report(now);
-        let waited = |watcher: &VariableWatcher| watcher.variable == *key;
+        let waited = |watcher: &VariableWatcher<W>| watcher.variable == *key;
         self.answer(waited, |_| Ok(report.clone()));
     }
 
     /// Tells those watchers of whom this holds, once.
     fn answer(
         &mut self,
-        whom: impl Fn(&VariableWatcher) -> bool,
-        what: impl Fn(&VariableWatcher) -> Result<ValueReport, DeliveryError>,
+        whom: impl Fn(&VariableWatcher<W>) -> bool,
+        what: impl Fn(&VariableWatcher<W>) -> Result<ValueReport, DeliveryError>,
     ) {
-        let outputs = &mut self.outputs;
-        self.watchers.retain(|&number, watcher| {
-            let delivered = whom(watcher);
-            if delivered {
-                outputs.push_back(WatchReport { watcher: number, result: what(watcher) });
-            }
-            !delivered
-        });
+        for known in self.watchers.extract_if(.., |known| whom(known)) {
+            let result = what(&known);
+            self.outputs.push_back(WatchReport { watcher: known.watcher, result });
+        }
     }
 }
 
-impl Entry {
+impl<F> Entry<F> {
     fn check(&self, variable: &VariableKey) -> Result<(), DeliveryError> {
         match self.state {
             ValueState::Undecided => Err(DeliveryError::Undecided { variable: shown(variable) }),
@@ -380,16 +376,18 @@ mod tests {
         ValueWrite { variable: key(variable), value: value(byte), if_revision: None }
     }
 
-    fn declared(all: &[(&str, RestorePolicy)]) -> Variables {
+    type Numbered = Variables<(), u64>;
+
+    fn declared(all: &[(&str, RestorePolicy)]) -> Numbered {
         let mut variables = Variables::new(100);
         for &(name, policy) in all {
-            let declaration = VariableDeclaration { default: value(0), policy };
+            let declaration = VariableDeclaration { default: value(0), policy, facts: () };
             variables.handle_declared(key(name), declaration, None, NOW);
         }
         variables
     }
 
-    fn now_is(variables: &Variables, name: &str) -> Result<(u8, ValueState), DeliveryError> {
+    fn now_is(variables: &Numbered, name: &str) -> Result<(u8, ValueState), DeliveryError> {
         variables.read(&key(name), NOW).map(|report| (report.value[0], report.state))
     }
 
@@ -428,12 +426,12 @@ mod tests {
             ),
         ];
         for (policy, left) in expected {
-            let mut variables = Variables::new(100);
-            let declaration = VariableDeclaration { default: value(0), policy };
+            let mut variables = Numbered::new(100);
+            let declaration = VariableDeclaration { default: value(0), policy, facts: () };
             variables.handle_declared(key("it"), declaration, Some(value(7)), NOW);
 
             assert_eq!(now_is(&variables, "it"), left, "{policy:?}");
-            let kept: Vec<_> = variables.kept().map(|(_, value)| value[0]).collect();
+            let kept: Vec<_> = variables.kept().map(|(_, (), value)| value[0]).collect();
             let worth = policy != RestorePolicy::Default;
             assert_eq!(kept, if worth { vec![7] } else { vec![] }, "{policy:?}");
         }
@@ -441,11 +439,7 @@ mod tests {
 
     #[test]
     fn what_awaits_a_decision_is_not_written_until_somebody_has_decided() {
-        for (choice, left) in [
-            (RestoreChoice::Restore, 7),
-            (RestoreChoice::Default, 0),
-            (RestoreChoice::Value(value(3)), 3),
-        ] {
+        for (choice, left) in [(None, 7), (Some(value(3)), 3)] {
             let mut variables = declared(&[("target", RestorePolicy::AskFirst)]);
             variables.handle_write(vec![write("target", 7)], NOW).unwrap();
             variables.handle_owner_ended(&ObjectName::new("arm").unwrap(), NOW);
@@ -503,7 +497,7 @@ mod tests {
         variables.handle_watch(1, key("speed"), after, NOW);
         variables.handle_watch(2, key("speed"), after, NOW);
 
-        variables.handle_gone(1);
+        variables.retain_watchers(|&watcher| watcher != 1);
         variables.handle_write(vec![write("speed", 1)], NOW).unwrap();
 
         assert_eq!(variables.poll_output().unwrap().watcher, 2);

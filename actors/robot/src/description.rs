@@ -385,12 +385,16 @@ impl RobotDescription {
         };
         let of_component =
             |node: &str, component: &ComponentDescription| format!("{node}:{}", component.name);
+        // A list is an address where one of its elements is.
+        let has_address = |value: &str| {
+            value.trim_matches(['[', ']']).split(',').any(|element| is_address(element.trim()))
+        };
         let mut found = Vec::new();
         for node in &self.nodes {
             for component in node.components() {
                 let parameters = component.parameters.iter();
                 found.extend(
-                    parameters.filter(|(_, value)| is_address(value)).map(|(name, value)| {
+                    parameters.filter(|(_, value)| has_address(value)).map(|(name, value)| {
                         (of_component(&node.name, component), &**name, &**value)
                     }),
                 );

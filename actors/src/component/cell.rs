@@ -494,26 +494,12 @@ impl<C: Component> ComponentCell<C> {
         self.queue.hold(isolated);
     }
 
-    #[inline]
-    fn admit(&self, id: Option<MessageId>) -> Result<(), DeliveryError> {
-        match heartbeat::send_refusal().or_else(|| self.record.refusal(id)) {
-            None => Ok(()),
-            Some(why) => Err(why),
-        }
-    }
-
     /// An event for a component that is busy, or has just been. It waits at this port. False where
     /// it does not fit and the queue's policy is not to drop.
-    pub(crate) fn queue_event<M: Contract>(
-        &self,
-        port: usize,
-        event: M,
-        times: impl Into<Times>,
-    ) -> bool
+    pub(crate) fn queue_event<M: Contract>(&self, port: usize, event: M, times: Times) -> bool
     where
         C: Handle<M>,
     {
-        let times = times.into();
         let refused = match self.record.refusal(None) {
             Some(why) => why,
             None => {
@@ -523,9 +509,6 @@ impl<C: Component> ComponentCell<C> {
             }
         };
         self.record.record_dead_letter(M::NAME, &refused);
-        if let Some(id) = times.logged {
-            message_log::lost(id, M::NAME, &self.record.name, &refused);
-        }
         refused != DeliveryError::Full || self.queue.bound(port).1 == WhenFull::DropNewest
     }
 }
@@ -570,7 +553,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
 
     #[inline]
     fn offer(&self, message: M) -> Result<(), SendError<M>> {
-        self.offer_at(message, enqueue_time::<M>())
+        self.post(message, None, None, enqueue_time::<M>())
     }
 
     fn space(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
@@ -601,7 +584,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
         _: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>> {
         let (answer, reply) = Responder::awaited();
-        match self.post(message, answer, id, enqueue_time::<M>()) {
+        match self.post(message, Some(answer), id, enqueue_time::<M>()) {
             Ok(()) => Ok(reply),
             Err(error) => Err(error.into()),
         }
@@ -619,7 +602,7 @@ impl<C: Component> ComponentCell<C> {
     where
         C: Handle<M>,
     {
-        match self.offer_at(message, posted_at) {
+        match self.post(message, None, None, posted_at) {
             Err(SendError {
                 kind: why @ (DeliveryError::Full | DeliveryError::Restarting),
                 message,
@@ -633,54 +616,30 @@ impl<C: Component> ComponentCell<C> {
         }
     }
 
-    #[inline]
-    fn offer_at<M: Contract>(
-        &self,
-        message: M,
-        posted_at: blastema_core::Instant,
-    ) -> Result<(), SendError<M>>
-    where
-        C: Handle<M>,
-    {
-        let logged = self.record.log_sent(M::NAME);
-        let times = Times { logged, ..posted_at.into() };
-        let offered = match self.admit(None) {
-            Ok(()) => {
-                let port = self.port_of::<M>();
-                self.push(port, message, |m| seal_message::<C, M>(m, None, None, times))
-            }
-            Err(why) => Err((message, why)),
-        };
-        offered.map_err(|(message, why)| {
-            self.record.log_refused(logged, M::NAME, &why);
-            SendError::new(why, message)
-        })
-    }
-
-    /// Enqueues a request with the responder for its reply. A refusal resolves the responder, too.
+    /// Enqueues a message, a request with the responder for its reply. A refusal resolves the
+    /// responder, too.
     #[inline]
     pub(crate) fn post<M: Contract>(
         &self,
         message: M,
-        answer: Responder<M>,
+        mut answer: Option<Responder<M>>,
         id: Option<MessageId>,
         posted_at: Instant,
     ) -> Result<(), SendError<M>>
     where
         C: Handle<M>,
     {
-        let mut answer = Some(answer);
-        let logged = self.record.log_sent(M::NAME);
-        let posted = match self.admit(id) {
-            Ok(()) => {
-                let times = Times { logged, ..posted_at.into() };
-                let port = self.port_of::<M>();
+        let (name, environment) = (&self.record.name, &self.record.environment);
+        message_log::sent(M::NAME, name, || environment.watch_list.name_here());
+        let posted = match heartbeat::send_refusal().or_else(|| self.record.refusal(id)) {
+            None => {
+                let (port, times) = (self.port_of::<M>(), Times::from(posted_at));
                 self.push(port, message, |m| seal_message::<C, M>(m, answer.take(), id, times))
             }
-            Err(why) => Err((message, why)),
+            Some(why) => Err((message, why)),
         };
         posted.map_err(|(message, why)| {
-            self.record.log_refused(logged, M::NAME, &why);
+            message_log::refused(M::NAME, name, &why);
             if let DeliveryError::Quarantined { .. } = why {
                 self.record.record_dead_letter(M::NAME, &why);
             }

@@ -11,7 +11,6 @@ use crate::arbiter::deadline::Cancel;
 use crate::arbiter::heartbeat;
 use crate::component::slot::ComponentSlot;
 use crate::component::{Component, Handle};
-use crate::messaging::message_log::LogId;
 use crate::messaging::reply::Responder;
 use crate::platform;
 use blastema_core::{Contract, DeliveryError, Instant, MessageId};
@@ -36,7 +35,6 @@ pub(crate) struct EnvelopeHeader {
     pub(crate) max_age: Option<Duration>,
     /// A death of the receiver by this message is to be reported to its sender.
     pub(crate) is_followed: bool,
-    pub(crate) logged: Option<LogId>,
 }
 
 impl EnvelopeHeader {
@@ -47,13 +45,11 @@ impl EnvelopeHeader {
     }
 }
 
-/// When a message was posted, when the data in it was captured, where the sender has said so, and
-/// its id in the log, where one is kept.
+/// When a message was posted, and when the data in it was captured, where the sender has said so.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Times {
     pub(crate) posted_at: Instant,
     pub(crate) captured_at: Option<Instant>,
-    pub(crate) logged: Option<LogId>,
 }
 
 impl Times {
@@ -67,7 +63,7 @@ impl Times {
 impl From<Instant> for Times {
     #[inline]
     fn from(posted_at: Instant) -> Self {
-        Times { posted_at, captured_at: None, logged: None }
+        Times { posted_at, captured_at: None }
     }
 }
 
@@ -117,7 +113,6 @@ struct Sealed<M: Contract, G> {
 struct Rare {
     id: Option<MessageId>,
     captured_at: Option<Instant>,
-    logged: Option<LogId>,
 }
 
 struct HandlerFuture<M: Contract, G, F> {
@@ -153,7 +148,6 @@ where
             max_age: M::MAX_AGE,
             is_followed: self.contents.answer.is_some()
                 || self.rare.as_ref().is_some_and(|rare| rare.id.is_some()),
-            logged: self.rare.as_ref().and_then(|rare| rare.logged),
         }
     }
 
@@ -279,10 +273,10 @@ pub(crate) fn seal_message<C: Handle<M>, M: Contract>(
     id: Option<MessageId>,
     times: impl Into<Times>,
 ) -> BoxedEnvelope<C> {
-    let Times { posted_at, captured_at, logged } = times.into();
+    let Times { posted_at, captured_at } = times.into();
     let contents = Contents { message: Some(message), answer };
-    let is_rare = id.is_some() || captured_at.is_some() || logged.is_some();
-    let rare = is_rare.then(|| Box::new(Rare { id, captured_at, logged }));
+    let is_rare = id.is_some() || captured_at.is_some();
+    let rare = is_rare.then(|| Box::new(Rare { id, captured_at }));
     Box::new(Sealed { make: handle::<C, M>, contents, posted_at, rare })
 }
 

@@ -6,9 +6,8 @@
 //! [thread outside](crate::fault_chain::outside) finds.
 
 use super::Component;
-use super::cell::{CellCore, ComponentCell};
-use super::envelope::{BoxedEnvelope, EnvelopeHeader};
-use crate::messaging::message_log::{self, LogId};
+use super::cell::ComponentCell;
+use super::envelope::BoxedEnvelope;
 use blastema_core::{DeliveryError, Incarnation};
 
 impl<C: Component> ComponentCell<C> {
@@ -27,31 +26,12 @@ impl<C: Component> ComponentCell<C> {
 
     /// A message that is not going to be served.
     pub(crate) fn return_envelope(&self, mut envelope: BoxedEnvelope<C>, why: DeliveryError) {
-        let EnvelopeHeader { name: contract, logged, .. } = envelope.header();
+        let contract = envelope.header().name;
         self.record.record_dead_letter(contract, &why);
-        if let Some(id) = logged {
-            message_log::lost(id, contract, &self.record.name, &why);
-        }
         let give_back = move || {
             envelope.give_back(why);
             drop(envelope);
         };
         let _ = self.record.guard(|| format!("the Drop of a message of {contract}"), give_back);
-    }
-}
-
-impl CellCore {
-    /// A message is sent to the component: its id in the log, where one is kept.
-    #[inline]
-    pub(crate) fn log_sent(&self, contract: &'static str) -> Option<LogId> {
-        let from = || self.environment.watch_list.name_here();
-        message_log::sent(contract, &self.name, from)
-    }
-
-    /// It was not let in.
-    pub(crate) fn log_refused(&self, id: Option<LogId>, contract: &str, why: &DeliveryError) {
-        if let Some(id) = id {
-            message_log::refused(id, contract, &self.name, why);
-        }
     }
 }

@@ -173,7 +173,7 @@ impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
                     return Ok(());
                 }
                 self.cell
-                    .post(message, answer, id, arrived_posting_time::<M>(age))
+                    .post(message, Some(answer), id, arrived_posting_time::<M>(age))
                     .map_err(|error| error.kind)
             }
         }

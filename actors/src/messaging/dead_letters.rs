@@ -1,5 +1,6 @@
 //! The dead-letter log: undelivered messages, readable from every thread.
 
+use crate::messaging::message_log;
 use crate::platform;
 use blastema_core::delivery::dead_letters::{
     DeadLetter, DeadLetterCount, DeadLetterLimits, DeadLetters, DeadReason,
@@ -70,6 +71,7 @@ impl DeadLetterLog {
         (reason, many): (DeadReason, u64),
     ) {
         let (object, contract, at) = (object.clone(), contract.into(), platform::now());
+        message_log::lost(&contract, &object, reason, many);
         self.lock().handle_many(DeadLetter { node, object, contract, reason, at }, many);
     }
 

@@ -1,65 +1,53 @@
-//! The log of messages: where each goes and what becomes of it, under one id.
+//! The log of messages: where each is sent, and where its handler begins. One that does not come so
+//! far is shown as refused, or among the dead letters.
 //!
-//! Nothing is computed unless a subscriber wants [`TARGET`] at DEBUG: a message gets an id only
-//! then, and what follows is shown for messages that have one.
+//! Nothing is computed unless a subscriber wants [`TARGET`] at DEBUG.
 
+use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::{DeliveryError, Incarnation, ObjectName};
-use std::num::NonZeroU64;
-use std::sync::atomic::AtomicU64;
-use std::sync::atomic::Ordering::Relaxed;
 use tracing::{Level, debug, enabled};
 
 /// The target of all events about messages.
 const TARGET: &str = "blastema::message";
 
-/// What a message is called in the log of this process.
-pub(crate) type LogId = NonZeroU64;
-
 /// A message is sent; `from` is empty for what no component of this node sends.
 #[inline]
-pub(crate) fn sent(
-    contract: &str,
-    to: &ObjectName,
-    from: impl FnOnce() -> String,
-) -> Option<LogId> {
-    if !enabled!(target: TARGET, Level::DEBUG) {
-        return None;
+pub(crate) fn sent(contract: &str, to: &ObjectName, from: impl FnOnce() -> String) {
+    if enabled!(target: TARGET, Level::DEBUG) {
+        log_sent(contract, to, &from());
     }
-    log_sent(contract, to, &from())
 }
 
 #[cold]
-fn log_sent(contract: &str, to: &ObjectName, from: &str) -> Option<LogId> {
-    static NEXT: AtomicU64 = AtomicU64::new(1);
-    let id = LogId::new(NEXT.fetch_add(1, Relaxed))?;
-    debug!(target: TARGET, id, contract, from, to = to.as_str(), step = "sent");
-    Some(id)
+fn log_sent(contract: &str, to: &ObjectName, from: &str) {
+    debug!(target: TARGET, contract, from, to = to.as_str(), step = "sent");
 }
 
 /// A component takes it into service.
-#[cold]
-pub(crate) fn begun(id: LogId, contract: &str, to: &ObjectName, incarnation: Incarnation) {
-    let (to, incarnation) = (to.as_str(), incarnation.0);
-    debug!(target: TARGET, id, contract, to, incarnation, step = "begun");
+#[inline]
+pub(crate) fn begun(contract: &str, to: &ObjectName, incarnation: Incarnation) {
+    if enabled!(target: TARGET, Level::DEBUG) {
+        log_begun(contract, to, incarnation);
+    }
 }
 
-/// It was served.
 #[cold]
-pub(crate) fn served(id: LogId, contract: &str, to: &ObjectName, replied: bool) {
-    let step = if replied { "replied" } else { "served" };
-    debug!(target: TARGET, id, contract, to = to.as_str(), step);
+fn log_begun(contract: &str, to: &ObjectName, incarnation: Incarnation) {
+    let (to, incarnation) = (to.as_str(), incarnation.0);
+    debug!(target: TARGET, contract, to, incarnation, step = "begun");
 }
 
 /// It was refused, and is returned to its sender.
 #[cold]
-pub(crate) fn refused(id: LogId, contract: &str, to: &ObjectName, why: &DeliveryError) {
-    debug!(target: TARGET, id, contract, to = to.as_str(), step = "refused", reason = %why);
+pub(crate) fn refused(contract: &str, to: &ObjectName, why: &DeliveryError) {
+    debug!(target: TARGET, contract, to = to.as_str(), step = "refused", reason = %why);
 }
 
-/// It is not served, or was not served to its end: it is counted among the dead letters.
+/// So many are not served, or were not served to their end.
 #[cold]
-pub(crate) fn lost(id: LogId, contract: &str, to: &ObjectName, why: &DeliveryError) {
-    debug!(target: TARGET, id, contract, to = to.as_str(), step = "dead letter", reason = %why);
+pub(crate) fn lost(contract: &str, to: &ObjectName, reason: DeadReason, count: u64) {
+    let (to, reason) = (to.as_str(), reason.text());
+    debug!(target: TARGET, contract, to, step = "dead letter", reason, count);
 }
 
 #[cfg(test)]
@@ -68,7 +56,6 @@ mod tests {
 
     #[test]
     fn without_a_subscriber_nothing_is_computed() {
-        let id = sent("test/add", &"sum".parse().unwrap(), || panic!("not asked for"));
-        assert_eq!(id, None);
+        sent("test/add", &"sum".parse().unwrap(), || panic!("not asked for"));
     }
 }

@@ -22,6 +22,7 @@ use blastema_core::net::NodeId;
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultKind, NodeName};
 use bytes::Bytes;
+use serde::Serialize;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
@@ -72,7 +73,7 @@ impl RosterMessage {
 }
 
 /// The roster that a node uses, for display.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[non_exhaustive]
 pub struct RosterRow {
     /// The robot's name.

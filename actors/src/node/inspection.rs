@@ -1,26 +1,46 @@
 //! The inspection socket: a Unix socket at which other processes of the machine see the node.
 //!
 //! A client that connects gets one [`NodeSnapshot`](super::NodeSnapshot) as JSON, and the end of
-//! the stream. One that sends a line at once, a [`ComponentOrder`](super::ComponentOrder) as JSON,
-//! gets the [`OrderReply`](super::OrderReply) instead. The socket stays open in the safe state, and
-//! closes with the node.
+//! the stream. One that sends a line at once, a [`ComponentOrder`] as JSON, gets the [`OrderReply`]
+//! instead. The socket stays open in the safe state, and closes with the node. A socket that is
+//! removed is created again.
 
-pub(crate) mod server;
-
-use self::server::InspectionServer;
-use super::{Node, NodeState, Shared};
+use super::{ComponentOrder, Node, NodeState, OrderReply, OrderVerb, Shared};
+use crate::platform::file_lock::HeldHere;
 use crate::runtime::guardian::answers_the_monitor;
 use crate::runtime::reports::FaultReports;
 use actix::prelude::*;
-use blastema_transports::unix::{AllowedUsers, PathListener, explain};
+use blastema_transports::unix::{AllowedUsers, PathListener, PeerRole, explain};
+use futures_util::StreamExt;
+use futures_util::stream::FuturesUnordered;
+use std::future;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Weak};
+use std::time::Duration;
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::net::UnixStream;
 use tokio::sync::watch;
+use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
+use tracing::{info, warn};
 
 /// Processes of the owner may connect, and no others.
 const MODE: u32 = 0o600;
 /// Root may connect as well. It can read the node's memory and its files in any case.
 const ROOT: u32 = 0;
+/// Clients that are served at once; further ones wait in the listen backlog, in order. A snapshot
+/// of ten thousand components has five megabytes, and lives as long as its client reads it.
+const CLIENTS_MAX: usize = 8;
+/// A client that reads a large snapshot has read it by then, also on a busy machine.
+const READ_TIMEOUT: Duration = Duration::from_secs(2);
+/// How often the socket is checked, which takes microseconds.
+const SOCKET_CHECK_INTERVAL: Duration = Duration::from_millis(500);
+/// A client that orders sends its line at once; one that ends its side without a line is shown the
+/// node at once, and any other after this.
+const ORDER_TIMEOUT: Duration = Duration::from_millis(50);
+/// The longest line of an order: names have at most 255 bytes.
+const ORDER_BYTES: u64 = 1024;
+/// After so long a machine that had no descriptor left may have one again.
+const ACCEPT_RETRY_DELAY: Duration = Duration::from_millis(10);
 
 /// Shows the node, once there is one.
 pub(super) struct InspectionActor {
@@ -51,13 +71,18 @@ impl InspectionActor {
     }
 
     fn show(&self, listener: Option<PathListener>, context: &mut Context<Self>) {
-        let (path, node, reports) = (self.path.clone(), self.node.clone(), self.reports.clone());
-        let showing =
-            InspectionServer::new((path, AllowedUsers::new(&[ROOT])), node, reports, listener);
-        let mut state = self.state.clone();
+        let socket = InspectionSocket {
+            path: self.path.clone(),
+            reports: self.reports.clone(),
+            listener,
+            reported: None,
+            refused: false,
+            _held: HeldHere::new(self.path.to_path_buf()),
+        };
+        let (node, mut state) = (self.node.clone(), self.state.clone());
         let until_the_end = async move {
             tokio::select! {
-                () = showing.run() => {}
+                () = socket.serve(&node) => {}
                 // Also if the sender of the state was dropped.
                 _ = state.wait_for(|state| *state == NodeState::Stopped) => {}
             }
@@ -96,5 +121,117 @@ impl Handler<StartInspection> for InspectionActor {
         let listener = open(&self.path)?;
         self.show(Some(listener), context);
         Ok(())
+    }
+}
+
+/// The socket while it is served.
+struct InspectionSocket {
+    path: Arc<Path>,
+    reports: FaultReports,
+    /// `None` while the socket cannot be created.
+    listener: Option<PathListener>,
+    /// Whether the last report was that it cannot; unknown at first, and after a restart.
+    reported: Option<bool>,
+    /// Whether a client was refused. Only the first is logged: it may try again for ever.
+    refused: bool,
+    /// Dropped after the socket.
+    _held: HeldHere,
+}
+
+impl InspectionSocket {
+    async fn serve(mut self, node: &Weak<Shared>) {
+        let mut clients = FuturesUnordered::new();
+        let mut checks = interval(SOCKET_CHECK_INTERVAL);
+        checks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                client = accept(self.listener.as_ref()), if clients.len() < CLIENTS_MAX => {
+                    if self.is_allowed(&client) {
+                        clients.push(answer(client, node));
+                    }
+                }
+                Some(()) = clients.next() => {}
+                _ = checks.tick() => self.check(),
+            }
+        }
+    }
+
+    fn is_allowed(&mut self, client: &UnixStream) -> bool {
+        let allowed = AllowedUsers::new(&[ROOT]).check(client, &self.path, PeerRole::Client);
+        if let Err(error) = &allowed
+            && !std::mem::replace(&mut self.refused, true)
+        {
+            warn!("a client of the inspection socket is refused: {error}");
+        }
+        allowed.is_ok()
+    }
+
+    /// Creates the socket again if it was removed. A failure of that is a fault until it succeeds.
+    fn check(&mut self) {
+        if self.listener.as_ref().is_some_and(PathListener::stands) {
+            return;
+        }
+        // Its lock is given back first.
+        self.listener = None;
+        match open(&self.path) {
+            Ok(listener) => {
+                info!(path = %self.path.display(), "the inspection socket was removed, and is created again");
+                self.listener = Some(listener);
+                if self.reported.replace(false) != Some(false) {
+                    self.reports.clear("inspection");
+                }
+            }
+            Err(reason) if self.reported.replace(true) != Some(true) => {
+                let detail = format!("the node is not shown any more: {reason}");
+                self.reports.declare("inspection", detail);
+            }
+            Err(_) => {}
+        }
+    }
+}
+
+/// Gives a client the snapshot, or carries out its order.
+async fn answer(mut client: UnixStream, node: &Weak<Shared>) {
+    let order = read_order(&mut client).await;
+    let text = match (order, node.upgrade().map(Node)) {
+        (Some(order), node) => carry_out(node, &order).await,
+        (None, Some(node)) => node.snapshot().await.to_json() + "\n",
+        (None, None) => return,
+    };
+    // A client may disconnect before it has read all.
+    let _ = timeout(READ_TIMEOUT, client.write_all(text.as_bytes())).await;
+}
+
+/// The line that a client has sent, unless it only looks.
+async fn read_order(stream: &mut UnixStream) -> Option<Vec<u8>> {
+    let mut line = Vec::new();
+    let mut reader = BufReader::new(stream.take(ORDER_BYTES));
+    timeout(ORDER_TIMEOUT, reader.read_until(b'\n', &mut line)).await.ok()?.ok()?;
+    line.ends_with(b"\n").then_some(line)
+}
+
+/// Carries out an order, and returns the line of the reply.
+async fn carry_out(node: Option<Node>, order: &[u8]) -> String {
+    let order: Result<ComponentOrder, _> = serde_json::from_slice(order);
+    let reply = match (order, node) {
+        (Ok(order), Some(node)) => {
+            if order.verb != OrderVerb::List {
+                info!(target: "blastema::audit", name = ?order.name, "a local user orders: {:?}", order.verb);
+            }
+            node.order(&order).await
+        }
+        (Ok(_), None) => OrderReply::refused("the node was shut down"),
+        (Err(error), _) => OrderReply::refused(&format!("this is no order: {error}")),
+    };
+    serde_json::to_string(&reply).unwrap_or_default() + "\n"
+}
+
+async fn accept(listener: Option<&PathListener>) -> UnixStream {
+    let Some(listener) = listener else { return future::pending().await };
+    loop {
+        match listener.accept().await {
+            Ok(client) => return client,
+            Err(_) => sleep(ACCEPT_RETRY_DELAY).await,
+        }
     }
 }

@@ -110,7 +110,7 @@ impl NodeSnapshot {
             "table": self.table.as_deref().map(|rows| rows_of(rows, object)),
             "threads": rows_of(&self.threads, thread),
             "actuators": rows_of(&self.actuators, actuator),
-            "topics": rows_of(&self.topics, topic),
+            "topics": self.topics,
             "dead_letters": rows_of(&self.dead_letters.counts, dead_letter),
             "dead_letters_beyond": self.dead_letters.beyond,
             "faults": faults.map(|record| rows_of(&record.entries, entry)),
@@ -211,22 +211,6 @@ fn actuator(row: &ActuatorRow) -> Value {
         "incarnation": commander.map(|commander| commander.incarnation.0),
         "epoch": lease.map(|(epoch, _)| epoch),
         "left_ms": millis(lease.map(|(_, left)| left)),
-    })
-}
-
-fn topic(row: &TopicRow) -> Value {
-    json!({
-        "topic": row.topic,
-        "contract": row.contract,
-        "latched": row.latched,
-        "publishers": row.publishers,
-        "listeners": rows_of(&row.listeners, |name| name.as_str().into()),
-        "publishing_nodes": rows_of(&row.publishing_nodes, |node| node.as_str().into()),
-        "listening_nodes": rows_of(&row.listening_nodes, |node| node.as_str().into()),
-        "events": row.events,
-        "rate_hz": row.rate_hz,
-        "bytes": row.bytes,
-        "similar": row.similar,
     })
 }
 

@@ -19,6 +19,7 @@ use std::pin::Pin;
 use std::sync::{Arc, OnceLock};
 use std::task::{self, Poll};
 use std::time::Duration;
+use tokio::runtime::Handle;
 
 /// More restarts than this within [`PERIOD`], and the reflex gives up: an actor of the middleware
 /// that cannot stay alive is a matter for the whole node.
@@ -101,10 +102,11 @@ impl Guardian {
         let enter = move || {
             let mut context = Context::with_receiver(receiver);
             let actor = make(&mut context);
-            let future = Box::new(context.into_future(actor));
+            let future: Box<dyn Restartable> = Box::new(context.into_future(actor));
+            let (future, runtime) = (Some(future), Handle::current());
             let past = SlidingWindow::new(TIMES, PERIOD);
             let incarnation = Incarnation::FIRST;
-            actix_rt::spawn(Ward { future, name, incarnation, past, deaths, watched });
+            actix_rt::spawn(Ward { future, runtime, name, incarnation, past, deaths, watched });
         };
         match arbiter {
             Some(arbiter) => {
@@ -131,7 +133,9 @@ impl<A: Actor<Context = Context<A>> + Supervised> Restartable for ContextFut<A, 
 /// One guarded actor. Its type is not a parameter: the runtime's code for a task is compiled for
 /// each type of task.
 struct Ward {
-    future: Box<dyn Restartable>,
+    /// `None` only while it is dropped.
+    future: Option<Box<dyn Restartable>>,
+    runtime: Handle,
     name: ObjectName,
     incarnation: Incarnation,
     past: SlidingWindow,
@@ -142,8 +146,9 @@ struct Ward {
 impl Ward {
     /// Says whether the actor lives again.
     fn revive(&mut self, panic: PanicRecord) -> bool {
-        let alive = self.past.add((), platform::now())
-            && catch_unwind(AssertUnwindSafe(|| self.future.restart())).unwrap_or(false);
+        let counts = self.past.add((), platform::now());
+        let restart = || self.future.as_mut().is_some_and(|future| future.restart());
+        let alive = counts && catch_unwind(AssertUnwindSafe(restart)).unwrap_or(false);
         let PanicRecord { text, at } = panic;
         let exit = ExitReason::Panicked { text, at, during: "the middleware" };
         let restarted_as = alive.then(|| self.incarnation.next());
@@ -160,12 +165,22 @@ impl Ward {
     }
 }
 
+impl Drop for Ward {
+    /// actix polls an actor once more, and may even start it, when it is dropped. As the runtime
+    /// ends, that is outside of it, where a timer cannot be made.
+    fn drop(&mut self) {
+        let _within = self.runtime.enter();
+        drop(self.future.take());
+    }
+}
+
 impl Future for Ward {
     type Output = ();
 
     fn poll(mut self: Pin<&mut Self>, cx: &mut task::Context<'_>) -> Poll<()> {
         LIFE.set(self.incarnation);
-        let mut future = Pin::new(&mut self.future);
+        let Some(future) = &mut self.future else { return Poll::Ready(()) };
+        let mut future = Pin::new(future);
         let caught = {
             let _guarded = panics::PanicGuard::enter();
             catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(cx)))

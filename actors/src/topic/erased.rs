@@ -118,13 +118,9 @@ impl<E: Event> AnyTopic for Topic<E> {
                 let captured_at = now.as_nanos().saturating_sub(nanos(age));
                 let captured_at = Some(Instant::from_nanos(captured_at));
                 self.traffic.count();
-                let logged = message_log::sent(E::NAME, &self.key.topic, String::new);
-                self.hand_out(
-                    event,
-                    Times { posted_at: now, captured_at, logged },
-                    true,
-                    self.lock_latch(),
-                );
+                message_log::sent(E::NAME, &self.key.topic, String::new);
+                let times = Times { posted_at: now, captured_at };
+                self.hand_out(event, times, true, self.lock_latch());
                 Ok(())
             }
             Err(why) => {

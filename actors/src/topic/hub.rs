@@ -11,7 +11,6 @@ use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::liveness::activity::ActivitySlotRef;
 use crate::liveness::label::CONDITION;
-use crate::messaging::message_log;
 use crate::messaging::queue::{BoundedQueue, Popped, WhenFull};
 use crate::platform;
 use crate::platform::panics::PanicGuard;
@@ -189,13 +188,6 @@ impl<E: Event> Topic<E> {
 }
 
 impl<E: Event> Topic<E> {
-    /// An event that the log knows does not come to its listeners.
-    pub(super) fn log_lost(&self, posted: &Posted<E>, why: &DeliveryError) {
-        if let Some(id) = posted.at.logged {
-            message_log::lost(id, E::NAME, &self.key.topic, why);
-        }
-    }
-
     /// What the topic keeps, for a listener that joins.
     pub(super) fn kept(&self, latch: &Latch<E>) -> Vec<Posted<E>> {
         let _guarded = PanicGuard::enter();
@@ -310,10 +302,7 @@ impl<E: Event> Hub<E> {
         (serving.events, serving.only) = (events.clone(), only);
         serving.left.clear();
         drop(serving);
-        for posted in &stale {
-            if let Some(topic) = self.topic.upgrade() {
-                topic.log_lost(posted, &DeliveryError::Expired);
-            }
+        for _ in &stale {
             let concerned =
                 entries.iter().filter(|entry| only.is_none_or(|only| only == entry.number));
             concerned.for_each(|entry| entry.listener.record_dead_letter(&DeliveryError::Expired));

@@ -252,8 +252,8 @@ impl<E: Event> Topic<E> {
         let posted_at = enqueue_time::<E>();
         // What is still to come was captured now at the latest.
         let captured_at = captured_at.map(|at| at.min(platform::now()));
-        let logged = message_log::sent(E::NAME, &self.key.topic, || by.to_owned());
-        let times = Times { posted_at, captured_at, logged };
+        message_log::sent(E::NAME, &self.key.topic, || by.to_owned());
+        let times = Times { posted_at, captured_at };
         self.traffic.count();
         if self.traffic.is_to_be_measured() {
             self.measure(&event);
@@ -370,7 +370,6 @@ impl<E: Event> Topic<E> {
         if let Some(displaced) = displaced {
             self.traffic.lose();
             self.record_dead_letter(&DeliveryError::Full);
-            self.log_lost(&displaced, &DeliveryError::Full);
             self.discard([displaced]);
         }
     }

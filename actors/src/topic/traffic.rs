@@ -4,6 +4,7 @@ use super::{TopicKey, lock};
 use crate::platform;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{Instant, NodeName, ObjectName};
+use serde::Serialize;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize};
 use std::sync::{Arc, Mutex};
@@ -15,7 +16,7 @@ const RATE_WINDOW: Duration = Duration::from_secs(1);
 const JOINED_WITHIN: Duration = Duration::from_secs(5);
 
 /// One topic of a node, in its [snapshot](crate::Node::snapshot).
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct TopicRow {
     /// The name of the topic.

@@ -1,7 +1,7 @@
 //! How variables are asked for, in this process and from other nodes alike.
 
 use crate::messaging::error::encode_kind;
-use blastema_core::variables::{RestoreChoice, ValueReport, ValueState};
+use blastema_core::variables::{ValueReport, ValueState};
 use blastema_core::{DeliveryError, ObjectName};
 use blastema_macros::{Request, Structure};
 use std::time::Duration;
@@ -76,16 +76,6 @@ pub(crate) enum ValidityMessage {
     Current,
     Held,
     Undecided,
-}
-
-impl From<RestoreMessage> for RestoreChoice {
-    fn from(chosen: RestoreMessage) -> Self {
-        match chosen {
-            RestoreMessage::Restore => RestoreChoice::Restore,
-            RestoreMessage::Default => RestoreChoice::Default,
-            RestoreMessage::Value(value) => RestoreChoice::Value(value.into()),
-        }
-    }
 }
 
 impl VariableReply {

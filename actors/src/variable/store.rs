@@ -1,6 +1,6 @@
 //! The node's variables: the body of the machine in the core.
 
-use super::access::{VariableReply, VariableRequest, VariableSelector, WriteEntry};
+use super::access::{RestoreMessage, VariableReply, VariableRequest, VariableSelector, WriteEntry};
 use super::kept_file::{self, LoadError, PersistenceFile, WriteDone};
 use crate::messaging::death_watch::{DownReason, Watcher};
 use crate::messaging::incarnation::IncarnationToken;
@@ -15,8 +15,8 @@ use crate::registry::{ContractPort, Registry};
 use blastema_core::contract::codec;
 use blastema_core::sorted::SortedMap;
 use blastema_core::variables::{
-    PersistedValue, RestoreChoice, RestorePolicy, ValueWrite, VariableDeclaration, VariableKey,
-    Variables, WatchReport,
+    PersistedValue, RestorePolicy, ValueWrite, VariableDeclaration, VariableKey, Variables,
+    WatchReport,
 };
 use blastema_core::{ContractIdentity, DeliveryError, ObjectName, PeerIdentity, Variable};
 use bytes::Bytes;
@@ -29,8 +29,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 type Check = Arc<dyn Fn(&[u8]) -> Result<(), DeliveryError> + Send + Sync>;
 /// Told of each new value.
 type Observer = Arc<dyn Fn(&[u8]) + Send + Sync>;
-/// A caller that waits, and its reply.
-type PendingReply = (WaitingWatch, VariableReply);
 /// Says whether the caller may still have the value.
 type Permit = Box<dyn Fn() -> Result<(), DeliveryError> + Send>;
 
@@ -43,11 +41,9 @@ struct WaitingWatch {
 
 /// A variable as a component declares it, without its type.
 pub(crate) struct DeclaredVariable {
-    identity: ContractIdentity,
     default: Result<Bytes, DeliveryError>,
     policy: RestorePolicy,
-    check: Check,
-    observer: Option<Observer>,
+    facts: Facts,
 }
 
 impl DeclaredVariable {
@@ -74,18 +70,18 @@ impl DeclaredVariable {
         let default = encoded(default).map(Bytes::from);
         let default = default.and_then(|bytes| check(&bytes).map(|()| bytes));
         let (identity, check) = (ContractIdentity::of::<V>(), Arc::new(check));
-        DeclaredVariable { identity, default, policy, check, observer: None }
+        DeclaredVariable { default, policy, facts: Facts { identity, check, observer: None } }
     }
 
     /// Calls the owner's observer with each written value, on the writer's thread.
     pub(crate) fn observed(mut self, observer: impl Fn(&[u8]) + Send + Sync + 'static) -> Self {
-        self.observer = Some(Arc::new(observer));
+        self.facts.observer = Some(Arc::new(observer));
         self
     }
 
     /// The contract's name.
     pub(crate) fn name(&self) -> &'static str {
-        self.identity.name
+        self.facts.identity.name
     }
 }
 
@@ -104,10 +100,7 @@ struct Facts {
 }
 
 struct Inner {
-    machine: Variables,
-    facts: SortedMap<VariableKey, Facts>,
-    waiting: SortedMap<u64, WaitingWatch>,
-    next: u64,
+    machine: Variables<Facts, WaitingWatch>,
     /// Values of an earlier process whose owner is not there yet, or not any more.
     kept: SortedMap<VariableKey, PersistedValue>,
     file: Option<PersistenceFile>,
@@ -118,7 +111,7 @@ struct Inner {
 impl Inner {
     /// The object has no such variable, but perhaps others.
     fn no_variable(&self, (object, variable): &VariableKey) -> DeliveryError {
-        let of_object = self.facts.keys().filter(|(owner, _)| owner == object);
+        let of_object = self.machine.keys().filter(|(owner, _)| owner == object);
         let known = of_object.map(|(_, known)| known.clone()).collect();
         let (object, variable) = (object.to_string(), variable.clone());
         DeliveryError::NoVariable { object, variable, known }
@@ -146,7 +139,7 @@ impl Inner {
     /// The new values of these variables, and who is told of them.
     fn observed(&self, variables: &[VariableKey]) -> Vec<(Observer, Bytes)> {
         let observed = |key: &VariableKey| {
-            let observer = self.facts.get(key)?.observer.clone()?;
+            let observer = self.machine.declaration(key)?.facts.observer.clone()?;
             Some((observer, self.machine.read(key, platform::now()).ok()?.value))
         };
         variables.iter().filter_map(observed).collect()
@@ -154,9 +147,9 @@ impl Inner {
 
     /// All that the next process is to find.
     fn worth_keeping(&self) -> Vec<PersistedValue> {
-        let present = self.machine.kept().filter_map(|(variable, value)| {
-            let fingerprint = self.facts.get(variable)?.identity.fingerprint;
-            Some(PersistedValue { variable: variable.clone(), fingerprint, value: value.to_vec() })
+        let present = self.machine.kept().map(|(variable, facts, value)| {
+            let (variable, fingerprint) = (variable.clone(), facts.identity.fingerprint);
+            PersistedValue { variable, fingerprint, value: value.to_vec() }
         });
         present.chain(self.kept.values().cloned()).collect()
     }
@@ -196,9 +189,6 @@ impl Default for VariableStore {
         let machine = Variables::new(platform::node_incarnation().0 << 20);
         VariableStore(Arc::new(Mutex::new(Inner {
             machine,
-            facts: SortedMap::new(),
-            waiting: SortedMap::new(),
-            next: 0,
             kept: SortedMap::new(),
             file: None,
             complaints: Vec::new(),
@@ -260,13 +250,11 @@ impl VariableStore {
         rights: AccessControl,
     ) -> Result<ContractPort, DeliveryError> {
         let mut inner = self.lock();
-        for DeclaredVariable { identity, default, policy, check, observer } in declared {
-            let key = (object.clone(), identity.name.to_owned());
-            let declaration = VariableDeclaration { default: default?, policy };
-            let facts = Facts { identity, check, observer };
+        for DeclaredVariable { default, policy, facts } in declared {
+            let key = (object.clone(), facts.identity.name.to_owned());
             let kept = inner.restored(&key, &facts);
-            inner.machine.handle_declared(key.clone(), declaration, kept, platform::now());
-            inner.facts.insert(key, facts);
+            let declaration = VariableDeclaration { default: default?, policy, facts };
+            inner.machine.handle_declared(key, declaration, kept, platform::now());
         }
         drop(inner);
         let store = self.clone();
@@ -316,7 +304,6 @@ impl VariableStore {
             let left: Vec<_> = left.map(|kept| (kept.variable.clone(), kept)).collect();
             inner.kept.extend(left);
         }
-        inner.facts.retain(|(owner, _), _| owner != object);
         inner.machine.handle_withdrawn(object);
         self.answer(inner);
     }
@@ -335,17 +322,16 @@ impl VariableStore {
             VariableRequest::Write { writes } => match self.checked(writes) {
                 Ok(writes) => {
                     let written = writes.iter().map(|write| write.variable.clone()).collect();
-                    let write = |machine: &mut Variables| machine.handle_write(writes, now);
+                    let write = |machine: &mut Variables<_, _>| machine.handle_write(writes, now);
                     return self.change(written, write, answer);
                 }
                 Err(refused) => Err(refused),
             },
-            VariableRequest::Choose { variable, choice } => match self
-                .chosen(&variable, choice.into())
-            {
-                Ok((key, choice)) => {
+            VariableRequest::Choose { variable, choice } => match self.chosen(&variable, choice) {
+                Ok((key, value)) => {
                     let chosen = vec![key.clone()];
-                    let choose = |machine: &mut Variables| machine.handle_choice(&key, choice, now);
+                    let choose =
+                        |machine: &mut Variables<_, _>| machine.handle_choice(&key, value, now);
                     return self.change(chosen, choose, answer);
                 }
                 Err(refused) => Err(refused),
@@ -357,30 +343,22 @@ impl VariableStore {
     fn watch(&self, variable: VariableKey, after: u64, waiting: WaitingWatch) {
         let mut inner = self.lock();
         // Those whose incarnation has ended went without a word.
-        let gone = inner.waiting.iter().filter(|(_, waiting)| !waiting.answer.is_wanted());
-        let gone: Vec<u64> = gone.map(|(watcher, _)| *watcher).collect();
-        for watcher in gone {
-            inner.waiting.remove(&watcher);
-            inner.machine.handle_gone(watcher);
-        }
-        inner.next += 1;
-        let watcher = inner.next;
-        inner.waiting.insert(watcher, waiting);
-        inner.machine.handle_watch(watcher, variable, after, platform::now());
+        inner.machine.retain_watchers(|waiting| waiting.answer.is_wanted());
+        inner.machine.handle_watch(waiting, variable, after, platform::now());
         self.answer(inner);
     }
 
     /// How many wait for a change.
     #[cfg(test)]
     pub(crate) fn watchers(&self) -> usize {
-        self.lock().waiting.len()
+        self.lock().machine.watchers()
     }
 
     /// Changes values. With a file, the caller is answered when they are on the disk.
     fn change(
         &self,
         variables: Vec<VariableKey>,
-        change: impl FnOnce(&mut Variables) -> Result<u64, DeliveryError>,
+        change: impl FnOnce(&mut Variables<Facts, WaitingWatch>) -> Result<u64, DeliveryError>,
         answer: Responder<VariableRequest>,
     ) {
         let mut inner = self.lock();
@@ -416,28 +394,34 @@ impl VariableStore {
     pub(crate) fn value(&self, object: &ObjectName, name: &str) -> Result<Bytes, DeliveryError> {
         let key = (object.clone(), name.to_owned());
         let inner = self.lock();
-        if !inner.facts.contains_key(&key) {
+        if inner.machine.declaration(&key).is_none() {
             return Err(inner.no_variable(&key));
         }
         inner.machine.read(&key, platform::now()).map(|report| report.value)
     }
 
+    /// The value that is decided on; `None` for the one from before.
     fn chosen(
         &self,
         wanted: &VariableSelector,
-        choice: RestoreChoice,
-    ) -> Result<(VariableKey, RestoreChoice), VariableReply> {
-        let (key, facts) = self.find(wanted)?;
-        if let RestoreChoice::Value(value) = &choice {
-            (facts.check)(value).map_err(|why| VariableReply::refused(&why))?;
-        }
-        Ok((key, choice))
+        choice: RestoreMessage,
+    ) -> Result<(VariableKey, Option<Bytes>), VariableReply> {
+        let (key, VariableDeclaration { default, facts, .. }) = self.find(wanted)?;
+        let value = match choice {
+            RestoreMessage::Restore => None,
+            RestoreMessage::Default => Some(default),
+            RestoreMessage::Value(value) => {
+                (facts.check)(&value).map_err(|why| VariableReply::refused(&why))?;
+                Some(value.into())
+            }
+        };
+        Ok((key, value))
     }
 
     fn checked(&self, writes: Vec<WriteEntry>) -> Result<Vec<ValueWrite>, VariableReply> {
         let mut checked = Vec::new();
         for WriteEntry { variable, value, if_revision } in writes {
-            let (variable, facts) = self.find(&variable)?;
+            let (variable, VariableDeclaration { facts, .. }) = self.find(&variable)?;
             (facts.check)(&value).map_err(|why| VariableReply::refused(&why))?;
             checked.push(ValueWrite { variable, value: value.into(), if_revision });
         }
@@ -445,36 +429,32 @@ impl VariableStore {
     }
 
     /// The variable, if it is what the asker takes it for.
-    fn find(&self, wanted: &VariableSelector) -> Result<(VariableKey, Facts), VariableReply> {
+    fn find(
+        &self,
+        wanted: &VariableSelector,
+    ) -> Result<(VariableKey, VariableDeclaration<Facts>), VariableReply> {
         let theirs = PeerIdentity::decode(&wanted.identity).map_err(|error| {
             VariableReply::refused(&DeliveryError::Undecodable { reason: error.to_string() })
         })?;
         let key = (wanted.object.clone(), theirs.name.clone());
         let inner = self.lock();
-        let facts = inner.facts.get(&key).cloned();
-        let facts = facts.ok_or_else(|| VariableReply::refused(&inner.no_variable(&key)))?;
+        let known = inner.machine.declaration(&key).cloned();
+        let known = known.ok_or_else(|| VariableReply::refused(&inner.no_variable(&key)))?;
         drop(inner);
-        match facts.identity.check(&theirs) {
-            Ok(()) => Ok((key, facts)),
-            Err(_) => Err(VariableReply::Differs { identity: facts.identity.full().encode() }),
+        let identity = &known.facts.identity;
+        match identity.check(&theirs) {
+            Ok(()) => Ok((key, known)),
+            Err(_) => Err(VariableReply::Differs { identity: identity.full().encode() }),
         }
     }
 
     /// Tells the watchers what the machine wants them told, outside of the lock.
     fn answer(&self, mut inner: MutexGuard<'_, Inner>) {
-        let mut replies: Vec<PendingReply> = Vec::new();
-        while let Some(WatchReport { watcher, result }) = inner.machine.poll_output() {
-            if let Some(waiting) = inner.waiting.remove(&watcher) {
-                let accessed = match result {
-                    Ok(report) => VariableReply::from(report),
-                    Err(why) => VariableReply::refused(&why),
-                };
-                replies.push((waiting, accessed));
-            }
-        }
+        let reports: Vec<_> = std::iter::from_fn(|| inner.machine.poll_output()).collect();
         drop(inner);
-        for (WaitingWatch { permit, answer }, accessed) in replies {
-            answer.give(permit().map_or_else(|why| VariableReply::refused(&why), |()| accessed));
+        for WatchReport { watcher: WaitingWatch { permit, answer }, result } in reports {
+            let accessed = permit().and(result).map(VariableReply::from);
+            answer.give(accessed.unwrap_or_else(|why| VariableReply::refused(&why)));
         }
     }
 }

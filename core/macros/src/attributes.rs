@@ -1,8 +1,8 @@
 //! What may stand in `#[contract(..)]`.
 
 use crate::spelling::nearest;
-use proc_macro2::Span;
 use syn::meta::ParseNestedMeta;
+use syn::spanned::Spanned;
 use syn::{Attribute, Error, Expr, Ident, LitInt, LitStr, Path, Result, Type, parse_quote};
 
 /// The longest name of a contract in bytes, as for objects.
@@ -49,10 +49,8 @@ pub(crate) struct TypeAttributes {
     pub(crate) from: Option<Type>,
     /// A variant of `Delivery`.
     pub(crate) delivery: Option<Ident>,
-    pub(crate) idempotent: bool,
-    pub(crate) latched: bool,
-    pub(crate) bulk: bool,
-    pub(crate) refuse_when_full: bool,
+    /// The constants of the contract that are true.
+    pub(crate) flags: Vec<Ident>,
     /// Where the facade is to be found.
     pub(crate) facade: Path,
 }
@@ -77,10 +75,7 @@ impl TypeAttributes {
             reply: None,
             from: None,
             delivery: None,
-            idempotent: false,
-            latched: false,
-            bulk: false,
-            refuse_when_full: false,
+            flags: Vec::new(),
             facade: parse_quote!(::blastema),
         };
         let mut seen = Vec::new();
@@ -96,10 +91,13 @@ impl TypeAttributes {
                 "max_age" => parsed.max_age_nanos = Some(parse_nanos(&meta.value()?.parse()?)?),
                 "from" => parsed.from = Some(meta.value()?.parse()?),
                 "delivery" => parsed.delivery = Some(parse_delivery(&meta, derive)?),
-                "idempotent" => parsed.idempotent = true,
-                "latched" => parsed.latched = true,
-                "bulk" => parsed.bulk = true,
-                "when_full" => parsed.refuse_when_full = parse_when_full(&meta)?,
+                "idempotent" => parsed.flags.push(parse_quote!(IDEMPOTENT)),
+                "latched" => parsed.flags.push(parse_quote!(LATCHED)),
+                "bulk" => parsed.flags.push(parse_quote!(BULK)),
+                "when_full" if parse_when_full(&meta)? => {
+                    parsed.flags.push(parse_quote!(REFUSE_WHEN_FULL));
+                }
+                "when_full" => {}
                 "reply" => parsed.reply = Some(meta.value()?.parse()?),
                 "crate" => parsed.facade = meta.value()?.parse::<LitStr>()?.parse()?,
                 _ => return Err(unknown(&meta, key, TYPE_KEYS)),
@@ -354,45 +352,10 @@ fn refuse_serde(attributes: &[Attribute]) -> Result<()> {
     let Some(attribute) = attributes.iter().find(|a| a.path().is_ident("serde")) else {
         return Ok(());
     };
-    let mut advice = "remove it";
-    let mut span = attribute.path().segments[0].ident.span();
-    // What cannot be read as keys needs no particular advice: it is refused as it is.
-    let _ = attribute.parse_nested_meta(|meta| {
-        let key = meta.path.get_ident().map(ToString::to_string).unwrap_or_default();
-        if let Some(better) = advice_instead_of(&key) {
-            advice = better;
-            span =
-                meta.path.get_ident().map_or(span, |ident| Span::located_at(&ident.span(), span));
-        }
-        let _ = meta.value().and_then(|value| value.parse::<Expr>());
-        Ok(())
-    });
     Err(Error::new(
-        span,
-        format!(
-            "a contract's bytes carry no names, so that serde's attributes either change nothing or \
-             make a message that cannot be read back: {advice}"
-        ),
+        attribute.path().span(),
+        "a contract's bytes carry no names, so that serde's attributes either change nothing or make \
+         a message that cannot be read back: remove it, and write the type as it is to be sent, with \
+         an `Option` for what may be missing, and a plain enum, whose variants are numbered",
     ))
-}
-
-fn advice_instead_of(key: &str) -> Option<&'static str> {
-    Some(match key {
-        "flatten" => "write the inner structure as a field of its own",
-        "untagged" | "tag" | "content" | "other" => "write a plain enum; its variants are numbered",
-        "skip" | "skip_serializing" | "skip_deserializing" | "skip_serializing_if" => {
-            "write an `Option`, or keep the field out of the message"
-        }
-        "default" => {
-            "write an `Option`; parties whose fields differ do not bind, so that nothing is missing"
-        }
-        "rename" | "rename_all" | "rename_all_fields" | "alias" => {
-            "call the field or variant itself by that name"
-        }
-        "with" | "serialize_with" | "deserialize_with" | "getter" | "remote" | "from" | "into"
-        | "try_from" => "send a structure of your own and convert at both ends",
-        "borrow" => "write an owned type, such as `String` or `Vec<u8>`",
-        "transparent" => "a structure of one field takes no more bytes than that field",
-        _ => return None,
-    })
 }

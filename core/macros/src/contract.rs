@@ -98,26 +98,7 @@ fn contract(
             const DELIVERY: #facade::core::Delivery = #facade::core::Delivery::#variant;
         }
     });
-    let idempotent = attributes.idempotent.then(|| {
-        quote!(
-            const IDEMPOTENT: bool = true;
-        )
-    });
-    let latched = attributes.latched.then(|| {
-        quote!(
-            const LATCHED: bool = true;
-        )
-    });
-    let bulk = attributes.bulk.then(|| {
-        quote!(
-            const BULK: bool = true;
-        )
-    });
-    let refuse_when_full = attributes.refuse_when_full.then(|| {
-        quote!(
-            const REFUSE_WHEN_FULL: bool = true;
-        )
-    });
+    let flags = attributes.flags.iter().map(|flag| quote!(const #flag: bool = true;));
     let former = from.as_ref().map(|from| {
         // At the earlier version's name, so that a missing conversion is reported there.
         let chain =
@@ -139,10 +120,7 @@ fn contract(
             #size
             #age
             #delivery
-            #idempotent
-            #latched
-            #bulk
-            #refuse_when_full
+            #(#flags)*
             #former
         }
     })

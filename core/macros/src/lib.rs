@@ -113,7 +113,8 @@ pub fn variable(input: TokenStream) -> TokenStream {
 /// | `range = 0.0..=2.0` | a value outside of it is refused | no bounds |
 /// | `unit = "m/s"` | shown in errors, and compared when parties bind | none |
 ///
-/// Parameters are `bool`, whole numbers up to 64 bits, `f32`, `f64` and `String`.
+/// Parameters are `bool`, whole numbers up to 64 bits, `f32`, `f64`, `String`, enums that derive
+/// [`ParameterType`], and a `Vec` of these, each element of which lies in the range.
 ///
 /// ```text
 /// #[derive(Clone, Debug, Parameters)]
@@ -126,6 +127,23 @@ pub fn variable(input: TokenStream) -> TokenStream {
 pub fn parameters(input: TokenStream) -> TokenStream {
     let input = parse_macro_input!(input as DeriveInput);
     tokens(parameters::derive(&input))
+}
+
+/// Makes an enum without fields the type of a parameter, which takes a variant by its name. It is a
+/// [`Structure`] as well.
+///
+/// ```text
+/// #[derive(Clone, Debug, Default, ParameterType)]
+/// enum Grip {
+///     #[default]
+///     Soft,
+///     Firm,
+/// }
+/// ```
+#[proc_macro_derive(ParameterType, attributes(contract, serde))]
+pub fn parameter_type(input: TokenStream) -> TokenStream {
+    let input = parse_macro_input!(input as DeriveInput);
+    tokens(parameters::derive_type(&input))
 }
 
 /// Runs an async `main` in the middleware's runtime, by `::blastema::run`.

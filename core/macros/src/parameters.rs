@@ -1,4 +1,5 @@
-//! `#[derive(Parameters)]`: settings with defaults, units and ranges, which are a variable as well.
+//! `#[derive(Parameters)]`: settings with defaults, units and ranges, which are a variable as well;
+//! and `#[derive(ParameterType)]` for those that take one of several names.
 
 use crate::attributes::{Derive, TypeAttributes, parse_text, refuse_repetition, unknown};
 use crate::contract::derive_variable;
@@ -83,7 +84,7 @@ pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
         descriptions.push(quote! {
             #facade::core::parameters::ParameterField {
                 name: #name,
-                takes: <#of as #facade::core::parameters::ParameterType>::EXPECTED,
+                takes: <#of as #facade::core::parameters::ParameterType>::expected,
                 unit: #unit,
                 range: #written,
             }
@@ -101,12 +102,7 @@ pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
         });
         checks.extend(range.map(|range| {
             quote! {
-                if !::std::ops::RangeBounds::<#of>::contains(&(#range), &self.#ident) {
-                    return ::std::result::Result::Err(#facade::core::parameters::out_of_range(
-                        &Self::FIELDS[#at],
-                        &self.#ident,
-                    ));
-                }
+                #facade::core::parameters::check_range(&Self::FIELDS[#at], &self.#ident, #range)?;
             }
         }));
     }
@@ -154,6 +150,60 @@ pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
                     #(#values)*
                     _ => ::std::option::Option::None,
                 }
+            }
+        }
+    })
+}
+
+/// An enum of which a parameter takes one variant, by its name.
+pub(crate) fn derive_type(input: &DeriveInput) -> Result<TokenStream> {
+    let attributes = TypeAttributes::parse(&input.attrs, Derive::Structure)?;
+    let facade = &attributes.facade;
+    let wrong = |span, what| Err(Error::new(span, what));
+    let Data::Enum(data) = &input.data else {
+        return wrong(input.ident.span(), "the type of a parameter is an enum, without fields");
+    };
+    if !input.generics.params.is_empty() {
+        return wrong(input.ident.span(), "the type of a parameter cannot be generic");
+    }
+    if let Some(variant) = data.variants.iter().find(|it| !matches!(it.fields, Fields::Unit)) {
+        return wrong(variant.ident.span(), "a parameter takes variants without fields");
+    }
+    let variants: Vec<_> = data.variants.iter().map(|variant| &variant.ident).collect();
+    let names: Vec<_> = variants.iter().map(|ident| ident.unraw().to_string()).collect();
+    let expected = format!("one of `{}`", names.join("`, `"));
+    let structure = crate::structure::expand(input, &attributes)?;
+    let ident = &input.ident;
+    let value = quote!(#facade::core::parameters::ParameterValue);
+    Ok(quote! {
+        #structure
+
+        #[automatically_derived]
+        impl #facade::core::parameters::ParameterType for #ident {
+            type Element = Self;
+
+            fn expected() -> ::std::string::String {
+                ::std::convert::From::from(#expected)
+            }
+
+            fn of(value: &#value) -> ::std::option::Option<Self> {
+                let (#value::Text(name) | #value::Written(name)) = value else {
+                    return ::std::option::Option::None;
+                };
+                match &**name {
+                    #(#names => ::std::option::Option::Some(Self::#variants),)*
+                    _ => ::std::option::Option::None,
+                }
+            }
+
+            fn value(&self) -> #value {
+                #value::Text(::std::convert::From::from(match self {
+                    #(Self::#variants => #names,)*
+                }))
+            }
+
+            fn elements(&self) -> &[Self] {
+                ::std::slice::from_ref(self)
             }
         }
     })

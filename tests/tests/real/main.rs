@@ -11,6 +11,7 @@ mod conditions;
 mod credit;
 mod devices;
 mod discovery;
+mod dropped_nodes;
 mod exposure;
 mod hostile_transports;
 mod inspection;

@@ -1,6 +1,6 @@
 //! Events straight from the arbiter's hub to the handler, without the queue.
 
-use super::{ComponentExecutor, LoggedMessage, Service, SlotInUse};
+use super::{ComponentExecutor, Service, SlotInUse};
 use crate::component::cell::ComponentCell;
 use crate::component::envelope::{self, EventFutureSlot, Times};
 use crate::component::incarnation::IncarnationState;
@@ -21,7 +21,6 @@ pub(crate) struct EventService<'a, C: Component, S> {
     component: &'a Rc<ComponentSlot<C>>,
     activity: &'static ActivityRecord,
     service: &'a mut Service,
-    logged: &'a mut Option<Box<LoggedMessage>>,
     cx: task::Context<'a>,
     at: usize,
     label: u32,
@@ -49,20 +48,13 @@ impl<C: Component, S> EventService<'_, C, S> {
         S: EventFutureSlot<C, M>,
     {
         self.state.captured_at.set(Some(times.captured_at()));
-        if let Some(id) = times.logged {
-            *self.logged = Some(Box::new((id, M::NAME, false)));
-            message_log::begun(id, M::NAME, &self.cell.record.name, self.state.incarnation);
-        }
+        message_log::begun(M::NAME, &self.cell.record.name, self.state.incarnation);
         self.activity.begin(self.label);
         *self.service = Service::Message(self.at);
         if self.future_slot.begin(event, self.component, &mut self.cx).is_pending() {
             return;
         }
         *self.service = Service::Idle;
-        if let Some(id) = times.logged {
-            *self.logged = None;
-            message_log::served(id, M::NAME, &self.cell.record.name, false);
-        }
         self.activity.step();
     }
 }
@@ -90,7 +82,6 @@ impl<C: Component> ComponentExecutor<C> {
             component: self.component.as_ref()?,
             activity: self.slot.activity,
             service: &mut self.service,
-            logged: &mut self.logged,
             cx: task::Context::from_waker(self.waker.as_ref()?),
             at,
             label: *label,

@@ -8,7 +8,6 @@ use crate::host::executor::outbox::DeferredReport;
 use crate::host::lifecycle::{EndReason, IncarnationLifecycle, StopOrder};
 use crate::liveness::label;
 use crate::messaging::death_watch::DownReason;
-use crate::messaging::message_log;
 use crate::platform;
 use crate::platform::panics;
 use blastema_contract::child::{ChildEvent, RestartGrant};
@@ -88,15 +87,11 @@ impl<C: Component> ComponentExecutor<C> {
     /// letter.
     pub(super) fn lose_message(&mut self) {
         let Service::Message(_) = self.service else { return };
-        let logged = self.logged.take();
         let (record, incarnation) = (&self.cell.record, self.state.incarnation);
         let contract = self.in_service();
         record.record_fatal_message(incarnation);
         let why = DeliveryError::PeerDied { incarnation };
         record.record_dead_letter(contract, &why);
-        if let Some((id, ..)) = logged.map(|logged| *logged) {
-            message_log::lost(id, contract, &record.name, &why);
-        }
     }
 
     /// Draws on the standing order, if there is one.

@@ -30,7 +30,7 @@ use crate::component::{Component, Failure};
 use crate::liveness::activity::{ActivitySlot, ActivitySlotRef};
 use crate::liveness::label::{self, FACTORY, TASK, TIMER};
 use crate::liveness::sampler::SampledComponent;
-use crate::messaging::message_log::{self, LogId};
+use crate::messaging::message_log;
 use crate::messaging::queue::Popped;
 use crate::platform;
 use crate::platform::panics::PanicGuard;
@@ -57,9 +57,6 @@ enum Service {
     Message(usize),
     Hook(Hook, Pin<Box<dyn Future<Output = Result<(), Failure>>>>),
 }
-
-/// The id and contract of a message in the log, and whether a reply is wanted.
-type LoggedMessage = (LogId, &'static str, bool);
 
 struct SlotInUse<C: Component> {
     contract: TypeId,
@@ -96,8 +93,6 @@ pub(crate) struct ComponentExecutor<C: Component> {
     waker: Option<Waker>,
     /// The message in service is to be blamed by its identity if it brings death.
     followed: bool,
-    /// The message in service in the log. Boxed, since few programs keep one.
-    logged: Option<Box<LoggedMessage>>,
     /// When the incarnation began, until it first awaits something.
     began: Option<Instant>,
     /// This incarnation is over, and none comes after it here.
@@ -135,7 +130,6 @@ impl<C: Component> ComponentExecutor<C> {
             arbiter,
             waker: None,
             followed: false,
-            logged: None,
             began: None,
             over: false,
             deaths: None,
@@ -403,11 +397,7 @@ impl<C: Component> ComponentExecutor<C> {
     #[inline]
     fn note_message(&mut self, header: &EnvelopeHeader, envelope: &dyn Envelope<C>) -> usize {
         self.state.captured_at.set(Some(header.captured_at));
-        if let Some(id) = header.logged {
-            self.logged = Some(Box::new((id, header.name, envelope.revocable().is_some())));
-            let record = &self.cell.record;
-            message_log::begun(id, header.name, &record.name, self.state.incarnation);
-        }
+        message_log::begun(header.name, &self.cell.record.name, self.state.incarnation);
         let at = self.slot_for(header.contract, header.name, || envelope.future_slot());
         self.slot.activity.begin(self.slots_in_use[at].label);
         at
@@ -465,10 +455,6 @@ impl<C: Component> ComponentExecutor<C> {
         if self.followed {
             self.followed = false;
             self.cell.record.end_service();
-        }
-        if let Some(logged) = self.logged.take() {
-            let (id, contract, replies) = *logged;
-            message_log::served(id, contract, &self.cell.record.name, replies);
         }
         self.slot.activity.step();
     }

@@ -73,7 +73,7 @@ impl NetworkSnapshot {
         document["networks"] = rows_of(&self.networks, network).into();
         document["links"] = self.links.as_deref().map(|rows| rows_of(rows, link)).into();
         document["media"] = self.media.as_deref().map(|rows| rows_of(rows, medium)).into();
-        document["roster"] = self.roster.as_deref().map(|rows| rows_of(rows, roster)).into();
+        document["roster"] = json!(self.roster);
         document["routes"] = self.routes.as_deref().map(|rows| rows_of(rows, route)).into();
         document["sessions"] = self.sessions.as_deref().map(|rows| rows_of(rows, session)).into();
         document["global_names"] = rows_of(&self.claims, claim).into();
@@ -145,10 +145,6 @@ fn route(row: &RouteRow) -> Value {
         "mtu_bytes": row.mtu,
         "relays": row.relays,
     })
-}
-
-fn roster(row: &RosterRow) -> Value {
-    json!({ "robot": row.robot.as_str(), "serial": row.serial, "nodes": row.nodes })
 }
 
 fn session(row: &SessionRow) -> Value {

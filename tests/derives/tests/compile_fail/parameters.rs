@@ -25,4 +25,13 @@ struct Generic<T> {
     attempts: T,
 }
 
+#[derive(Clone, Debug, ParameterType)]
+enum Carrying {
+    Nothing,
+    Mass(u8),
+}
+
+#[derive(Clone, Debug, ParameterType)]
+struct Plain;
+
 fn main() {}

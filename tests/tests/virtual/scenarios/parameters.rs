@@ -16,6 +16,17 @@ struct ArmParameters {
     #[parameter(default = "map")]
     frame: String,
     careful: bool,
+    #[parameter(range = -1.0..=1.0, unit = "rad")]
+    joints: Vec<f64>,
+    grips: Vec<Grip>,
+    grip: Grip,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, ParameterType)]
+enum Grip {
+    #[default]
+    Soft,
+    Firm,
 }
 
 type Seen = Arc<Mutex<Vec<ArmParameters>>>;
@@ -91,9 +102,16 @@ fn speeds(seen: &Seen) -> Vec<f64> {
 async fn parameters_have_their_defaults_unless_the_configuration_says_otherwise() {
     let (builder, seen) = arm();
     let _node = TestNode::start(builder).await;
-    let expected =
-        ArmParameters { max_speed: 0.5, attempts: 3, frame: "map".into(), careful: false };
-    assert_eq!(*seen.lock().unwrap(), [expected]);
+    let expected = ArmParameters {
+        max_speed: 0.5,
+        attempts: 3,
+        frame: "map".into(),
+        careful: false,
+        joints: vec![],
+        grips: vec![],
+        grip: Grip::Soft,
+    };
+    assert_eq!(*seen.lock().unwrap(), [expected.clone()]);
 
     let (builder, seen) = arm();
     let folder = tempfile::tempdir().unwrap();
@@ -101,9 +119,39 @@ async fn parameters_have_their_defaults_unless_the_configuration_says_otherwise(
     std::fs::write(&file, "[arm]\nmax_speed = 1\nframe = \"odom\"\n").unwrap();
     let builder = builder.parameters_from(file).parameters("[arm]\nattempts = 9\ncareful = true");
     let _node = TestNode::start(builder).await;
-    let expected =
-        ArmParameters { max_speed: 1.0, attempts: 9, frame: "odom".into(), careful: true };
+    let expected = ArmParameters {
+        max_speed: 1.0,
+        attempts: 9,
+        frame: "odom".into(),
+        careful: true,
+        ..expected
+    };
     assert_eq!(*seen.lock().unwrap(), [expected]);
+}
+
+/// By a description, whose values are texts, by a file, and while the component runs.
+#[blastema_testkit::test]
+async fn a_parameter_may_be_a_list_or_a_variant_by_its_name_wherever_it_is_given() {
+    let seen = Seen::default();
+    let kept = seen.clone();
+    let spec = ChildSpec::new("arm", move || Arm(kept.clone()));
+    let spec = spec.parameter("joints", "[0.5, -1] rad").parameter("grips", "[Firm,Soft]");
+    let builder = Node::builder("module1").child(spec).parameters("[arm]\ngrip = \"Firm\"");
+    let node = TestNode::start(builder).await;
+    let parameters = node.variable::<ArmParameters>("arm").unwrap();
+    let begun = seen.lock().unwrap()[0].clone();
+    assert_eq!((&*begun.joints, &*begun.grips), (&[0.5, -1.0][..], &[Grip::Firm, Grip::Soft][..]));
+    assert_eq!(begun.grip, Grip::Firm);
+
+    let numbers = ParameterValue::List(vec![ParameterValue::Integer(1)]);
+    parameters.set("joints", numbers).await.unwrap();
+    parameters.set("grip", ParameterValue::Text("Soft".into())).await.unwrap();
+    node.settle().await;
+
+    let set = seen.lock().unwrap().last().cloned().unwrap();
+    assert_eq!((set.joints, set.grip), (vec![1.0], Grip::Soft));
+    assert_eq!(set.grips, begun.grips, "the others stay");
+    node.expect_no_faults().await;
 }
 
 #[blastema_testkit::test]
@@ -158,6 +206,13 @@ async fn what_a_parameter_does_not_take_is_refused_with_the_reason_and_changes_n
         ("attempts", ParameterValue::Integer(256), "a whole number from 0 to 255, in 1.."),
         ("attempts", ParameterValue::Integer(0), "1.."),
         ("careful", ParameterValue::Text("yes".into()), "true or false"),
+        ("joints", ParameterValue::Float(0.1), "a list in `[]`, each a number"),
+        ("joints", ParameterValue::List(vec![ParameterValue::Float(2.0)]), "-1.0..=1.0 rad"),
+        (
+            "grip",
+            ParameterValue::Text("soft".into()),
+            "`grip` is \"soft\", and must be one of `Soft`",
+        ),
     ] {
         let refused = parameters.set(key, value).await.unwrap_err();
         let DeliveryError::CheckFailed { reason: told } = &refused else { panic!("{refused}") };
@@ -192,7 +247,7 @@ async fn a_configuration_that_nobody_takes_is_refused_before_anything_starts() {
     for (toml, named) in [
         ("[amr]\nmax_speed = 1.0", "`arm`"),
         ("max_speed = 1.0", "`max_speed`"),
-        ("[arm]\nmax_speed = [1.0]", "a list"),
+        ("[arm]\njoints = [{}]", "a table"),
         ("[arm]\nmax_speed = ", "line 2"),
     ] {
         let error = refused(toml).await;
@@ -204,6 +259,11 @@ async fn a_configuration_that_nobody_takes_is_refused_before_anything_starts() {
     std::fs::write(&file, "[arm]\nmax_speed = 9\nattempts = 2\n").unwrap();
     let in_file = format!("parameters of arm in {}: `max_speed` is 9.0", file.display());
     for (text, named) in [
+        ("[arm]\nmax_speed = [8]", "`max_speed` is [8], and must be a number"),
+        (
+            "[arm]\nmax_speed = 1\ngrip = \"Hard\"",
+            "`grip` is \"Hard\", and must be one of `Soft`, `Firm`",
+        ),
         ("[arm]\nframe = \"odom\"", &*in_file),
         ("[arm]\nmax_speed = 8", "parameters of arm: `max_speed` is 8.0"),
     ] {
