@@ -15,11 +15,20 @@ use blastema_contract::reports::{
     StateReported,
 };
 use blastema_core::detection::{
-    self, Liveness, MonitorLimits, MonitorOutput, RegistrationError, WorkProgress,
+    self, MonitorLimits, MonitorOutput, RegistrationError, WorkProgress,
 };
 use blastema_core::sorted::SortedMap;
 use blastema_core::{NodeName, ObjectName};
+use std::pin::Pin;
+use std::time::Duration;
+use tokio::time::timeout;
 use tracing::error;
+
+/// How often an object of the middleware is asked whether it is alive.
+const PING_INTERVAL: Duration = Duration::from_secs(1);
+/// One that has not answered for so many intervals is silent. It answers in microseconds: this is
+/// no matter of load. Time in which the process did not run counts as one interval at most.
+const SILENT_AFTER: u32 = 6;
 
 /// Watches everything in its node, and what its node sees of others.
 pub(crate) struct MonitorActor {
@@ -41,25 +50,49 @@ impl MonitorActor {
         MonitorActor { machine, wake: WakeTimer::default(), detector, pings: SortedMap::new() }
     }
 
+    /// Asks an object again and again, until it is dismissed or has ended for good. There is never
+    /// more than one open question.
     fn ask(&mut self, object: ObjectName, context: &mut Context<Self>) {
-        let Some(pings) = self.pings.get(&object) else {
-            return self.machine.handle_unanswered(&object, platform::now());
-        };
-        let answer = wrap_future::<_, Self>(pings.send(AreYouAlive));
-        context.spawn(answer.map(move |answer, monitor, context| {
-            let now = platform::now();
-            match answer {
-                Ok(alive) => monitor.machine.handle_alive(&object, progress(alive), now),
-                Err(_) => monitor.machine.handle_unanswered(&object, now),
-            }
-            monitor.drive(context);
-        }));
+        if let Some(pings) = self.pings.get(&object).filter(|pings| pings.connected()) {
+            let answer = Box::pin(pings.send(AreYouAlive));
+            self.await_answer(object, answer, 0, context);
+        }
     }
-}
 
-fn progress(alive: Alive) -> WorkProgress {
-    let Alive { incarnation, state } = alive;
-    WorkProgress { incarnation, state }
+    fn await_answer(
+        &mut self,
+        object: ObjectName,
+        mut answer: Pin<Box<RecipientRequest<AreYouAlive>>>,
+        waited: u32,
+        context: &mut Context<Self>,
+    ) {
+        let wait = async move { (timeout(PING_INTERVAL, &mut answer).await, answer) };
+        context.spawn(wrap_future(wait).map(
+            move |(answered, answer), monitor: &mut Self, context| {
+                let now = platform::now();
+                match answered {
+                    Ok(answered) => {
+                        // The answer of an actor that was restarted meanwhile is lost.
+                        if let Ok(Alive { incarnation, state }) = answered {
+                            let progress = WorkProgress { incarnation, state };
+                            monitor.machine.handle_alive(&object, progress, now);
+                        }
+                        context.run_later(PING_INTERVAL, |monitor, context| {
+                            monitor.ask(object, context)
+                        });
+                    }
+                    Err(_) => {
+                        if waited + 1 == SILENT_AFTER {
+                            let age = SILENT_AFTER * PING_INTERVAL;
+                            monitor.machine.handle_unanswered(&object, age, now);
+                        }
+                        monitor.await_answer(object, answer, waited + 1, context);
+                    }
+                }
+                monitor.drive(context);
+            },
+        ));
+    }
 }
 
 impl MachineActor for MonitorActor {
@@ -71,7 +104,6 @@ impl MachineActor for MonitorActor {
 
     fn carry_out(&mut self, output: MonitorOutput, context: &mut Context<Self>) {
         match output {
-            MonitorOutput::Ask { object } => self.ask(object, context),
             MonitorOutput::Observe { number, observation } => {
                 let sent = self.detector.send(Observed { number, observation });
                 context.spawn(wrap_future::<_, Self>(sent).map(move |answer, monitor, context| {
@@ -100,9 +132,11 @@ impl Actor for MonitorActor {
 }
 
 impl Supervised for MonitorActor {
-    fn restarting(&mut self, _: &mut Context<Self>) {
+    fn restarting(&mut self, context: &mut Context<Self>) {
         self.machine = self.machine.clone().restarted(platform::now());
         self.wake = WakeTimer::default();
+        let asked: Vec<ObjectName> = self.pings.keys().cloned().collect();
+        asked.into_iter().for_each(|object| self.ask(object, context));
     }
 }
 
@@ -112,12 +146,11 @@ impl Handler<Register> for MonitorActor {
     fn handle(&mut self, message: Register, context: &mut Context<Self>) -> Self::Result {
         let Register { enrolment, pings } = message;
         let object = enrolment.object.clone();
-        if matches!(enrolment.watch, Liveness::Pull(_)) && pings.is_none() {
-            return Err(RegistrationError::NowhereToAsk { object });
-        }
         self.machine.enrol(enrolment, platform::now())?;
-        if let Some(pings) = pings {
-            self.pings.insert(object, pings);
+        if let Some(pings) = pings
+            && self.pings.insert(object.clone(), pings).is_none()
+        {
+            self.ask(object, context);
         }
         self.drive(context);
         Ok(Confirmed)

@@ -2,15 +2,14 @@
 //!
 //! ```text
 //! activity records ─► HangDetector ─┐
-//! ping replies ────► PingMonitor ───┤
-//! exits, states, links ─────────────┴─ Monitor ══► Detector ══► Notifier ══► recoverers
+//! exits, states, links, answers ────┴─ Monitor ══► Detector ══► Notifier ══► recoverers
 //!                                      observes    decides      reports
 //! ```
 //! Components are judged by the [scanner](hang), from counters that cost no message. The
-//! middleware's own objects have none, and are asked.
+//! middleware's own objects have none, and are asked by the monitor's actor.
 //!
 //! `══►` is a [`ConfirmedQueue`]: repeated until it is confirmed, given up loudly. The monitor
-//! keeps the table and judges nothing but silence. The detector keeps the lifecycle of each object,
+//! keeps the table and judges nothing. The detector keeps the lifecycle of each object,
 //! compares with the list of faults, separates roots from symptoms and keeps the record. The
 //! notifier limits storms. None of them decides what is done about a fault, and none of them
 //! restarts anything.
@@ -24,8 +23,7 @@
 //! **A body that panics.** A machine that was struck in the middle of an input may hold half of it.
 //! Each of the three therefore has `restarted`, which makes a new machine from the plain facts of
 //! the old one: what is enrolled, which incarnation it is in, what is recorded, and what is not yet
-//! confirmed. What was concluded from the passing of time (opinions, open pings) starts again. The
-//! input that caused the panic is lost, and nothing else.
+//! confirmed. The input that caused the panic is lost, and nothing else.
 
 mod checks;
 mod confirmed_queue;
@@ -38,7 +36,6 @@ mod notifier;
 mod observation;
 mod outcome;
 mod peer_table;
-mod ping;
 mod registration;
 mod table;
 
@@ -57,6 +54,5 @@ pub use observation::{
 pub use outcome::{
     FaultEntry, FaultNotice, FaultRecord, FaultStatus, FaultTransition, RecoveryOutcome,
 };
-pub use ping::{PingMonitor, PingOutput, Verdict};
 pub use registration::{Liveness, ObjectKind, Pull, Push, Registration, RegistrationError};
 pub use table::{CurrentHandler, MonitorRow, Opinion, QueueSample, RoundLateness};

@@ -2,24 +2,22 @@
 
 use super::entry::{LastExit, MonitoredObject, NoteCause, describe};
 use super::peer_table::{PeerChange, PeerTable};
-use super::ping::PingOutput;
 use super::{
     ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput, ExitReason, Finding, LinkCondition,
-    Liveness, MonitorRow, NodeCondition, ObjectKind, Observation, Opinion, PingMonitor,
-    Registration, RegistrationError, Verdict, WorkProgress,
+    MonitorRow, NodeCondition, ObjectKind, Observation, Registration, RegistrationError,
+    WorkProgress,
 };
 use crate::sorted::SortedMap;
 use crate::{
     FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName, ObjectAddress,
     ObjectName,
 };
-use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
 /// Keeps the table of all monitored objects, and reports its observations to the detector.
 ///
-/// It judges the silence of what it asks, and nothing else. What an older incarnation still says,
+/// It judges nothing. What an older incarnation still says,
 /// or one that has ended, changes nothing and is counted. Whatever begins a new incarnation of an
 /// object (a report, an answer) empties its history.
 ///
@@ -31,9 +29,7 @@ pub struct Monitor {
     limits: MonitorLimits,
     objects: SortedMap<ObjectName, MonitoredObject>,
     around: PeerTable,
-    pings: PingMonitor,
     handover: ConfirmedQueue<Observation>,
-    asks: VecDeque<ObjectName>,
     /// Declared faults that end by themselves.
     holds: SortedMap<(ObjectName, FaultKind), Hold>,
     /// The node ends.
@@ -79,11 +75,6 @@ impl Default for MonitorLimits {
 /// An output of a [`Monitor`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum MonitorOutput {
-    /// Ask this object whether it is alive, and bring the answer to [`Monitor::handle_alive`].
-    Ask {
-        /// The object.
-        object: ObjectName,
-    },
     /// Hand this to the detector, and bring its confirmation to [`Monitor::handle_confirmed`].
     Observe {
         /// The number under which it is confirmed.
@@ -108,9 +99,7 @@ impl Monitor {
             limits,
             objects: SortedMap::new(),
             around: PeerTable::default(),
-            pings: PingMonitor::new(),
             handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
-            asks: VecDeque::new(),
             holds: SortedMap::new(),
             ending: false,
             stale: 0,
@@ -127,7 +116,7 @@ impl Monitor {
         enrolment: Registration,
         now: Instant,
     ) -> Result<(), RegistrationError> {
-        let Registration { object, kind, incarnation, watch, depends_on, may_end } = enrolment;
+        let Registration { object, kind, incarnation, depends_on, may_end } = enrolment;
         if self.is_full() && !self.objects.contains_key(&object) {
             return Err(RegistrationError::TableFull { object, limit: self.limits.rows });
         }
@@ -136,37 +125,24 @@ impl Monitor {
         if entry.incarnation < incarnation {
             entry.begin(incarnation);
         }
-        entry.pull = match watch {
-            Liveness::Pull(pull) => Some(Box::new(pull)),
-            _ => None,
-        };
         (entry.kind, entry.may_end) = (kind, may_end);
         let incarnation = entry.incarnation;
-        if entry.pull.is_none() {
-            self.pings.dismiss(&object);
-        }
         self.observe_object(&object, incarnation, Finding::Enrolled { may_end, depends_on }, now);
-        self.watch_over(&object, now);
-        self.settle(now);
         Ok(())
     }
 
     /// Forgets an object.
     pub fn dismiss(&mut self, object: &ObjectName, now: Instant) {
-        self.pings.dismiss(object);
         if let Some(entry) = self.objects.remove(object) {
             self.observe_object(object, entry.incarnation, Finding::Dismissed, now);
         }
-        self.settle(now);
     }
 
     /// An object has answered.
     pub fn handle_alive(&mut self, object: &ObjectName, progress: WorkProgress, now: Instant) {
-        self.pings.handle_answer(object, progress, now);
         if self.objects.contains_key(object)
-            && let Some(entry) = self.alive(object, progress.incarnation, now)
+            && let Some(entry) = self.hear(object, progress.incarnation, now)
         {
-            entry.last_sign = Some(now);
             // A guard reports every change, and may have reported a later one: answers only stand
             // in for guards where there are none.
             let state = progress.state;
@@ -175,13 +151,14 @@ impl Monitor {
                 self.observe_object(object, progress.incarnation, finding, now);
             }
         }
-        self.settle(now);
     }
 
-    /// The question to this object will never be answered.
-    pub fn handle_unanswered(&mut self, object: &ObjectName, now: Instant) {
-        self.pings.handle_unanswered(object, now);
-        self.settle(now);
+    /// An object has not answered for so long.
+    pub fn handle_unanswered(&mut self, object: &ObjectName, age: Duration, now: Instant) {
+        let entry = self.objects.get(object).filter(|entry| entry.end.is_none());
+        if let Some(incarnation) = entry.map(|entry| entry.incarnation) {
+            self.note_silence(object, incarnation, age, now);
+        }
     }
 
     /// A guard has seen an incarnation end.
@@ -204,11 +181,10 @@ impl Monitor {
             // That it panicked is reported in every case; of the present incarnation it says
             // nothing.
             let finding = Finding::Exited { exit, restarted_as };
-            self.observe_object(object, incarnation, finding, now);
-            return self.settle(now);
+            return self.observe_object(object, incarnation, finding, now);
         }
         let is_known = self.objects.contains_key(object);
-        let Some(entry) = self.admit(object, incarnation, now) else { return };
+        let Some(entry) = self.admit(object, incarnation) else { return };
         // Every component is enrolled before it begins.
         if !is_known && restarted_as.is_some() {
             entry.kind = ObjectKind::Middleware;
@@ -227,17 +203,15 @@ impl Monitor {
         entry.state = Some(if died { Lifecycle::Fatal } else { Lifecycle::Finalized });
         entry.note(NoteCause::End, describe(&exit));
         entry.suspect = false;
-        self.pings.handle_end(object, incarnation, now);
         self.observe_object(object, incarnation, Finding::Exited { exit, restarted_as }, now);
         if let Some(next) = restarted_as {
-            self.admit(object, next, now);
+            self.admit(object, next);
             if is_middleware {
                 // It has no hooks: its guard reports when it serves again.
                 let progress = WorkProgress { incarnation: next, state: Lifecycle::Active };
                 self.handle_alive(object, progress, now);
             }
         }
-        self.settle(now);
     }
 
     /// A guard reports the state of an incarnation.
@@ -252,7 +226,7 @@ impl Monitor {
         if state == Lifecycle::Finalized && !self.objects.contains_key(object) {
             return;
         }
-        let Some(entry) = self.admit(object, incarnation, now) else { return };
+        let Some(entry) = self.admit(object, incarnation) else { return };
         entry.guarded = true;
         entry.state = Some(state);
         entry.last_sign = Some(now);
@@ -266,10 +240,8 @@ impl Monitor {
         }
         if state == Lifecycle::Finalized {
             entry.end.get_or_insert(LastExit::Finalized);
-            self.pings.handle_end(object, incarnation, now);
         }
         self.observe_object(object, incarnation, Finding::State { state, reason }, now);
-        self.settle(now);
     }
 
     /// An object declares a fault of its own; also one that has ended, for what is left of it. With a
@@ -286,7 +258,7 @@ impl Monitor {
     ) {
         let (cause, key) = (NoteCause::Declared(kind.clone()), (object.clone(), kind.clone()));
         let is_held = self.holds.contains_key(&key);
-        let Some(entry) = self.admit(object, incarnation, now) else { return };
+        let Some(entry) = self.admit(object, incarnation) else { return };
         if entry.end.is_none() {
             entry.last_sign = Some(now);
         }
@@ -298,7 +270,6 @@ impl Monitor {
             None => self.holds.remove(&key),
         };
         self.observe_object(object, incarnation, Finding::Declared { kind, detail }, now);
-        self.settle(now);
     }
 
     /// A fault that an object had declared is over.
@@ -309,14 +280,13 @@ impl Monitor {
         kind: FaultKind,
         now: Instant,
     ) {
-        let Some(entry) = self.admit(object, incarnation, now) else { return };
+        let Some(entry) = self.admit(object, incarnation) else { return };
         if entry.end.is_none() {
             entry.last_sign = Some(now);
         }
         entry.erase(&NoteCause::Declared(kind.clone()));
         self.holds.remove(&(object.clone(), kind.clone()));
         self.observe_object(object, incarnation, Finding::Cleared { kind }, now);
-        self.settle(now);
     }
 
     fn next_hold(&self) -> Option<(Instant, &(ObjectName, FaultKind))> {
@@ -429,33 +399,11 @@ impl Monitor {
     /// input.
     #[must_use]
     pub fn restarted(self, now: Instant) -> Self {
-        let mut monitor = Monitor {
-            pings: PingMonitor::new(),
-            handover: self.handover.restarted(now),
-            asks: VecDeque::new(),
-            ..self
-        };
-        let objects: Vec<ObjectName> = monitor.objects.keys().cloned().collect();
-        for object in objects {
-            monitor.watch_over(&object, now);
-        }
-        monitor
+        Monitor { handover: self.handover.restarted(now), ..self }
     }
 
     fn is_full(&self) -> bool {
         self.objects.len() + self.around.len() >= self.limits.rows
-    }
-
-    /// Sets the pings on an object of the table, if its entry says so.
-    fn watch_over(&mut self, object: &ObjectName, now: Instant) {
-        let Some(entry) = self.objects.get(object) else { return };
-        if let Some(pull) = &entry.pull {
-            self.pings.enrol(object, **pull, entry.incarnation, now);
-        }
-        // An object that has not begun yet may have to wait for others that are started before it.
-        if entry.end.is_some() || entry.incarnation == Incarnation::default() {
-            self.pings.handle_end(object, entry.incarnation, now);
-        }
     }
 
     /// The entry of an object for news of this incarnation; none if that incarnation is over.
@@ -463,7 +411,6 @@ impl Monitor {
         &mut self,
         object: &ObjectName,
         incarnation: Incarnation,
-        now: Instant,
     ) -> Option<&mut MonitoredObject> {
         if !self.objects.contains_key(object) {
             if self.is_full() {
@@ -480,7 +427,6 @@ impl Monitor {
         }
         if incarnation > entry.incarnation {
             entry.begin(incarnation);
-            self.pings.handle_start(object, incarnation, now);
         }
         Some(entry)
     }
@@ -490,7 +436,6 @@ impl Monitor {
         &mut self,
         object: &ObjectName,
         incarnation: Incarnation,
-        now: Instant,
     ) -> Option<&mut MonitoredObject> {
         let ended =
             |entry: &MonitoredObject| entry.incarnation == incarnation && entry.end.is_some();
@@ -498,7 +443,35 @@ impl Monitor {
             self.stale += 1;
             return None;
         }
-        self.admit(object, incarnation, now)
+        self.admit(object, incarnation)
+    }
+
+    /// A sign of life, which ends a silence.
+    fn hear(
+        &mut self,
+        object: &ObjectName,
+        incarnation: Incarnation,
+        now: Instant,
+    ) -> Option<&mut MonitoredObject> {
+        let entry = self.alive(object, incarnation)?;
+        (entry.last_sign, entry.suspect) = (Some(now), false);
+        if std::mem::replace(&mut entry.silent, false) {
+            self.observe_object(object, incarnation, Finding::Spoke, now);
+        }
+        self.objects.get_mut(object)
+    }
+
+    fn note_silence(
+        &mut self,
+        object: &ObjectName,
+        incarnation: Incarnation,
+        age: Duration,
+        now: Instant,
+    ) {
+        if let Some(entry) = self.alive(object, incarnation) {
+            entry.silent = true;
+            self.observe_object(object, incarnation, Finding::Silent { age }, now);
+        }
     }
 
     fn observe_object(
@@ -525,53 +498,12 @@ impl Monitor {
         // One rank for all: the detector gets reports in the order in which things happened.
         self.handover.hand(0, Observation { location, incarnation, finding, seen_at: now }, now);
     }
-
-    /// Acts on what the pings has found.
-    fn settle(&mut self, now: Instant) {
-        while let Some(output) = self.pings.poll_output() {
-            match output {
-                PingOutput::Ask { object } => self.asks.push_back(object),
-                PingOutput::Verdict(verdict) => self.handle_verdict(verdict, now),
-            }
-        }
-    }
-
-    fn handle_verdict(&mut self, verdict: Verdict, now: Instant) {
-        let Verdict { object, incarnation, opinion, silence } = verdict;
-        let Some(entry) = self.objects.get_mut(&object) else { return };
-        if entry.incarnation != incarnation {
-            return;
-        }
-        match opinion {
-            Opinion::Suspect => {
-                entry.suspect = true;
-                entry.suspicions = entry.suspicions.saturating_add(1);
-            }
-            Opinion::Failed => {
-                if !std::mem::replace(&mut entry.silent, true) {
-                    let finding = Finding::Silent { age: silence };
-                    self.observe_object(&object, incarnation, finding, now);
-                }
-            }
-            Opinion::Trusted => {
-                entry.suspect = false;
-                entry.last_sign = Some(now);
-                if std::mem::replace(&mut entry.silent, false) {
-                    self.observe_object(&object, incarnation, Finding::Spoke, now);
-                }
-            }
-            Opinion::Unheard | Opinion::Stopped => {}
-        }
-    }
 }
 
 impl Machine for Monitor {
     type Output = MonitorOutput;
 
     fn poll_output(&mut self) -> Option<MonitorOutput> {
-        if let Some(object) = self.asks.pop_front() {
-            return Some(MonitorOutput::Ask { object });
-        }
         self.handover.poll_output().map(|handed| match handed {
             ConfirmedQueueOutput::Deliver { number, item } => {
                 MonitorOutput::Observe { number, observation: item }
@@ -584,7 +516,7 @@ impl Machine for Monitor {
 
     fn poll_timeout(&self) -> Option<Instant> {
         let hold = self.next_hold().map(|(due, _)| due);
-        [self.pings.poll_timeout(), self.handover.poll_timeout(), hold].into_iter().flatten().min()
+        [self.handover.poll_timeout(), hold].into_iter().flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
@@ -593,9 +525,7 @@ impl Machine for Monitor {
         {
             self.end_hold(key.clone(), now);
         }
-        self.pings.handle_timeout(now);
         self.handover.handle_timeout(now);
-        self.settle(now);
     }
 }
 

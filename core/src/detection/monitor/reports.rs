@@ -20,13 +20,13 @@ impl Monitor {
                 self.handle_slow(&object, incarnation, during, finding, now);
             }
             LivenessEvent::Overloaded { object, incarnation, figures, victims } => {
-                if self.alive(&object, incarnation, now).is_some() {
+                if self.alive(&object, incarnation).is_some() {
                     let finding = Finding::Overloaded { figures, victims };
                     self.observe_object(&object, incarnation, finding, now);
                 }
             }
             LivenessEvent::Flows { object, incarnation } => {
-                if self.alive(&object, incarnation, now).is_some() {
+                if self.alive(&object, incarnation).is_some() {
                     self.observe_object(&object, incarnation, Finding::Flows, now);
                 }
             }
@@ -40,22 +40,16 @@ impl Monitor {
                 self.handle_lost(&culprit, &victims, now);
             }
             LivenessEvent::Silent { object, incarnation, silent_for: age } => {
-                if let Some(entry) = self.alive(&object, incarnation, now) {
-                    entry.silent = true;
-                    self.observe_object(&object, incarnation, Finding::Silent { age }, now);
-                }
+                self.note_silence(&object, incarnation, age, now);
             }
             LivenessEvent::Spoke { object, incarnation } => {
-                if let Some(entry) = self.alive(&object, incarnation, now) {
-                    (entry.last_sign, entry.suspect) = (Some(now), false);
-                    if std::mem::replace(&mut entry.silent, false) {
-                        self.observe_object(&object, incarnation, Finding::Spoke, now);
-                    }
-                }
+                self.hear(&object, incarnation, now);
             }
-            LivenessEvent::Stalled { gap } => self.handle_stall(gap, now),
+            // Which fault that is, if any, the detector decides.
+            LivenessEvent::Stalled { gap: span } => {
+                self.observe_this_node(NodeCondition::Paused { span }, now);
+            }
         }
-        self.settle(now);
     }
 
     /// The watch thread saw this object's handler keep its arbiter from turning.
@@ -108,13 +102,6 @@ impl Monitor {
         }
     }
 
-    /// The watch, or the whole process, was not scheduled for `gap`: every silence up to now is
-    /// void. Which fault that is, if any, the detector decides.
-    pub(super) fn handle_stall(&mut self, gap: Duration, now: Instant) {
-        self.pings.handle_stall(gap, now);
-        self.observe_this_node(NodeCondition::Paused { span: gap }, now);
-    }
-
     fn observe_this_node(&mut self, condition: NodeCondition, now: Instant) {
         let location = FaultLocation::Node(self.node.clone());
         self.observe(location, Incarnation::default(), Finding::Node(condition), now);
@@ -130,7 +117,7 @@ impl Monitor {
         now: Instant,
     ) {
         let (Finding::Hangs { age, .. } | Finding::Waits { age, .. }) = finding else { return };
-        let Some(entry) = self.alive(object, incarnation, now) else { return };
+        let Some(entry) = self.alive(object, incarnation) else { return };
         let since = Instant::ORIGIN + (now - (Instant::ORIGIN + age));
         entry.set_current(Some((during, since)));
         self.observe_object(object, incarnation, finding, now);

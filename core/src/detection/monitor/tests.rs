@@ -1,9 +1,8 @@
 //! A table of one or two objects, and every input in every state of theirs.
 
 use super::*;
-use crate::detection::CurrentHandler;
 use crate::detection::hang::{LivenessEvent, OverloadFigures};
-use proptest::prelude::*;
+use crate::detection::{CurrentHandler, Opinion};
 use std::time::Duration;
 
 const ONE: Incarnation = Incarnation(1);
@@ -27,9 +26,9 @@ fn monitor() -> Monitor {
     Monitor::new(node("m"), MonitorLimits::default(), at(0))
 }
 
-fn watched(watch: Liveness) -> Monitor {
+fn watched() -> Monitor {
     let mut monitor = monitor();
-    let enrolment = Registration::new(object("laser")).watch(watch).incarnation(TWO);
+    let enrolment = Registration::new(object("laser")).incarnation(TWO);
     monitor.enrol(enrolment, at(0)).expect("there is room");
     seen(&mut monitor, 0);
     monitor
@@ -41,7 +40,7 @@ fn name(finding: &Finding) -> String {
     text.split([' ', '(', '{']).next().unwrap_or_default().into()
 }
 
-/// Everything that is now to be observed, confirmed at once; asks read "ask".
+/// Everything that is now to be observed, confirmed at once.
 fn seen(monitor: &mut Monitor, millis: u64) -> Vec<String> {
     let mut seen = Vec::new();
     while let Some(output) = monitor.poll_output() {
@@ -50,7 +49,6 @@ fn seen(monitor: &mut Monitor, millis: u64) -> Vec<String> {
                 seen.push(format!("{} {}", observation.location, name(&observation.finding)));
                 monitor.handle_confirmed(number, at(millis));
             }
-            MonitorOutput::Ask { object } => seen.push(format!("ask {object}")),
             MonitorOutput::GivenUp { .. } => seen.push("given up".into()),
         }
     }
@@ -89,25 +87,21 @@ fn panicked() -> ExitReason {
 }
 
 #[test]
-fn nothing_is_expected_of_an_object_before_its_first_incarnation_is_reported() {
-    let watch = Liveness::pull(TENTH, TENTH);
+fn the_first_incarnation_of_an_object_is_no_restart() {
     let mut monitor = monitor();
     let laser = object("laser");
     let enrolment = Registration::new(laser.clone()).incarnation(Incarnation::default());
-    monitor.enrol(enrolment.watch(watch), at(0)).unwrap();
-    while monitor.poll_output().is_some() {}
+    monitor.enrol(enrolment, at(0)).unwrap();
 
-    monitor.handle_timeout(at(60_000));
     monitor.handle_state(&laser, ONE, Lifecycle::Created, None, at(60_000));
 
     let row = row(&monitor, "m:laser", 60_000);
     assert_eq!((row.incarnation, row.restarts, row.suspicions), (ONE, 0, 0));
-    assert!(monitor.poll_timeout().is_some(), "from now on it is watched");
 }
 
 #[test]
 fn silence_is_observed_and_so_is_its_end() {
-    let mut monitor = watched(Liveness::push(TENTH, 3));
+    let mut monitor = watched();
     monitor.handle_liveness(silent(TWO), at(360));
 
     assert_eq!(seen(&mut monitor, 360), ["m:laser Silent"]);
@@ -125,24 +119,8 @@ fn answer(incarnation: Incarnation, state: Lifecycle) -> WorkProgress {
 }
 
 #[test]
-fn a_suspicion_is_counted_and_shown_and_is_no_finding() {
-    let mut monitor = watched(Liveness::pull(TENTH, TENTH / 2));
-    for question in [0, 100, 200] {
-        let reported = run(&mut monitor, question + 60);
-        assert!(reported.iter().all(|(_, text)| text == "ask laser" || text.ends_with("State")));
-        let alive = answer(TWO, Lifecycle::Active);
-        monitor.handle_alive(&object("laser"), alive, at(question + 60));
-    }
-    run(&mut monitor, 360);
-
-    let row = row(&monitor, "m:laser", 360);
-    assert_eq!((row.opinion, row.suspicions), (Opinion::Suspect, 4));
-    assert_eq!(row.last_sign, Some(TENTH));
-}
-
-#[test]
 fn an_overload_is_observed_with_its_victims_and_condemns_nobody() {
-    let mut monitor = watched(Liveness::Guard);
+    let mut monitor = watched();
     let overloaded = |incarnation| {
         let (figures, victims) = (OverloadFigures::default(), [object("map")].into());
         LivenessEvent::Overloaded { object: object("laser"), incarnation, figures, victims }
@@ -159,7 +137,7 @@ fn an_overload_is_observed_with_its_victims_and_condemns_nobody() {
 
 #[test]
 fn answers_tell_the_state_of_an_object_only_while_no_guard_does() {
-    let mut monitor = watched(Liveness::pull(TENTH, TENTH));
+    let mut monitor = watched();
     let mut says = |state, now| {
         monitor.handle_alive(&object("laser"), answer(TWO, state), at(now));
         seen(&mut monitor, now)
@@ -178,20 +156,21 @@ fn answers_tell_the_state_of_an_object_only_while_no_guard_does() {
 }
 
 #[test]
-fn whoever_is_asked_and_answers_nothing_is_silent() {
-    let mut monitor = watched(Liveness::pull(TENTH, TENTH));
-    let mut reported = Vec::new();
-    for turn in 0..=20 {
-        reported.extend(run(&mut monitor, turn * 100));
-        let alive = answer(TWO, Lifecycle::Active);
-        monitor.handle_alive(&object("laser"), alive, at(turn * 100));
-        reported.extend(run(&mut monitor, turn * 100));
-    }
-    reported.extend(run(&mut monitor, 5000));
-    reported.retain(|(_, text)| !text.starts_with("ask"));
+fn an_object_that_does_not_answer_is_silent_until_it_does() {
+    let mut monitor = watched();
+    let laser = object("laser");
+    monitor.handle_alive(&laser, answer(TWO, Lifecycle::Active), at(0));
+    monitor.handle_unanswered(&laser, TENTH, at(100));
+    assert_eq!(seen(&mut monitor, 100), ["m:laser State", "m:laser Silent"]);
+    assert_eq!(row(&monitor, "m:laser", 100).opinion, Opinion::Failed);
 
-    let texts = ["m:laser State", "m:laser Silent"].map(String::from);
-    assert_eq!(reported.iter().map(|(_, text)| text.clone()).collect::<Vec<_>>(), texts);
+    monitor.handle_alive(&laser, answer(TWO, Lifecycle::Active), at(200));
+    assert_eq!(seen(&mut monitor, 200), ["m:laser Spoke"]);
+
+    monitor.handle_exited(&laser, TWO, panicked(), None, at(300));
+    monitor.handle_unanswered(&laser, TENTH, at(400));
+    monitor.handle_unanswered(&object("ghost"), TENTH, at(400));
+    assert_eq!(seen(&mut monitor, 400), ["m:laser Exited"], "its end is reported already");
 }
 
 #[test]
@@ -206,7 +185,6 @@ fn what_is_not_confirmed_is_repeated_and_given_up_loudly() {
             match output {
                 MonitorOutput::Observe { .. } => sent += 1,
                 MonitorOutput::GivenUp { tries, .. } => given_up = tries,
-                MonitorOutput::Ask { .. } => panic!("no object is pinged"),
             }
         }
     }
@@ -251,7 +229,7 @@ fn feed(monitor: &mut Monitor, input: &str, incarnation: Incarnation, now: Insta
 }
 
 fn in_state(state: State) -> Monitor {
-    let mut monitor = watched(Liveness::Guard);
+    let mut monitor = watched();
     let laser = object("laser");
     match state {
         State::Going => {}
@@ -330,7 +308,7 @@ fn whatever_a_newer_incarnation_says_begins_a_new_history() {
 
 #[test]
 fn a_restart_by_the_guard_leaves_the_next_incarnation_in_the_table() {
-    let mut monitor = watched(Liveness::Guard);
+    let mut monitor = watched();
 
     monitor.handle_exited(&object("laser"), TWO, panicked(), Some(THREE), at(210));
 
@@ -372,7 +350,7 @@ fn an_incarnation_that_is_over_is_not_shown_in_the_state_that_it_had_before() {
         (ExitReason::Aborted, Lifecycle::Fatal, Opinion::Failed),
         (ExitReason::Stopped, Lifecycle::Finalized, Opinion::Stopped),
     ] {
-        let mut monitor = watched(Liveness::Guard);
+        let mut monitor = watched();
         monitor.handle_state(&object("laser"), TWO, Lifecycle::Active, None, at(0));
 
         monitor.handle_exited(&object("laser"), TWO, exit, None, at(1));
@@ -384,7 +362,7 @@ fn an_incarnation_that_is_over_is_not_shown_in_the_state_that_it_had_before() {
 
 #[test]
 fn a_note_goes_when_its_cause_goes_and_no_earlier() {
-    let mut monitor = watched(Liveness::Guard);
+    let mut monitor = watched();
     let laser = object("laser");
     let note = |monitor: &Monitor| row(monitor, "m:laser", 9).note;
     let state = |monitor: &mut Monitor, state, reason: Option<&str>| {
@@ -425,7 +403,7 @@ fn a_note_goes_when_its_cause_goes_and_no_earlier() {
 
 #[test]
 fn a_hang_after_a_wait_of_the_same_handler_is_observed_and_makes_its_victims_suspect() {
-    let mut monitor = watched(Liveness::Guard);
+    let mut monitor = watched();
     monitor.enrol(Registration::new(object("map")), at(0)).expect("there is room");
     seen(&mut monitor, 0);
     let victims: Arc<[ObjectName]> = [object("laser"), object("map"), object("ghost")].into();
@@ -496,7 +474,7 @@ fn a_full_table_refuses_and_counts() {
 
 #[test]
 fn whoever_is_dismissed_is_forgotten() {
-    let mut monitor = watched(Liveness::push(TENTH, 3));
+    let mut monitor = watched();
 
     monitor.dismiss(&object("laser"), at(10));
     monitor.dismiss(&object("laser"), at(10));
@@ -508,7 +486,7 @@ fn whoever_is_dismissed_is_forgotten() {
 
 #[test]
 fn isolation_is_shown_and_outlives_a_restart() {
-    let mut monitor = watched(Liveness::Guard);
+    let mut monitor = watched();
 
     monitor.handle_isolation(&object("laser"), true, at(0));
     monitor.handle_state(&object("laser"), THREE, Lifecycle::Created, None, at(0));
@@ -517,23 +495,8 @@ fn isolation_is_shown_and_outlives_a_restart() {
 }
 
 #[test]
-fn a_stall_of_the_monitor_itself_condemns_nobody() {
-    let mut monitor = watched(Liveness::pull(TENTH, TENTH));
-    run(&mut monitor, 0);
-
-    monitor.handle_stall(Duration::from_secs(60), at(60_000));
-    monitor.handle_timeout(at(60_000));
-    monitor.handle_alive(&object("laser"), answer(TWO, Lifecycle::Active), at(60_010));
-
-    let reported = run(&mut monitor, 60_100);
-    assert!(reported.iter().all(|(_, text)| text != "m:laser Silent"), "{reported:?}");
-    assert!(reported.iter().any(|(_, text)| text == "m Node"), "{reported:?}");
-}
-
-#[test]
 fn a_restarted_monitor_keeps_its_table_and_retransmits() {
-    let mut monitor = watched(Liveness::pull(TENTH, TENTH));
-    run(&mut monitor, 0);
+    let mut monitor = watched();
     monitor.handle_exited(&object("map"), ONE, panicked(), None, at(10));
     assert!(matches!(monitor.poll_output(), Some(MonitorOutput::Observe { .. })));
 
@@ -541,36 +504,12 @@ fn a_restarted_monitor_keeps_its_table_and_retransmits() {
 
     assert_eq!(monitor.read_table(at(20)).len(), 2);
     monitor.handle_timeout(at(20));
-    assert_eq!(seen(&mut monitor, 20), ["ask laser", "m:map Exited"]);
-}
-
-proptest! {
-    /// Whatever else happens, in whatever order: an object that answers in time is never taken for
-    /// silent.
-    #[test]
-    fn an_object_that_answers_in_time_is_never_silent(
-        inputs in prop::collection::vec((0..INPUTS.len(), 1..4u64, 0..100u64), 0..100)
-    ) {
-        let mut monitor = watched(Liveness::pull(TENTH, TENTH));
-        let mut now = at(0);
-        for (input, incarnation, wait) in inputs {
-            // An outsider's word that it is silent is believed; it is not what is tested here.
-            if INPUTS[input] != "silent" {
-                feed(&mut monitor, INPUTS[input], Incarnation(incarnation), now);
-            }
-            let incarnation = row(&monitor, "m:laser", 0).incarnation;
-            monitor.handle_alive(&object("laser"), answer(incarnation, Lifecycle::Active), now);
-            now = now + Duration::from_millis(wait);
-            for reported in run(&mut monitor, now.as_nanos() / 1_000_000) {
-                prop_assert_ne!(&reported.1, "m:laser Silent");
-            }
-        }
-    }
+    assert_eq!(seen(&mut monitor, 20), ["m:map Exited"]);
 }
 
 #[test]
 fn a_fault_that_ends_with_its_node_is_not_handed_over() {
-    let mut monitor = watched(Liveness::Guard);
+    let mut monitor = watched();
     let down = LinkCondition::Down { reason: "closed".into() };
     let lost = NodeCondition::Lost { reason: "no path".into() };
     monitor.handle_ending();
