@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! node ──Register, Unregister──►┐
-//! link, router ──LinkReported, NodeReported──► Monitor ──Observed──► Detector
+//! link, router ──LinkReported, NodeReported──► Monitor
 //! supervisor ──IsolationReported──►┤     ▲
 //! node ──NodeEnding──►──────────────┘     │
 //! anyone ──ReadTable─────────────────────┘

@@ -3,15 +3,15 @@
 use super::entry::{LastExit, MonitoredObject, NoteCause, describe};
 use super::peer_table::{PeerChange, PeerTable};
 use super::{
-    ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput, ExitReason, Finding, LinkCondition,
-    MonitorRow, NodeCondition, ObjectKind, Observation, Registration, RegistrationError,
-    WorkProgress,
+    ExitReason, Finding, LinkCondition, MonitorRow, NodeCondition, ObjectKind, Observation,
+    Registration, RegistrationError, WorkProgress,
 };
 use crate::sorted::SortedMap;
 use crate::{
     FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName, ObjectAddress,
     ObjectName,
 };
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -29,7 +29,7 @@ pub struct Monitor {
     limits: MonitorLimits,
     objects: SortedMap<ObjectName, MonitoredObject>,
     around: PeerTable,
-    handover: ConfirmedQueue<Observation>,
+    outputs: VecDeque<Observation>,
     /// Declared faults that end by themselves.
     holds: SortedMap<(ObjectName, FaultKind), Hold>,
     /// The node ends.
@@ -50,56 +50,24 @@ struct Hold {
 pub struct MonitorLimits {
     /// How many rows the table may have. A row takes some hundred bytes.
     pub rows: usize,
-    /// The hand-over to the detector.
-    pub handover: ConfirmedQueueLimits,
 }
 
 impl Default for MonitorLimits {
     fn default() -> Self {
         // A hundred thousand components are measured; a robot has hundreds.
-        let rows = 128 * 1024;
-        // At start every object is enrolled at once, and some of them have more to tell.
-        MonitorLimits {
-            rows,
-            // As many are handed over as the detector confirms: what ten thousand objects report at
-            // their start must not hold back the report of a fault for seconds.
-            handover: ConfirmedQueueLimits {
-                capacity: 4 * rows,
-                per_second: usize::MAX,
-                ..Default::default()
-            },
-        }
+        MonitorLimits { rows: 128 * 1024 }
     }
 }
 
-/// An output of a [`Monitor`].
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum MonitorOutput {
-    /// Hand this to the detector, and bring its confirmation to [`Monitor::handle_confirmed`].
-    Observe {
-        /// The number under which it is confirmed.
-        number: u64,
-        /// What was seen.
-        observation: Observation,
-    },
-    /// The detector never confirmed this: tell a person.
-    GivenUp {
-        /// What was seen.
-        observation: Observation,
-        /// How often it was sent.
-        tries: u32,
-    },
-}
-
 impl Monitor {
-    /// A monitor of `node` that begins at `now` with an empty table.
-    pub fn new(node: NodeName, limits: MonitorLimits, now: Instant) -> Self {
+    /// A monitor of `node` with an empty table.
+    pub fn new(node: NodeName, limits: MonitorLimits) -> Self {
         Monitor {
             node,
             limits,
             objects: SortedMap::new(),
             around: PeerTable::default(),
-            handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
+            outputs: VecDeque::new(),
             holds: SortedMap::new(),
             ending: false,
             stale: 0,
@@ -366,16 +334,6 @@ impl Monitor {
         }
     }
 
-    /// The detector has confirmed an observation.
-    pub fn handle_confirmed(&mut self, number: u64, now: Instant) {
-        self.handover.handle_confirmed(number, now);
-    }
-
-    /// An observation is known not to have reached the detector.
-    pub fn handle_failed(&mut self, number: u64, now: Instant) {
-        self.handover.handle_failed(number, now);
-    }
-
     /// The whole table: objects by name, then links, then nodes.
     pub fn read_table(&self, now: Instant) -> Vec<MonitorRow> {
         let objects = self.objects.iter().map(|(object, entry)| {
@@ -393,13 +351,6 @@ impl Monitor {
     /// Returns how many reports of unregistered objects were dropped because the table was full.
     pub fn refused(&self) -> u64 {
         self.refused
-    }
-
-    /// A monitor that knows the same plain facts, for a body that was struck in the middle of an
-    /// input.
-    #[must_use]
-    pub fn restarted(self, now: Instant) -> Self {
-        Monitor { handover: self.handover.restarted(now), ..self }
     }
 
     fn is_full(&self) -> bool {
@@ -495,28 +446,20 @@ impl Monitor {
         if self.ending && !finding.is_own_doing() {
             return;
         }
-        // One rank for all: the detector gets reports in the order in which things happened.
-        self.handover.hand(0, Observation { location, incarnation, finding, seen_at: now }, now);
+        self.outputs.push_back(Observation { location, incarnation, finding, seen_at: now });
     }
 }
 
 impl Machine for Monitor {
-    type Output = MonitorOutput;
+    type Output = Observation;
 
-    fn poll_output(&mut self) -> Option<MonitorOutput> {
-        self.handover.poll_output().map(|handed| match handed {
-            ConfirmedQueueOutput::Deliver { number, item } => {
-                MonitorOutput::Observe { number, observation: item }
-            }
-            ConfirmedQueueOutput::GivenUp { item, tries } => {
-                MonitorOutput::GivenUp { observation: item, tries }
-            }
-        })
+    /// The next observation for the detector, in the order in which things happened.
+    fn poll_output(&mut self) -> Option<Observation> {
+        self.outputs.pop_front()
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let hold = self.next_hold().map(|(due, _)| due);
-        [self.handover.poll_timeout(), hold].into_iter().flatten().min()
+        self.next_hold().map(|(due, _)| due)
     }
 
     fn handle_timeout(&mut self, now: Instant) {
@@ -525,7 +468,6 @@ impl Machine for Monitor {
         {
             self.end_hold(key.clone(), now);
         }
-        self.handover.handle_timeout(now);
     }
 }
 
