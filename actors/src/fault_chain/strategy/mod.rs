@@ -4,7 +4,7 @@
 //! ```text
 //! Recoverer ──ExecuteAction(order)──► StrategyHost ──► RecoveryStrategy::carry_out(order, tools)
 //!           ◄──RecoveryDone | Failed───┘                        │
-//!                          Supervisor ◄──RestartChild…──┤ tools
+//!                          Supervisor ◄──ChildRequest───┤ tools
 //!                          Router     ◄──Reroute────────┘
 //! ```
 
