@@ -12,10 +12,8 @@ use blastema_contract::detector::FaultOutcome;
 use blastema_contract::recoverer::{CancelRecovery, Recover, SafeStateChanged};
 use blastema_contract::strategy::ExecuteAction;
 use blastema_core::Instant;
-use blastema_core::detection::RecoveryOutcome;
 use blastema_core::recovery::{
-    self, FaultResolution, RecovererOutput, RecoveryAction, RecoveryDone, RecoveryFailed,
-    RecoveryOrder,
+    self, RecovererOutput, RecoveryAction, RecoveryDone, RecoveryFailed, RecoveryOrder,
 };
 use blastema_core::sorted::SortedMap;
 use tokio::sync::watch;
@@ -139,31 +137,6 @@ async fn blocked(blocked_by: Option<watch::Receiver<Option<u64>>>) -> u64 {
     std::future::pending().await
 }
 
-/// What the detector's record says about a fault; `None` where the detector has to find out itself.
-fn outcome_of(settled: FaultResolution) -> Option<RecoveryOutcome> {
-    Some(match settled {
-        FaultResolution::Decided { action, attempt: 1 } => {
-            RecoveryOutcome::Decided { action: action.to_string() }
-        }
-        FaultResolution::Decided { action, attempt } => {
-            RecoveryOutcome::Decided { action: format!("{action}, attempt {attempt}") }
-        }
-        FaultResolution::Failed { action, reason } => {
-            RecoveryOutcome::Failed { action: action.to_string(), reason }
-        }
-        FaultResolution::Observed => {
-            RecoveryOutcome::Decided { action: RecoveryAction::Observe.to_string() }
-        }
-        FaultResolution::Recovered { .. } => RecoveryOutcome::Recovered,
-        FaultResolution::Waits => RecoveryOutcome::Waits,
-        FaultResolution::GaveUp { reason } => RecoveryOutcome::GaveUp { reason },
-        FaultResolution::Contained { action } => RecoveryOutcome::GaveUp {
-            reason: format!("contained by {action}; service is not restored"),
-        },
-        _ => return None,
-    })
-}
-
 impl MachineActor for RecovererActor {
     type Machine = recovery::Recoverer;
 
@@ -174,10 +147,8 @@ impl MachineActor for RecovererActor {
     fn carry_out(&mut self, action: RecovererOutput, context: &mut Context<Self>) {
         match action {
             RecovererOutput::CarryOut(order) => self.have_carried_out(order, context),
-            RecovererOutput::Settle { fault, settled, .. } => {
-                if let Some(what) = outcome_of(settled) {
-                    self.detector.do_send(FaultOutcome { id: fault, at: platform::now(), what });
-                }
+            RecovererOutput::Settle { fault: id, outcome: what } => {
+                self.detector.do_send(FaultOutcome { id, at: platform::now(), what });
             }
             RecovererOutput::Release { action } => {
                 self.engaged.remove(&action);
