@@ -1,4 +1,4 @@
-//! The recoverer's body: it has its machine's orders carried out by strategies.
+//! The recoverer's body: it carries out its machine's orders, or has a strategy do so.
 
 use super::strategy::{EngagedStrategy, StrategyContext, StrategyTable};
 use crate::platform;
@@ -17,6 +17,7 @@ use blastema_core::recovery::{
 };
 use blastema_core::sorted::SortedMap;
 use tokio::sync::watch;
+use tokio::time::timeout;
 use tracing::info;
 
 /// What a recoverer is made of.
@@ -43,7 +44,7 @@ pub(crate) struct RecovererActor {
     tools: StrategyContext,
     detector: Recipient<FaultOutcome>,
     guardian: Guardian,
-    /// The strategies that live at present.
+    /// The strategies of the application that live at present.
     engaged: SortedMap<RecoveryAction, EngagedStrategy>,
     callbacks: Callbacks,
 }
@@ -63,24 +64,36 @@ impl RecovererActor {
         RecovererActor { machine, wake, strategies, tools, detector, guardian, engaged, callbacks }
     }
 
-    fn strategy(&mut self, action: &RecoveryAction) -> Result<&EngagedStrategy, RecoveryFailed> {
+    /// The strategy of the application that carries an action out, if one does.
+    fn strategy(
+        &mut self,
+        action: &RecoveryAction,
+    ) -> Result<Option<&EngagedStrategy>, RecoveryFailed> {
+        let RecoveryAction::Custom(name) = action else { return Ok(None) };
         if !self.engaged.get(action).is_some_and(EngagedStrategy::is_usable) {
             let (guardian, tools) = (&self.guardian, self.tools.clone());
-            let strategy = self.strategies.make(action, guardian, tools, &self.callbacks)?;
+            let strategy = self.strategies.make(name, guardian, tools, &self.callbacks)?;
             self.engaged.insert(action.clone(), strategy);
         }
-        Ok(self.engaged.get(action).expect("it was just put in"))
+        Ok(self.engaged.get(action))
     }
 
     fn have_carried_out(&mut self, order: RecoveryOrder, context: &mut Context<Self>) {
         let due = platform::now() + order.within;
         info!(location = %order.fault.location, action = %order.action, attempt = order.attempt, "recovering");
         let strategy = self.strategy(&order.action);
-        let strategy = strategy.map(|strategy| (strategy.orders.clone(), strategy.blocked_by()));
-        let given = order.clone();
+        let strategy = strategy.map(|strategy| {
+            strategy.map(|strategy| (strategy.orders.clone(), strategy.blocked_by()))
+        });
+        let (given, tools) = (order.clone(), self.tools.clone());
         let carried_out = async move {
             let (orders, blocked_by) = match strategy {
-                Ok(strategy) => strategy,
+                Ok(Some(strategy)) => strategy,
+                Ok(None) => {
+                    let work = timeout(given.within, tools.carry_out(&given)).await;
+                    let overdue = |_| Err(format!("not done within {:?}", given.within).into());
+                    return Answer::Outcome(work.unwrap_or_else(overdue));
+                }
                 Err(failed) => return Answer::Outcome(Err(failed)),
             };
             tokio::select! {

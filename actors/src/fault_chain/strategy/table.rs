@@ -1,6 +1,5 @@
 //! How to make each strategy when it is needed.
 
-use super::builtin::BuiltIn;
 use super::host::{StrategyHost, StrategyThread};
 use super::{RecoveryStrategy, StrategyContext};
 use crate::platform::own_arbiter;
@@ -9,7 +8,7 @@ use crate::runtime::guardian::Guardian;
 use actix::prelude::*;
 use blastema_contract::strategy::ExecuteAction;
 use blastema_core::ObjectName;
-use blastema_core::recovery::{RecoveryAction, RecoveryFailed};
+use blastema_core::recovery::RecoveryFailed;
 use blastema_core::sorted::SortedMap;
 use std::sync::Arc;
 use tokio::sync::watch;
@@ -53,9 +52,9 @@ impl Drop for EngagedStrategy {
 }
 
 /// The name under which a strategy is watched.
-pub(crate) fn object_of(action: &RecoveryAction) -> ObjectName {
+pub(crate) fn object_of(strategy: &str) -> ObjectName {
     let plain: String =
-        action.name().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+        strategy.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
     ObjectName::new(&format!("chain/strategy/{plain}"))
         .or_else(|_| ObjectName::new("chain/strategy/custom"))
         .expect("this name is well formed")
@@ -80,32 +79,28 @@ impl StrategyTable {
         self.0.keys().map(|name| &**name)
     }
 
-    /// Makes the strategy that carries `action` out: a built-in one on this arbiter, one of the
-    /// application's own on a thread that it has for itself, unless all of the node runs on one.
+    /// Makes the strategy of this name, on a thread that it has for itself, unless all of the node
+    /// runs on one.
     ///
     /// # Errors
     /// There is none, it keeps its share of threads already, or no thread is left for it.
     pub(crate) fn make(
         &self,
-        action: &RecoveryAction,
+        name: &str,
         guardian: &Guardian,
         tools: StrategyContext,
         callbacks: &Callbacks,
     ) -> Result<EngagedStrategy, RecoveryFailed> {
-        let object = object_of(action);
-        let known = match action {
-            RecoveryAction::Custom(name) => self.0.get(name).cloned(),
-            _ => Some(hosted(|| BuiltIn)),
-        };
-        let make = known.ok_or_else(|| format!("there is no strategy {action:?}"))?;
-        if !callbacks.have_threads() || !matches!(action, RecoveryAction::Custom(_)) {
+        let object = object_of(name);
+        let make = self.0.get(name).ok_or_else(|| format!("there is no strategy {name:?}"))?;
+        if !callbacks.have_threads() {
             let orders = make((guardian, None), object, tools, None);
             return Ok(EngagedStrategy { orders, own: None });
         }
         let arbiter = callbacks
             .check_share(&object)
             .and_then(|()| own_arbiter())
-            .map_err(|error| format!("there is no thread for the strategy {action}: {error}"))?;
+            .map_err(|error| format!("there is no thread for the strategy {name}: {error}"))?;
         let (blocked_by, blocked) = watch::channel(None);
         let (callbacks, blocked_by) = (callbacks.clone(), Arc::new(blocked_by));
         let thread = StrategyThread { object: object.clone(), callbacks, blocked_by };

@@ -7,7 +7,9 @@ use crate::registry::Registry;
 use actix::prelude::*;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_contract::supervisor::{ChildAction, ChildRequest, GaveUp, Recovered};
-use blastema_core::recovery::{GiveUpReason, RecoveryDone, RecoveryFailed};
+use blastema_core::recovery::{
+    GiveUpReason, RecoveryAction, RecoveryDone, RecoveryFailed, RecoveryOrder,
+};
 use blastema_core::{
     Contract, DeliveryError, Fault, FaultLocation, Incarnation, NodeName, ObjectName,
 };
@@ -33,6 +35,23 @@ pub struct StrategyContext(Arc<StrategyTargets>);
 impl StrategyContext {
     pub(crate) fn new(tools: StrategyTargets) -> Self {
         StrategyContext(Arc::new(tools))
+    }
+
+    /// Carries out an action that needs no strategy of the application.
+    pub(crate) async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
+        let RecoveryOrder { fault, action, .. } = order;
+        match action {
+            RecoveryAction::Reset => self.reset(&fault.location).await,
+            RecoveryAction::Restart => self.restart(fault).await,
+            RecoveryAction::MoveToOwnThread => self.move_to_own_thread(fault).await,
+            RecoveryAction::Reroute => self.reroute(&fault.location).await,
+            RecoveryAction::Isolate => self.isolate_because(fault).await,
+            RecoveryAction::SafeStop => self.safe_stop(fault).await,
+            other => Err(format!("there is no strategy {other:?}").into()),
+        }
     }
 
     /// Where messages of contract `M` to the object of this name can be sent: what helps a

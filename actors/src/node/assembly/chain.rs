@@ -30,7 +30,7 @@ use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::AreYouAlive;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_core::detection::{RecovererPort, RegistrationError};
-use blastema_core::recovery::{self, RecovererLimits, RecoveryAction};
+use blastema_core::recovery::{self, RecovererLimits};
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName, ObjectName};
 use std::sync::atomic::Ordering::Relaxed;
@@ -292,7 +292,7 @@ pub(super) fn reports(monitor: &Addr<DetectionActor>) -> FaultReports {
 /// The application's code that the chain calls: faults of it stand under these names.
 pub(super) fn callbacks_of(builder: &NodeBuilder) -> Vec<Register> {
     let strategies = builder.strategies.names();
-    let strategies = strategies.map(|name| object_of(&RecoveryAction::Custom(name.into())));
+    let strategies = strategies.map(object_of);
     let outputs = builder.safe_outputs.iter().map(|_| named(SAFE_OUTPUTS));
     // Two names may differ by what no name of an object can hold.
     let all: SortedSet<ObjectName> = strategies.chain(outputs).collect();
