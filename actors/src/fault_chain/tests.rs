@@ -16,8 +16,8 @@ use blastema_contract::reports::{
 };
 use blastema_core::detection::hang::LivenessEvent;
 use blastema_core::detection::{
-    FaultTransition, LinkCondition, NodeCondition, Opinion, RecovererPort, RecoveryOutcome,
-    Registration,
+    FaultTransition, Finding, LinkCondition, NodeCondition, Opinion, RecovererPort,
+    RecoveryOutcome, Registration,
 };
 use blastema_core::{FaultKind, Incarnation, Lifecycle, NodeName, ObjectName};
 use blastema_doubles::{Probe, advance, paused, settle};
@@ -77,12 +77,20 @@ impl Chain {
 
     fn silence(&self, name: &str) {
         let (object, silent_for) = (object(name), 3 * TENTH);
-        let silent = LivenessEvent::Silent { object, incarnation: ONE, silent_for };
+        let silent = LivenessEvent::Component {
+            object,
+            incarnation: ONE,
+            finding: Finding::Silent { age: silent_for },
+        };
         self.actor.do_send(LivenessReported(silent));
     }
 
     fn speech(&self, name: &str) {
-        let spoke = LivenessEvent::Spoke { object: object(name), incarnation: ONE };
+        let spoke = LivenessEvent::Component {
+            object: object(name),
+            incarnation: ONE,
+            finding: Finding::Spoke,
+        };
         self.actor.do_send(LivenessReported(spoke));
     }
 

@@ -50,7 +50,7 @@ pub use fault_log::FaultLog;
 pub use monitor::{Monitor, MonitorLimits};
 pub use notifier::{Notifier, NotifierLimits, NotifierOutput, RecovererPort};
 pub use observation::{
-    ExitReason, Finding, LinkCondition, NodeCondition, Observation, WorkProgress,
+    ExitReason, Finding, LinkCondition, NodeCondition, Observation, OverloadFigures, WorkProgress,
 };
 pub use outcome::{
     FaultEntry, FaultNotice, FaultRecord, FaultStatus, FaultTransition, RecoveryOutcome,

@@ -108,9 +108,14 @@ impl Monitor {
 
     /// An object has answered.
     pub fn handle_alive(&mut self, object: &ObjectName, progress: WorkProgress, now: Instant) {
-        if self.objects.contains_key(object)
-            && let Some(entry) = self.hear(object, progress.incarnation, now)
-        {
+        if !self.objects.contains_key(object) {
+            return;
+        }
+        self.handle_found(object, progress.incarnation, Finding::Spoke, now);
+        let is_it = |entry: &&mut MonitoredObject| {
+            entry.incarnation == progress.incarnation && entry.end.is_none()
+        };
+        if let Some(entry) = self.objects.get_mut(object).filter(is_it) {
             // A guard reports every change, and may have reported a later one: answers only stand
             // in for guards where there are none.
             let state = progress.state;
@@ -125,7 +130,7 @@ impl Monitor {
     pub fn handle_unanswered(&mut self, object: &ObjectName, age: Duration, now: Instant) {
         let entry = self.objects.get(object).filter(|entry| entry.end.is_none());
         if let Some(incarnation) = entry.map(|entry| entry.incarnation) {
-            self.note_silence(object, incarnation, age, now);
+            self.handle_found(object, incarnation, Finding::Silent { age }, now);
         }
     }
 
@@ -395,34 +400,6 @@ impl Monitor {
             return None;
         }
         self.admit(object, incarnation)
-    }
-
-    /// A sign of life, which ends a silence.
-    fn hear(
-        &mut self,
-        object: &ObjectName,
-        incarnation: Incarnation,
-        now: Instant,
-    ) -> Option<&mut MonitoredObject> {
-        let entry = self.alive(object, incarnation)?;
-        (entry.last_sign, entry.suspect) = (Some(now), false);
-        if std::mem::replace(&mut entry.silent, false) {
-            self.observe_object(object, incarnation, Finding::Spoke, now);
-        }
-        self.objects.get_mut(object)
-    }
-
-    fn note_silence(
-        &mut self,
-        object: &ObjectName,
-        incarnation: Incarnation,
-        age: Duration,
-        now: Instant,
-    ) {
-        if let Some(entry) = self.alive(object, incarnation) {
-            entry.silent = true;
-            self.observe_object(object, incarnation, Finding::Silent { age }, now);
-        }
     }
 
     fn observe_object(

@@ -2,8 +2,7 @@
 
 use super::{Cause, Detector, Scene, Seen};
 use crate::detection::correlation::is_down;
-use crate::detection::hang::OverloadFigures;
-use crate::detection::{ExitReason, Finding, LinkCondition, NodeCondition};
+use crate::detection::{ExitReason, Finding, LinkCondition, NodeCondition, OverloadFigures};
 use crate::{
     Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, NodeName, ObjectName,
 };

@@ -6,10 +6,9 @@ mod record;
 mod symptoms;
 
 use super::*;
-use crate::detection::hang::OverloadFigures;
 use crate::detection::{
     ExitReason, FaultStatus, Finding, LinkCondition, NodeCondition, Notifier, NotifierLimits,
-    NotifierOutput, RecovererPort,
+    NotifierOutput, OverloadFigures, RecovererPort,
 };
 use crate::{ObjectAddress, Severity};
 use std::sync::Arc;

@@ -1,8 +1,8 @@
 //! A table of one or two objects, and every input in every state of theirs.
 
 use super::*;
-use crate::detection::hang::{LivenessEvent, OverloadFigures};
-use crate::detection::{CurrentHandler, Opinion};
+use crate::detection::hang::LivenessEvent;
+use crate::detection::{CurrentHandler, Opinion, OverloadFigures};
 use std::time::Duration;
 
 const ONE: Incarnation = Incarnation(1);
@@ -66,11 +66,19 @@ fn row(monitor: &Monitor, name: &str, now: u64) -> MonitorRow {
 }
 
 fn silent(incarnation: Incarnation) -> LivenessEvent {
-    LivenessEvent::Silent { object: object("laser"), incarnation, silent_for: TENTH }
+    LivenessEvent::Component {
+        object: object("laser"),
+        incarnation,
+        finding: Finding::Silent { age: TENTH },
+    }
 }
 
 fn waits(incarnation: Incarnation, age: Duration) -> LivenessEvent {
-    LivenessEvent::Waits { object: object("laser"), incarnation, during: "Scan", age }
+    LivenessEvent::Component {
+        object: object("laser"),
+        incarnation,
+        finding: Finding::Waits { during: "Scan", age },
+    }
 }
 
 fn panicked() -> ExitReason {
@@ -98,7 +106,11 @@ fn silence_is_observed_and_so_is_its_end() {
     assert_eq!(seen(&mut monitor), ["m:laser Silent"]);
     assert_eq!(row(&monitor, "m:laser", 3000).opinion, Opinion::Failed);
 
-    let spoke = LivenessEvent::Spoke { object: object("laser"), incarnation: TWO };
+    let spoke = LivenessEvent::Component {
+        object: object("laser"),
+        incarnation: TWO,
+        finding: Finding::Spoke,
+    };
     monitor.handle_liveness(spoke.clone(), at(3000));
     monitor.handle_liveness(spoke, at(3001));
     assert_eq!(seen(&mut monitor), ["m:laser Spoke"]);
@@ -114,11 +126,19 @@ fn an_overload_is_observed_with_its_victims_and_condemns_nobody() {
     let mut monitor = watched();
     let overloaded = |incarnation| {
         let (figures, victims) = (OverloadFigures::default(), [object("map")].into());
-        LivenessEvent::Overloaded { object: object("laser"), incarnation, figures, victims }
+        LivenessEvent::Component {
+            object: object("laser"),
+            incarnation,
+            finding: Finding::Overloaded { figures, victims },
+        }
     };
     monitor.handle_liveness(overloaded(TWO), at(1));
     monitor.handle_liveness(overloaded(ONE), at(2));
-    let flows = LivenessEvent::Flows { object: object("laser"), incarnation: TWO };
+    let flows = LivenessEvent::Component {
+        object: object("laser"),
+        incarnation: TWO,
+        finding: Finding::Flows,
+    };
     monitor.handle_liveness(flows, at(3));
 
     assert_eq!(seen(&mut monitor), ["m:laser Overloaded", "m:laser Flows"]);
@@ -382,7 +402,8 @@ fn a_hang_after_a_wait_of_the_same_handler_is_observed_and_makes_its_victims_sus
 
     monitor.handle_liveness(waits(TWO, Duration::from_millis(500)), at(500));
     let age = Duration::from_millis(600);
-    monitor.handle_hangs(&object("laser"), TWO, "Scan", age, victims.clone(), at(600));
+    let hangs = Finding::Hangs { during: "Scan", age, victims: victims.clone() };
+    monitor.handle_found(&object("laser"), TWO, hangs, at(600));
     assert_eq!(seen(&mut monitor), ["m:laser Waits", "m:laser Hangs"]);
     let current = CurrentHandler { during: "Scan", age: Duration::from_millis(600) };
     assert_eq!(row(&monitor, "m:laser", 600).current, Some(current));
