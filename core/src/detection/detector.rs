@@ -306,6 +306,19 @@ impl Detector {
         true
     }
 
+    /// Counts the fault of this kind that stands once more, or records it.
+    fn count_or_record(
+        &mut self,
+        scene: &Scene,
+        kind: FaultKind,
+        detail: String,
+        cause: Cause,
+    ) -> FaultId {
+        let known = self.fault_log.open_fault(&scene.location, &kind);
+        let known = known.filter(|&id| self.repeat(id, scene, &detail));
+        known.unwrap_or_else(|| self.record(scene, kind, detail, cause))
+    }
+
     /// Puts a fault into the record and reports it.
     fn record(&mut self, scene: &Scene, kind: FaultKind, detail: String, cause: Cause) -> FaultId {
         // What stands is of an incarnation that is over.
@@ -386,9 +399,14 @@ impl Detector {
     /// The cause of the fault of this kind at this place, if there is one, is away.
     fn end_kind(&mut self, scene: &Scene, kind: &FaultKind) {
         if let Some(id) = self.fault_log.open_fault(&scene.location, kind) {
-            self.repair(id, scene.at);
-            self.withdraw(id, scene.at);
+            self.end(id, scene.at);
         }
+    }
+
+    /// The cause of a fault is away.
+    fn end(&mut self, id: FaultId, at: Instant) {
+        self.repair(id, at);
+        self.withdraw(id, at);
     }
 
     /// These faults of the place that match; their causes are away, and service is restored if so.
@@ -399,8 +417,7 @@ impl Detector {
             if restored {
                 self.recover(id, scene.at);
             }
-            self.repair(id, scene.at);
-            self.withdraw(id, scene.at);
+            self.end(id, scene.at);
         }
     }
 

@@ -53,8 +53,7 @@ impl Detector {
         let FaultLocation::Object(address) = &entry.fault.location else { return };
         let seen = self.objects.get(&address.object);
         if !self.ending && seen.is_some_and(|seen| seen.state == Lifecycle::Finalized) {
-            self.repair(id, at);
-            self.withdraw(id, at);
+            self.end(id, at);
         }
     }
 
