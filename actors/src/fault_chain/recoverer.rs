@@ -4,7 +4,7 @@ use super::strategy::{EngagedStrategy, StrategyContext, StrategyTable};
 use crate::platform;
 use crate::runtime::callbacks::Callbacks;
 use crate::runtime::driver::{MachineActor, WakeTimer};
-use crate::runtime::guardian::{Guardian, answers_the_monitor};
+use crate::runtime::guardian::answers_the_monitor;
 use actix::fut::wrap_future;
 use actix::prelude::*;
 use blastema_contract::Confirmed;
@@ -30,23 +30,16 @@ pub(crate) struct RecovererSetup {
     pub(crate) tools: StrategyContext,
     /// Gets a report of what becomes of every fault.
     pub(crate) detector: Recipient<FaultOutcome>,
-    /// Keeps the strategies alive.
-    pub(crate) guardian: Guardian,
     /// Finds those that block.
     pub(crate) callbacks: Callbacks,
 }
 
 /// Decides what is done about a fault.
 pub(crate) struct RecovererActor {
-    machine: recovery::Recoverer,
+    setup: RecovererSetup,
     wake: WakeTimer,
-    strategies: StrategyTable,
-    tools: StrategyContext,
-    detector: Recipient<FaultOutcome>,
-    guardian: Guardian,
     /// The strategies of the application that live at present.
     engaged: SortedMap<RecoveryAction, EngagedStrategy>,
-    callbacks: Callbacks,
 }
 
 /// What came back for one order.
@@ -58,10 +51,7 @@ enum Answer {
 
 impl RecovererActor {
     pub(crate) fn new(setup: RecovererSetup) -> Self {
-        let RecovererSetup { machine, strategies, tools, detector, guardian, callbacks } = setup;
-        let engaged = SortedMap::new();
-        let wake = WakeTimer::default();
-        RecovererActor { machine, wake, strategies, tools, detector, guardian, engaged, callbacks }
+        RecovererActor { setup, wake: WakeTimer::default(), engaged: SortedMap::new() }
     }
 
     /// The strategy of the application that carries an action out, if one does.
@@ -71,8 +61,8 @@ impl RecovererActor {
     ) -> Result<Option<&EngagedStrategy>, RecoveryFailed> {
         let RecoveryAction::Custom(name) = action else { return Ok(None) };
         if !self.engaged.get(action).is_some_and(EngagedStrategy::is_usable) {
-            let (guardian, tools) = (&self.guardian, self.tools.clone());
-            let strategy = self.strategies.make(name, guardian, tools, &self.callbacks)?;
+            let RecovererSetup { strategies, tools, callbacks, .. } = &self.setup;
+            let strategy = strategies.make(name, tools.clone(), callbacks)?;
             self.engaged.insert(action.clone(), strategy);
         }
         Ok(self.engaged.get(action))
@@ -85,7 +75,7 @@ impl RecovererActor {
         let strategy = strategy.map(|strategy| {
             strategy.map(|strategy| (strategy.orders.clone(), strategy.blocked_by()))
         });
-        let (given, tools) = (order.clone(), self.tools.clone());
+        let (given, tools) = (order.clone(), self.setup.tools.clone());
         let carried_out = async move {
             let (orders, blocked_by) = match strategy {
                 Ok(Some(strategy)) => strategy,
@@ -120,7 +110,7 @@ impl RecovererActor {
         let outcome = match answer {
             Answer::Outcome(outcome) => outcome,
             Answer::Blocked(culprit) if culprit == order.number => {
-                let limit = self.callbacks.limit().unwrap_or_default();
+                let limit = self.setup.callbacks.limit().unwrap_or_default();
                 Err(format!("the strategy {} blocked its thread for {limit:?}", order.action)
                     .into())
             }
@@ -133,7 +123,7 @@ impl RecovererActor {
                 Err("its strategy was blocked by another order for all of its time".into())
             }
         };
-        self.machine.handle_outcome(order.number, outcome, platform::now());
+        self.setup.machine.handle_outcome(order.number, outcome, platform::now());
         self.drive(context);
     }
 }
@@ -154,22 +144,24 @@ impl MachineActor for RecovererActor {
     type Machine = recovery::Recoverer;
 
     fn driven(&mut self) -> (&mut recovery::Recoverer, &mut WakeTimer) {
-        (&mut self.machine, &mut self.wake)
+        (&mut self.setup.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, action: RecovererOutput, context: &mut Context<Self>) {
         match action {
             RecovererOutput::CarryOut(order) => self.have_carried_out(order, context),
             RecovererOutput::Settle { fault: id, outcome: what } => {
-                self.detector.do_send(FaultOutcome { id, at: platform::now(), what });
+                self.setup.detector.do_send(FaultOutcome { id, at: platform::now(), what });
             }
             RecovererOutput::Release { action } => {
                 self.engaged.remove(&action);
             }
-            RecovererOutput::AbandonIncarnation { fault } => self.tools.give_up_incarnation(&fault),
+            RecovererOutput::AbandonIncarnation { fault } => {
+                self.setup.tools.give_up_incarnation(&fault)
+            }
             RecovererOutput::LastResort { fault, reason } => {
                 info!(location = %fault.location, kind = %fault.kind, reason, "the node enters the safe state");
-                self.tools.rest_node(&fault, &reason);
+                self.setup.tools.rest_node(&fault, &reason);
             }
         }
     }
@@ -189,7 +181,7 @@ impl Supervised for RecovererActor {
     fn restarting(&mut self, _: &mut Context<Self>) {
         self.wake = WakeTimer::default();
         self.engaged.clear();
-        self.machine = self.machine.restarted(platform::now());
+        self.setup.machine = self.setup.machine.restarted(platform::now());
     }
 }
 
@@ -198,7 +190,7 @@ impl Handler<Recover> for RecovererActor {
 
     fn handle(&mut self, message: Recover, context: &mut Context<Self>) -> Confirmed {
         let Recover { fault } = message;
-        self.machine.handle_fault(fault, platform::now());
+        self.setup.machine.handle_fault(fault, platform::now());
         self.drive(context);
         Confirmed
     }
@@ -209,7 +201,7 @@ impl Handler<CancelRecovery> for RecovererActor {
 
     fn handle(&mut self, message: CancelRecovery, context: &mut Context<Self>) -> Confirmed {
         let CancelRecovery { id, location } = message;
-        self.machine.handle_stand_down(id, &location, platform::now());
+        self.setup.machine.handle_stand_down(id, &location, platform::now());
         self.drive(context);
         Confirmed
     }
@@ -220,10 +212,10 @@ impl Handler<SafeStateChanged> for RecovererActor {
 
     fn handle(&mut self, message: SafeStateChanged, context: &mut Context<Self>) {
         match message {
-            SafeStateChanged::Entering => self.machine.handle_rest(platform::now()),
+            SafeStateChanged::Entering => self.setup.machine.handle_rest(platform::now()),
             SafeStateChanged::Entered { .. } => return,
-            SafeStateChanged::Left => self.machine.handle_work(),
-            SafeStateChanged::NodeEnds => self.machine.handle_node_end(platform::now()),
+            SafeStateChanged::Left => self.setup.machine.handle_work(),
+            SafeStateChanged::NodeEnds => self.setup.machine.handle_node_end(platform::now()),
         }
         self.drive(context);
     }

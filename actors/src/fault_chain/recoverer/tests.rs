@@ -61,7 +61,6 @@ impl Chain {
             strategies,
             tools,
             detector: outcomes.recipient(),
-            guardian: bench.guardian.clone(),
             callbacks: Callbacks::default(),
         };
         let name = "chain/recoverer".parse().expect("a good name");

@@ -4,7 +4,6 @@ use super::host::{StrategyHost, StrategyThread};
 use super::{RecoveryStrategy, StrategyContext};
 use crate::platform::own_arbiter;
 use crate::runtime::callbacks::Callbacks;
-use crate::runtime::guardian::Guardian;
 use actix::prelude::*;
 use blastema_contract::strategy::ExecuteAction;
 use blastema_core::ObjectName;
@@ -13,13 +12,9 @@ use blastema_core::sorted::SortedMap;
 use std::sync::Arc;
 use tokio::sync::watch;
 
+/// Starts a strategy here, or on the thread that it has for itself.
 type Make = Arc<
-    dyn Fn(
-            (&Guardian, Option<&ArbiterHandle>),
-            ObjectName,
-            StrategyContext,
-            Option<StrategyThread>,
-        ) -> Recipient<ExecuteAction>
+    dyn Fn(StrategyContext, Option<(&ArbiterHandle, StrategyThread)>) -> Recipient<ExecuteAction>
         + Send
         + Sync,
 >;
@@ -71,7 +66,18 @@ impl StrategyTable {
         name: &str,
         make: impl Fn() -> S + Send + Sync + 'static,
     ) {
-        self.0.insert(name.into(), hosted(make));
+        let make: Arc<dyn Fn() -> S + Send + Sync> = Arc::new(make);
+        let start: Make = Arc::new(move |tools, place| {
+            let make = make.clone();
+            match place {
+                None => StrategyHost::new(make, tools, None).start().recipient(),
+                Some((arbiter, thread)) => StrategyHost::start_in_arbiter(arbiter, |_| {
+                    StrategyHost::new(make, tools, Some(thread))
+                })
+                .recipient(),
+            }
+        });
+        self.0.insert(name.into(), start);
     }
 
     /// The names of the application's own strategies.
@@ -87,15 +93,13 @@ impl StrategyTable {
     pub(crate) fn make(
         &self,
         name: &str,
-        guardian: &Guardian,
         tools: StrategyContext,
         callbacks: &Callbacks,
     ) -> Result<EngagedStrategy, RecoveryFailed> {
         let object = object_of(name);
         let make = self.0.get(name).ok_or_else(|| format!("there is no strategy {name:?}"))?;
         if !callbacks.have_threads() {
-            let orders = make((guardian, None), object, tools, None);
-            return Ok(EngagedStrategy { orders, own: None });
+            return Ok(EngagedStrategy { orders: make(tools, None), own: None });
         }
         let arbiter = callbacks
             .check_share(&object)
@@ -103,17 +107,8 @@ impl StrategyTable {
             .map_err(|error| format!("there is no thread for the strategy {name}: {error}"))?;
         let (blocked_by, blocked) = watch::channel(None);
         let (callbacks, blocked_by) = (callbacks.clone(), Arc::new(blocked_by));
-        let thread = StrategyThread { object: object.clone(), callbacks, blocked_by };
-        let orders = make((guardian, Some(&arbiter)), object, tools, Some(thread));
+        let thread = StrategyThread { object, callbacks, blocked_by };
+        let orders = make(tools, Some((&arbiter, thread)));
         Ok(EngagedStrategy { orders, own: Some((arbiter, blocked)) })
     }
-}
-
-fn hosted<S: RecoveryStrategy>(make: impl Fn() -> S + Send + Sync + 'static) -> Make {
-    let make: Arc<dyn Fn() -> S + Send + Sync> = Arc::new(make);
-    Arc::new(move |(guardian, place), name, tools, thread| {
-        let make = make.clone();
-        let host = move |_: &mut Context<StrategyHost<S>>| StrategyHost::new(make, tools, thread);
-        guardian.start(name, place, host).recipient()
-    })
 }

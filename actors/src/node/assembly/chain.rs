@@ -224,7 +224,6 @@ pub(super) fn make_chain(
         strategies: builder.strategies.clone(),
         tools,
         detector: monitor.clone().recipient(),
-        guardian: guardian.clone(),
         callbacks: callbacks.clone(),
     };
     let recoverer = guardian.start(
