@@ -18,8 +18,8 @@ use blastema_contract::reports::{
     StateReported,
 };
 use blastema_core::detection::{
-    DetectionChain, DetectionOutput, FaultNotice, NotifierOutput, RecovererPort, RegistrationError,
-    WorkProgress,
+    ConfirmedQueueOutput, DetectionChain, DetectionOutput, FaultNotice, RecovererPort,
+    RegistrationError, WorkProgress,
 };
 use blastema_core::sorted::SortedMap;
 use blastema_core::{NodeName, ObjectName};
@@ -155,10 +155,13 @@ impl MachineActor for DetectionActor {
     fn carry_out(&mut self, output: DetectionOutput, context: &mut Context<Self>) {
         match output {
             DetectionOutput::Tell { fault, at, turn } => self.tell(FaultEvent { fault, at, turn }),
-            DetectionOutput::Notify(NotifierOutput::HandOver { port, number, notice }) => {
-                self.hand_over(port, number, notice, context);
+            DetectionOutput::Notify(port, ConfirmedQueueOutput::Deliver { number, item }) => {
+                self.hand_over(port, number, item, context);
             }
-            DetectionOutput::Notify(NotifierOutput::GivenUp { port, notice, tries }) => {
+            DetectionOutput::Notify(
+                port,
+                ConfirmedQueueOutput::GivenUp { item: notice, tries },
+            ) => {
                 error!(%port, %notice, tries, "a recoverer never confirmed what the notifier told it");
                 self.machine.handle_given_up(&port, &notice, platform::now());
             }
@@ -208,62 +211,34 @@ impl Handler<Unregister> for DetectionActor {
     }
 }
 
-impl Handler<Exited> for DetectionActor {
-    type Result = ();
+/// What others report: the fields of each message are an input of the monitor.
+macro_rules! reports {
+    ($($message:ident { $($field:ident),* } => $input:ident($($argument:expr),*);)*) => {$(
+        impl Handler<$message> for DetectionActor {
+            type Result = ();
 
-    fn handle(&mut self, message: Exited, context: &mut Context<Self>) {
-        let Exited { object, incarnation, exit, restarted_as } = message;
-        self.machine.monitor.handle_exited(
-            &object,
-            incarnation,
-            exit,
-            restarted_as,
-            platform::now(),
-        );
-        self.drive(context);
-    }
+            fn handle(&mut self, message: $message, context: &mut Context<Self>) {
+                let $message { $($field),* } = message;
+                self.machine.monitor.$input($($argument,)* platform::now());
+                self.drive(context);
+            }
+        }
+    )*};
 }
 
-impl Handler<StateReported> for DetectionActor {
-    type Result = ();
-
-    fn handle(&mut self, message: StateReported, context: &mut Context<Self>) {
-        let StateReported { object, incarnation, state, reason } = message;
-        self.machine.monitor.handle_state(&object, incarnation, state, reason, platform::now());
-        self.drive(context);
-    }
-}
-
-impl Handler<FaultDeclared> for DetectionActor {
-    type Result = ();
-
-    fn handle(&mut self, message: FaultDeclared, context: &mut Context<Self>) {
-        let FaultDeclared { object, incarnation, kind, detail, hold } = message;
-        self.machine.monitor.handle_declared(
-            &object,
-            incarnation,
-            kind,
-            detail,
-            hold,
-            platform::now(),
-        );
-        self.drive(context);
-    }
-}
-
-impl Handler<DeclaredFaultCleared> for DetectionActor {
-    type Result = ();
-
-    fn handle(&mut self, message: DeclaredFaultCleared, context: &mut Context<Self>) {
-        let DeclaredFaultCleared { object, incarnation, kind } = message;
-        self.machine.monitor.handle_declared_fault_cleared(
-            &object,
-            incarnation,
-            kind,
-            platform::now(),
-        );
-        self.drive(context);
-    }
+reports! {
+    Exited { object, incarnation, exit, restarted_as }
+        => handle_exited(&object, incarnation, exit, restarted_as);
+    StateReported { object, incarnation, state, reason }
+        => handle_state(&object, incarnation, state, reason);
+    FaultDeclared { object, incarnation, kind, detail, hold }
+        => handle_declared(&object, incarnation, kind, detail, hold);
+    DeclaredFaultCleared { object, incarnation, kind }
+        => handle_declared_fault_cleared(&object, incarnation, kind);
+    LinkReported { node, link, neighbour, condition }
+        => handle_link(node, link, neighbour, condition);
+    NodeReported { node, incarnation, condition } => handle_node(node, incarnation, condition);
+    IsolationReported { object, isolated } => handle_isolation(&object, isolated);
 }
 
 impl Handler<LivenessReported> for DetectionActor {
@@ -275,41 +250,11 @@ impl Handler<LivenessReported> for DetectionActor {
     }
 }
 
-impl Handler<LinkReported> for DetectionActor {
-    type Result = ();
-
-    fn handle(&mut self, message: LinkReported, context: &mut Context<Self>) {
-        let LinkReported { node, link, neighbour, condition } = message;
-        self.machine.monitor.handle_link(node, link, neighbour, condition, platform::now());
-        self.drive(context);
-    }
-}
-
-impl Handler<NodeReported> for DetectionActor {
-    type Result = ();
-
-    fn handle(&mut self, message: NodeReported, context: &mut Context<Self>) {
-        let NodeReported { node, incarnation, condition } = message;
-        self.machine.monitor.handle_node(node, incarnation, condition, platform::now());
-        self.drive(context);
-    }
-}
-
 impl Handler<NodeEnding> for DetectionActor {
     type Result = ();
 
     fn handle(&mut self, _: NodeEnding, _: &mut Context<Self>) {
         self.machine.monitor.handle_ending();
-    }
-}
-
-impl Handler<IsolationReported> for DetectionActor {
-    type Result = ();
-
-    fn handle(&mut self, message: IsolationReported, context: &mut Context<Self>) {
-        let IsolationReported { object, isolated } = message;
-        self.machine.monitor.handle_isolation(&object, isolated, platform::now());
-        self.drive(context);
     }
 }
 

@@ -677,15 +677,17 @@ fn enrolment(node: &NodeName, facts: &ComponentFacts) -> Result<Register, NameEr
     // A component's signs of life are activity records, which the sampler reads: no message is sent
     // for them.
     let unborn = Incarnation::default();
-    let mut enrolment = Registration::new(name.clone()).incarnation(unborn).depends_on(depends_on);
-    enrolment.may_end = *restart != Restart::Permanent;
+    let mut enrolment = Registration::new(name.clone()).depends_on(depends_on);
+    (enrolment.incarnation, enrolment.may_end) = (unborn, *restart != Restart::Permanent);
     Ok(Register { enrolment, pings: None })
 }
 
 /// An object of the middleware. That it does not answer for several seconds ends in the node's safe
 /// state.
 fn middleware(name: ObjectName, pings: Option<Recipient<AreYouAlive>>) -> Register {
-    Register { enrolment: Registration::new(name).kind(ObjectKind::Middleware), pings }
+    let mut enrolment = Registration::new(name);
+    enrolment.kind = ObjectKind::Middleware;
+    Register { enrolment, pings }
 }
 
 fn named(name: &str) -> ObjectName {

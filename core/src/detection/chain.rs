@@ -1,8 +1,8 @@
 //! Monitor, detector and notifier of one node: what one has put out is the input of the next.
 
 use super::{
-    Detector, DetectorLimits, DetectorOutput, FaultNotice, FaultTransition, Monitor, MonitorLimits,
-    Notifier, NotifierLimits, NotifierOutput, RecovererPort, RecoveryOutcome,
+    ConfirmedQueueOutput, Detector, DetectorLimits, DetectorOutput, FaultNotice, FaultTransition,
+    Monitor, MonitorLimits, Notifier, NotifierLimits, RecovererPort, RecoveryOutcome,
 };
 use crate::{Fault, Instant, Machine, NodeName};
 
@@ -33,8 +33,8 @@ pub enum DetectionOutput {
         /// What happened.
         turn: FaultTransition,
     },
-    /// Inform a recoverer.
-    Notify(NotifierOutput),
+    /// Inform the recoverer behind this port.
+    Notify(RecovererPort, ConfirmedQueueOutput<FaultNotice>),
 }
 
 impl DetectionChain {
@@ -79,7 +79,10 @@ impl Machine for DetectionChain {
                 Some(DetectorOutput::Tell { fault, at, turn }) => {
                     return Some(DetectionOutput::Tell { fault, at, turn });
                 }
-                None => return self.notifier.poll_output().map(DetectionOutput::Notify),
+                None => {
+                    let (port, output) = self.notifier.poll_output()?;
+                    return Some(DetectionOutput::Notify(port, output));
+                }
             }
         }
     }
@@ -121,9 +124,9 @@ mod tests {
         loop {
             while let Some(output) = chain.poll_output() {
                 match output {
-                    DetectionOutput::Notify(NotifierOutput::HandOver { .. }) => sent += 1,
-                    DetectionOutput::Notify(NotifierOutput::GivenUp { port, notice, .. }) => {
-                        chain.handle_given_up(&port, &notice, now);
+                    DetectionOutput::Notify(_, ConfirmedQueueOutput::Deliver { .. }) => sent += 1,
+                    DetectionOutput::Notify(port, ConfirmedQueueOutput::GivenUp { item, .. }) => {
+                        chain.handle_given_up(&port, &item, now);
                     }
                     DetectionOutput::Tell { .. } => {}
                 }
@@ -152,8 +155,10 @@ mod tests {
         let mut chain = chain.restarted(Instant::from_millis(1));
 
         let repeated = chain.poll_output();
-        let is_handed =
-            matches!(repeated, Some(DetectionOutput::Notify(NotifierOutput::HandOver { .. })));
+        let is_handed = matches!(
+            repeated,
+            Some(DetectionOutput::Notify(_, ConfirmedQueueOutput::Deliver { .. }))
+        );
         assert!(is_handed, "{repeated:?}");
         assert_eq!(chain.detector.read_record().entries.len(), 1);
     }

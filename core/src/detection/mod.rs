@@ -48,7 +48,7 @@ pub use confirmed_queue::{ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOu
 pub use detector::{Detector, DetectorLimits, DetectorOutput};
 pub use fault_log::FaultLog;
 pub use monitor::{Monitor, MonitorLimits};
-pub use notifier::{Notifier, NotifierLimits, NotifierOutput, RecovererPort};
+pub use notifier::{Notifier, NotifierLimits, RecovererPort};
 pub use observation::{
     ExitReason, Finding, LinkCondition, NodeCondition, Observation, OverloadFigures, WorkProgress,
 };

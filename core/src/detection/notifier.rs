@@ -66,30 +66,6 @@ impl fmt::Display for RecovererPort {
     }
 }
 
-/// An output of a [`Notifier`].
-#[derive(Clone, Debug, PartialEq)]
-pub enum NotifierOutput {
-    /// Hand this to the recoverer behind this port, and bring its confirmation to
-    /// [`Notifier::handle_confirmed`].
-    HandOver {
-        /// Which port.
-        port: RecovererPort,
-        /// The number under which it is confirmed.
-        number: u64,
-        /// What the recoverer must know.
-        notice: FaultNotice,
-    },
-    /// The recoverer never confirmed this, or there was no room: tell a person.
-    GivenUp {
-        /// Which port.
-        port: RecovererPort,
-        /// What the recoverer should have known.
-        notice: FaultNotice,
-        /// How often it was sent.
-        tries: u32,
-    },
-}
-
 impl Notifier {
     /// A notifier without ports.
     pub fn new(limits: NotifierLimits) -> Self {
@@ -146,20 +122,13 @@ impl Notifier {
 }
 
 impl Machine for Notifier {
-    type Output = NotifierOutput;
+    type Output = (RecovererPort, ConfirmedQueueOutput<FaultNotice>);
 
-    fn poll_output(&mut self) -> Option<NotifierOutput> {
-        self.ports.iter_mut().find_map(|(port, queue)| {
-            let port = port.clone();
-            Some(match queue.poll_output()? {
-                ConfirmedQueueOutput::Deliver { number, item: notice } => {
-                    NotifierOutput::HandOver { port, number, notice }
-                }
-                ConfirmedQueueOutput::GivenUp { item: notice, tries } => {
-                    NotifierOutput::GivenUp { port, notice, tries }
-                }
-            })
-        })
+    /// The next thing to do for the recoverer behind a port; a confirmation is brought to
+    /// [`Notifier::handle_confirmed`].
+    fn poll_output(&mut self) -> Option<Self::Output> {
+        let mut ports = self.ports.iter_mut();
+        ports.find_map(|(port, queue)| Some((port.clone(), queue.poll_output()?)))
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
@@ -219,14 +188,14 @@ mod tests {
         let mut handed = Vec::new();
         while let Some(output) = notifier.poll_output() {
             match output {
-                NotifierOutput::HandOver { port, number, notice } => {
+                (port, ConfirmedQueueOutput::Deliver { number, item: notice }) => {
                     let sign = if matches!(notice, FaultNotice::Found(_)) { '+' } else { '-' };
                     handed.push(format!("{port} {sign}{}", notice.id().0));
                     if confirm {
                         notifier.handle_confirmed(&port, number, now);
                     }
                 }
-                NotifierOutput::GivenUp { port, notice, tries } => {
+                (port, ConfirmedQueueOutput::GivenUp { item: notice, tries }) => {
                     handed.push(format!("{port} gave up {} after {tries}", notice.id().0));
                 }
             }
@@ -256,12 +225,12 @@ mod tests {
         loop {
             while let Some(output) = notifier.poll_output() {
                 match output {
-                    NotifierOutput::HandOver { port: RecovererPort::Local, number, .. } => {
+                    (RecovererPort::Local, ConfirmedQueueOutput::Deliver { number, .. }) => {
                         notifier.handle_confirmed(&RecovererPort::Local, number, now);
                         reported.push("here".to_string());
                     }
-                    NotifierOutput::HandOver { .. } => reported.push("n".into()),
-                    NotifierOutput::GivenUp { tries, .. } => {
+                    (_, ConfirmedQueueOutput::Deliver { .. }) => reported.push("n".into()),
+                    (_, ConfirmedQueueOutput::GivenUp { tries, .. }) => {
                         reported.push(format!("lost after {tries}"))
                     }
                 }

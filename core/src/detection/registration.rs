@@ -45,27 +45,6 @@ impl Registration {
         }
     }
 
-    /// Sets what kind of object it is.
-    #[must_use]
-    pub fn kind(mut self, kind: ObjectKind) -> Self {
-        self.kind = kind;
-        self
-    }
-
-    /// Sets which incarnation this is.
-    #[must_use]
-    pub fn incarnation(mut self, incarnation: Incarnation) -> Self {
-        self.incarnation = incarnation;
-        self
-    }
-
-    /// Sets whether it may end itself in order.
-    #[must_use]
-    pub fn may_end(mut self, may_end: bool) -> Self {
-        self.may_end = may_end;
-        self
-    }
-
     /// Sets what it cannot work without.
     #[must_use]
     pub fn depends_on(mut self, objects: impl IntoIterator<Item = ObjectAddress>) -> Self {

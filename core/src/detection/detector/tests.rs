@@ -7,8 +7,8 @@ mod symptoms;
 
 use super::*;
 use crate::detection::{
-    ExitReason, FaultStatus, Finding, LinkCondition, NodeCondition, Notifier, NotifierLimits,
-    NotifierOutput, OverloadFigures, RecovererPort,
+    ConfirmedQueueOutput, ExitReason, FaultStatus, Finding, LinkCondition, NodeCondition, Notifier,
+    NotifierLimits, OverloadFigures, RecovererPort,
 };
 use crate::{ObjectAddress, Severity};
 use std::sync::Arc;
@@ -96,7 +96,7 @@ impl Bench {
                 }
             }
         }
-        while let Some(NotifierOutput::HandOver { port, number, notice }) =
+        while let Some((port, ConfirmedQueueOutput::Deliver { number, item: notice })) =
             self.notifier.poll_output()
         {
             let sign = if matches!(notice, FaultNotice::Found(_)) { '+' } else { '-' };

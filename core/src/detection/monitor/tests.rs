@@ -28,7 +28,7 @@ fn monitor() -> Monitor {
 
 fn watched() -> Monitor {
     let mut monitor = monitor();
-    let enrolment = Registration::new(object("laser")).incarnation(TWO);
+    let enrolment = Registration { incarnation: TWO, ..Registration::new(object("laser")) };
     monitor.enrol(enrolment, at(0)).expect("there is room");
     seen(&mut monitor);
     monitor
@@ -89,7 +89,8 @@ fn panicked() -> ExitReason {
 fn the_first_incarnation_of_an_object_is_no_restart() {
     let mut monitor = monitor();
     let laser = object("laser");
-    let enrolment = Registration::new(laser.clone()).incarnation(Incarnation::default());
+    let unborn = Incarnation::default();
+    let enrolment = Registration { incarnation: unborn, ..Registration::new(laser.clone()) };
     monitor.enrol(enrolment, at(0)).unwrap();
 
     monitor.handle_state(&laser, ONE, Lifecycle::Created, None, at(60_000));
@@ -313,7 +314,8 @@ fn a_restart_by_the_guard_leaves_the_next_incarnation_in_the_table() {
 #[test]
 fn an_object_of_the_middleware_is_at_work_when_its_guard_has_restarted_it() {
     let mut enrolled = monitor();
-    let enrolment = Registration::new(object("laser")).kind(ObjectKind::Middleware);
+    let kind = ObjectKind::Middleware;
+    let enrolment = Registration { kind, ..Registration::new(object("laser")) };
     enrolled.enrol(enrolment, at(0)).expect("there is room");
     seen(&mut enrolled);
 
