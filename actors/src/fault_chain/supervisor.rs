@@ -233,12 +233,12 @@ impl MachineActor for SupervisorActor {
                     None => {}
                 }
             }
-            SupervisorOutput::ExpectEnd { child } => self.with(&child, |child| child.expect_end()),
-            SupervisorOutput::Abandon { child } => self.with(&child, |child| child.abandon()),
-            SupervisorOutput::CutOff { child } => self.with(&child, |child| {
+            SupervisorOutput::ExpectEnd(child) => self.with(&child, |child| child.expect_end()),
+            SupervisorOutput::Abandon(child) => self.with(&child, |child| child.abandon()),
+            SupervisorOutput::CutOff(child) => self.with(&child, |child| {
                 child.cut_off();
             }),
-            SupervisorOutput::Reset { child } => self.with(&child, |child| child.reset()),
+            SupervisorOutput::Reset(child) => self.with(&child, |child| child.reset()),
             SupervisorOutput::Isolate { child, isolated } => {
                 if let Some(child) = self.child(&child) {
                     let object = child.name().clone();
@@ -264,7 +264,7 @@ impl MachineActor for SupervisorActor {
                 // What waits below for its next incarnation waits in vain.
                 self.with(&child, |child| child.retire());
             }
-            SupervisorOutput::Unavailable { reason } => {
+            SupervisorOutput::Unavailable(reason) => {
                 warn!(supervisor = %self.name, reason, "its start waits for what is not there yet");
                 self.tell_parent(ChildEvent::Unavailable { reason });
             }
@@ -275,13 +275,13 @@ impl MachineActor for SupervisorActor {
                     self.declare(child, incarnation, FaultKind::InitializationFailed, detail);
                 }
             }
-            SupervisorOutput::Retire { child } => self.with(&child, |child| child.retire()),
-            SupervisorOutput::Left { child } => self.drop_child(&child),
-            SupervisorOutput::GiveUp { reason } => {
+            SupervisorOutput::Retire(child) => self.with(&child, |child| child.retire()),
+            SupervisorOutput::Left(child) => self.drop_child(&child),
+            SupervisorOutput::GiveUp(reason) => {
                 self.declare_storm(&reason);
                 self.tell_parent(ChildEvent::GivesUp { reason });
             }
-            SupervisorOutput::Escalate { reason } => {
+            SupervisorOutput::Escalate(reason) => {
                 if self.machine.rules().root {
                     self.retire_all();
                 } else {

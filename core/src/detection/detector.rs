@@ -366,7 +366,6 @@ impl Detector {
             FaultLocation::Object(address) => self.behind(&address.object) == Some(id),
             _ => false,
         };
-        let users = self.needs.users_of(&location);
         let explained: Vec<FaultId> = self
             .fault_log
             .all_open()
@@ -376,7 +375,8 @@ impl Detector {
                     && fault.id != id
                     && fault.found_at - Instant::ORIGIN >= since
                     && self.fault_log.treatment(fault.id).explicable
-                    && (is_behind(fault) || users.contain(&fault.location))
+                    && (is_behind(fault)
+                        || self.needs.needs_of(&fault.location).contains(&location))
             })
             .map(|fault| fault.id)
             .collect();
