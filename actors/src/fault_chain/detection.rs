@@ -65,47 +65,52 @@ impl DetectionActor {
         }
     }
 
-    /// Asks an object again and again, until it is dismissed or has ended for good. There is never
-    /// more than one open question.
-    fn ask(&mut self, object: ObjectName, context: &mut Context<Self>) {
-        if let Some(pings) = self.pings.get(&object).filter(|pings| pings.connected()) {
+    /// Asks an object again and again, until its mailbox is closed. There is never more than one
+    /// open question.
+    fn ask(
+        &mut self,
+        object: ObjectName,
+        pings: Recipient<AreYouAlive>,
+        context: &mut Context<Self>,
+    ) {
+        if pings.connected() {
             let answer = Box::pin(pings.send(AreYouAlive));
-            self.await_answer(object, answer, 0, context);
+            self.await_answer((object, pings), answer, 0, context);
         }
     }
 
     fn await_answer(
         &mut self,
-        object: ObjectName,
+        asked: (ObjectName, Recipient<AreYouAlive>),
         mut answer: Pin<Box<RecipientRequest<AreYouAlive>>>,
         waited: u32,
         context: &mut Context<Self>,
     ) {
         let wait = async move { (timeout(PING_INTERVAL, &mut answer).await, answer) };
-        context.spawn(wrap_future(wait).map(
-            move |(answered, answer), chain: &mut Self, context| {
-                let now = platform::now();
-                match answered {
-                    Ok(answered) => {
-                        // The answer of an actor that was restarted meanwhile is lost.
-                        if let Ok(Alive { incarnation, state }) = answered {
-                            let progress = WorkProgress { incarnation, state };
-                            chain.machine.monitor.handle_alive(&object, progress, now);
-                        }
-                        context
-                            .run_later(PING_INTERVAL, |chain, context| chain.ask(object, context));
+        let settle = move |(answered, answer), chain: &mut Self, context: &mut Context<Self>| {
+            let (now, (object, _)) = (platform::now(), &asked);
+            match answered {
+                Ok(answered) => {
+                    // The answer of an actor that was restarted meanwhile is lost.
+                    if let Ok(Alive { incarnation, state }) = answered {
+                        let progress = WorkProgress { incarnation, state };
+                        chain.machine.monitor.handle_alive(object, progress, now);
                     }
-                    Err(_) => {
-                        if waited + 1 == SILENT_AFTER {
-                            let age = SILENT_AFTER * PING_INTERVAL;
-                            chain.machine.monitor.handle_unanswered(&object, age, now);
-                        }
-                        chain.await_answer(object, answer, waited + 1, context);
-                    }
+                    context.run_later(PING_INTERVAL, |chain, context| {
+                        chain.ask(asked.0, asked.1, context);
+                    });
                 }
-                chain.drive(context);
-            },
-        ));
+                Err(_) => {
+                    if waited + 1 == SILENT_AFTER {
+                        let age = SILENT_AFTER * PING_INTERVAL;
+                        chain.machine.monitor.handle_unanswered(object, age, now);
+                    }
+                    chain.await_answer(asked, answer, waited + 1, context);
+                }
+            }
+            chain.drive(context);
+        };
+        context.spawn(wrap_future(wait).map(settle));
     }
 
     fn hand_over(
@@ -177,8 +182,9 @@ impl Supervised for DetectionActor {
     fn restarting(&mut self, context: &mut Context<Self>) {
         self.machine = self.machine.clone().restarted(platform::now());
         self.wake = WakeTimer::default();
-        let asked: Vec<ObjectName> = self.pings.keys().cloned().collect();
-        asked.into_iter().for_each(|object| self.ask(object, context));
+        for (object, pings) in self.pings.clone() {
+            self.ask(object, pings, context);
+        }
         self.drive(context);
     }
 }
@@ -191,9 +197,9 @@ impl Handler<Register> for DetectionActor {
         let object = enrolment.object.clone();
         self.machine.monitor.enrol(enrolment, platform::now())?;
         if let Some(pings) = pings
-            && self.pings.insert(object.clone(), pings).is_none()
+            && self.pings.insert(object.clone(), pings.clone()).is_none()
         {
-            self.ask(object, context);
+            self.ask(object, pings, context);
         }
         self.drive(context);
         Ok(Confirmed)

@@ -10,9 +10,9 @@
 //!
 //! `──►` is a call within [`DetectionChain`], which returns when the next machine has the finding.
 //! `══►` is a [`ConfirmedQueue`]: repeated until it is confirmed, given up loudly. The monitor
-//! keeps the table and judges nothing. The detector keeps the lifecycle of each object,
-//! compares with the list of faults, separates roots from symptoms and keeps the record. The
-//! notifier limits storms. None of them decides what is done about a fault, and none of them
+//! keeps the table and judges nothing. The detector keeps the lifecycle of each object, compares
+//! with the list of faults, separates roots from symptoms and keeps the record. The notifier limits
+//! storms. None of them decides what is done about a fault, and none of them
 //! restarts anything.
 //!
 //! **When it is found.** An exit, an error state, a declared fault: at once. Silence of an object
