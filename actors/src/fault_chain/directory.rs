@@ -2,9 +2,7 @@
 
 use actix::prelude::*;
 use blastema_contract::reports::AreYouAlive;
-use blastema_contract::supervisor::{
-    AddChild, IsolateChild, MoveChild, ReadTree, RemoveChild, ResetChild, RestartChild, SafeStop,
-};
+use blastema_contract::supervisor::{AddChild, ChildRequest, ReadTree};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{ObjectName, suggestion};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -12,13 +10,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// What a strategy, or the node, may ask of a supervisor.
 #[derive(Clone)]
 pub(crate) struct SupervisorRecipients {
-    pub(crate) restart: Recipient<RestartChild>,
-    pub(crate) move_away: Recipient<MoveChild>,
-    pub(crate) reset: Recipient<ResetChild>,
-    pub(crate) isolate: Recipient<IsolateChild>,
-    pub(crate) safe_stop: Recipient<SafeStop>,
+    pub(crate) requests: Recipient<ChildRequest>,
     pub(crate) add: Recipient<AddChild>,
-    pub(crate) remove: Recipient<RemoveChild>,
     pub(crate) pings: Recipient<AreYouAlive>,
     pub(crate) read: Recipient<ReadTree>,
 }

@@ -1,8 +1,9 @@
 //! The fault chain: thin actors over the machines of `blastema_core::detection` and `recovery`.
 //!
-//! Each of them runs under the guardian. After a panic of its own, an actor keeps its addresses and
-//! builds its machine from the plain facts of the old one, in `restarting`. The input that caused
-//! the panic is lost, and unconfirmed outputs are sent again.
+//! One actor is the body of monitor, detector and notifier, another of the recoverer, and each
+//! supervisor has one. Each runs under the guardian. After a panic of its own, an actor keeps its
+//! addresses and the facts of its machine, in `restarting`. The input that caused the panic is lost,
+//! and unconfirmed outputs are sent again.
 //!
 //! On their thread runs no code of the application but the subscriber of `tracing` that it has
 //! installed, and the `Drop` of what the factory of a removed component had captured: its
@@ -10,11 +11,9 @@
 //! component that has ended is dropped elsewhere, and [a thread of its own](outside) looks whether
 //! the chain answers. So the chain needs no other thread to go to.
 
-pub(crate) mod detector;
+pub(crate) mod detection;
 pub(crate) mod directory;
 pub(crate) mod log;
-pub(crate) mod monitor;
-pub(crate) mod notifier;
 pub(crate) mod outside;
 pub(crate) mod recoverer;
 pub(crate) mod strategy;

@@ -2,8 +2,7 @@
 //!
 //! ```text
 //!  chain-watch ─ every 10 ms ─► callbacks: which take longer than they may?
-//!       │      ─ are you alive ─► notifier, detector, monitor, recoverer, controller, one after the
-//! other
+//!       │      ─ are you alive ─► detection, recoverer, controller, one after the other
 //!       │      ◄─ all answered ─┘
 //!       └─ stroke ─► systemd, /dev/watchdog
 //! ```

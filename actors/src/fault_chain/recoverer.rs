@@ -1,10 +1,10 @@
-//! The recoverer's body: it has its machine's orders carried out by strategies.
+//! The recoverer's body: it carries out its machine's orders, or has a strategy do so.
 
 use super::strategy::{EngagedStrategy, StrategyContext, StrategyTable};
 use crate::platform;
 use crate::runtime::callbacks::Callbacks;
 use crate::runtime::driver::{MachineActor, WakeTimer};
-use crate::runtime::guardian::{Guardian, answers_the_monitor};
+use crate::runtime::guardian::answers_the_monitor;
 use actix::fut::wrap_future;
 use actix::prelude::*;
 use blastema_contract::Confirmed;
@@ -12,13 +12,12 @@ use blastema_contract::detector::FaultOutcome;
 use blastema_contract::recoverer::{CancelRecovery, Recover, SafeStateChanged};
 use blastema_contract::strategy::ExecuteAction;
 use blastema_core::Instant;
-use blastema_core::detection::RecoveryOutcome;
 use blastema_core::recovery::{
-    self, FaultResolution, RecovererOutput, RecoveryAction, RecoveryDone, RecoveryFailed,
-    RecoveryOrder,
+    self, RecovererOutput, RecoveryAction, RecoveryDone, RecoveryFailed, RecoveryOrder,
 };
 use blastema_core::sorted::SortedMap;
 use tokio::sync::watch;
+use tokio::time::timeout;
 use tracing::info;
 
 /// What a recoverer is made of.
@@ -31,23 +30,16 @@ pub(crate) struct RecovererSetup {
     pub(crate) tools: StrategyContext,
     /// Gets a report of what becomes of every fault.
     pub(crate) detector: Recipient<FaultOutcome>,
-    /// Keeps the strategies alive.
-    pub(crate) guardian: Guardian,
     /// Finds those that block.
     pub(crate) callbacks: Callbacks,
 }
 
 /// Decides what is done about a fault.
 pub(crate) struct RecovererActor {
-    machine: recovery::Recoverer,
+    setup: RecovererSetup,
     wake: WakeTimer,
-    strategies: StrategyTable,
-    tools: StrategyContext,
-    detector: Recipient<FaultOutcome>,
-    guardian: Guardian,
-    /// The strategies that live at present.
+    /// The strategies of the application that live at present.
     engaged: SortedMap<RecoveryAction, EngagedStrategy>,
-    callbacks: Callbacks,
 }
 
 /// What came back for one order.
@@ -59,30 +51,39 @@ enum Answer {
 
 impl RecovererActor {
     pub(crate) fn new(setup: RecovererSetup) -> Self {
-        let RecovererSetup { machine, strategies, tools, detector, guardian, callbacks } = setup;
-        let engaged = SortedMap::new();
-        let wake = WakeTimer::default();
-        RecovererActor { machine, wake, strategies, tools, detector, guardian, engaged, callbacks }
+        RecovererActor { setup, wake: WakeTimer::default(), engaged: SortedMap::new() }
     }
 
-    fn strategy(&mut self, action: &RecoveryAction) -> Result<&EngagedStrategy, RecoveryFailed> {
+    /// The strategy of the application that carries an action out, if one does.
+    fn strategy(
+        &mut self,
+        action: &RecoveryAction,
+    ) -> Result<Option<&EngagedStrategy>, RecoveryFailed> {
+        let RecoveryAction::Custom(name) = action else { return Ok(None) };
         if !self.engaged.get(action).is_some_and(EngagedStrategy::is_usable) {
-            let (guardian, tools) = (&self.guardian, self.tools.clone());
-            let strategy = self.strategies.make(action, guardian, tools, &self.callbacks)?;
+            let RecovererSetup { strategies, tools, callbacks, .. } = &self.setup;
+            let strategy = strategies.make(name, tools.clone(), callbacks)?;
             self.engaged.insert(action.clone(), strategy);
         }
-        Ok(self.engaged.get(action).expect("it was just put in"))
+        Ok(self.engaged.get(action))
     }
 
     fn have_carried_out(&mut self, order: RecoveryOrder, context: &mut Context<Self>) {
         let due = platform::now() + order.within;
         info!(location = %order.fault.location, action = %order.action, attempt = order.attempt, "recovering");
         let strategy = self.strategy(&order.action);
-        let strategy = strategy.map(|strategy| (strategy.orders.clone(), strategy.blocked_by()));
-        let given = order.clone();
+        let strategy = strategy.map(|strategy| {
+            strategy.map(|strategy| (strategy.orders.clone(), strategy.blocked_by()))
+        });
+        let (given, tools) = (order.clone(), self.setup.tools.clone());
         let carried_out = async move {
             let (orders, blocked_by) = match strategy {
-                Ok(strategy) => strategy,
+                Ok(Some(strategy)) => strategy,
+                Ok(None) => {
+                    let work = timeout(given.within, tools.carry_out(&given)).await;
+                    let overdue = |_| Err(format!("not done within {:?}", given.within).into());
+                    return Answer::Outcome(work.unwrap_or_else(overdue));
+                }
                 Err(failed) => return Answer::Outcome(Err(failed)),
             };
             tokio::select! {
@@ -109,7 +110,7 @@ impl RecovererActor {
         let outcome = match answer {
             Answer::Outcome(outcome) => outcome,
             Answer::Blocked(culprit) if culprit == order.number => {
-                let limit = self.callbacks.limit().unwrap_or_default();
+                let limit = self.setup.callbacks.limit().unwrap_or_default();
                 Err(format!("the strategy {} blocked its thread for {limit:?}", order.action)
                     .into())
             }
@@ -122,7 +123,7 @@ impl RecovererActor {
                 Err("its strategy was blocked by another order for all of its time".into())
             }
         };
-        self.machine.handle_outcome(order.number, outcome, platform::now());
+        self.setup.machine.handle_outcome(order.number, outcome, platform::now());
         self.drive(context);
     }
 }
@@ -139,53 +140,28 @@ async fn blocked(blocked_by: Option<watch::Receiver<Option<u64>>>) -> u64 {
     std::future::pending().await
 }
 
-/// What the detector's record says about a fault; `None` where the detector has to find out itself.
-fn outcome_of(settled: FaultResolution) -> Option<RecoveryOutcome> {
-    Some(match settled {
-        FaultResolution::Decided { action, attempt: 1 } => {
-            RecoveryOutcome::Decided { action: action.to_string() }
-        }
-        FaultResolution::Decided { action, attempt } => {
-            RecoveryOutcome::Decided { action: format!("{action}, attempt {attempt}") }
-        }
-        FaultResolution::Failed { action, reason } => {
-            RecoveryOutcome::Failed { action: action.to_string(), reason }
-        }
-        FaultResolution::Observed => {
-            RecoveryOutcome::Decided { action: RecoveryAction::Observe.to_string() }
-        }
-        FaultResolution::Recovered { .. } => RecoveryOutcome::Recovered,
-        FaultResolution::Waits => RecoveryOutcome::Waits,
-        FaultResolution::GaveUp { reason } => RecoveryOutcome::GaveUp { reason },
-        FaultResolution::Contained { action } => RecoveryOutcome::GaveUp {
-            reason: format!("contained by {action}; service is not restored"),
-        },
-        _ => return None,
-    })
-}
-
 impl MachineActor for RecovererActor {
     type Machine = recovery::Recoverer;
 
     fn driven(&mut self) -> (&mut recovery::Recoverer, &mut WakeTimer) {
-        (&mut self.machine, &mut self.wake)
+        (&mut self.setup.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, action: RecovererOutput, context: &mut Context<Self>) {
         match action {
             RecovererOutput::CarryOut(order) => self.have_carried_out(order, context),
-            RecovererOutput::Settle { fault, settled, .. } => {
-                if let Some(what) = outcome_of(settled) {
-                    self.detector.do_send(FaultOutcome { id: fault, at: platform::now(), what });
-                }
+            RecovererOutput::Settle { fault: id, outcome: what } => {
+                self.setup.detector.do_send(FaultOutcome { id, at: platform::now(), what });
             }
             RecovererOutput::Release { action } => {
                 self.engaged.remove(&action);
             }
-            RecovererOutput::AbandonIncarnation { fault } => self.tools.give_up_incarnation(&fault),
+            RecovererOutput::AbandonIncarnation { fault } => {
+                self.setup.tools.give_up_incarnation(&fault)
+            }
             RecovererOutput::LastResort { fault, reason } => {
                 info!(location = %fault.location, kind = %fault.kind, reason, "the node enters the safe state");
-                self.tools.rest_node(&fault, &reason);
+                self.setup.tools.rest_node(&fault, &reason);
             }
         }
     }
@@ -205,7 +181,7 @@ impl Supervised for RecovererActor {
     fn restarting(&mut self, _: &mut Context<Self>) {
         self.wake = WakeTimer::default();
         self.engaged.clear();
-        self.machine = self.machine.restarted(platform::now());
+        self.setup.machine = self.setup.machine.restarted(platform::now());
     }
 }
 
@@ -214,7 +190,7 @@ impl Handler<Recover> for RecovererActor {
 
     fn handle(&mut self, message: Recover, context: &mut Context<Self>) -> Confirmed {
         let Recover { fault } = message;
-        self.machine.handle_fault(fault, platform::now());
+        self.setup.machine.handle_fault(fault, platform::now());
         self.drive(context);
         Confirmed
     }
@@ -225,7 +201,7 @@ impl Handler<CancelRecovery> for RecovererActor {
 
     fn handle(&mut self, message: CancelRecovery, context: &mut Context<Self>) -> Confirmed {
         let CancelRecovery { id, location } = message;
-        self.machine.handle_stand_down(id, &location, platform::now());
+        self.setup.machine.handle_stand_down(id, &location, platform::now());
         self.drive(context);
         Confirmed
     }
@@ -236,10 +212,10 @@ impl Handler<SafeStateChanged> for RecovererActor {
 
     fn handle(&mut self, message: SafeStateChanged, context: &mut Context<Self>) {
         match message {
-            SafeStateChanged::Entering => self.machine.handle_rest(platform::now()),
+            SafeStateChanged::Entering => self.setup.machine.handle_rest(platform::now()),
             SafeStateChanged::Entered { .. } => return,
-            SafeStateChanged::Left => self.machine.handle_work(),
-            SafeStateChanged::NodeEnds => self.machine.handle_node_end(platform::now()),
+            SafeStateChanged::Left => self.setup.machine.handle_work(),
+            SafeStateChanged::NodeEnds => self.setup.machine.handle_node_end(platform::now()),
         }
         self.drive(context);
     }

@@ -1,7 +1,6 @@
 //! The supervisor's body: it holds the children, and does to them what its machine decides.
 
-mod moving;
-mod rest;
+mod requests;
 mod tree;
 
 use super::directory::{SupervisorDirectory, SupervisorRecipients};
@@ -18,13 +17,9 @@ use blastema_contract::monitor::IsolationReported;
 use blastema_contract::reports::{
     Alive, AreYouAlive, ExitReason, Exited, FaultDeclared, StateReported,
 };
-use blastema_contract::supervisor::{
-    AbandonChildren, AddChild, ExpectEnd, ForgetSupervisor, GaveUp, IsolateAll, IsolateChild,
-    ReadTree, Recovered, RemoveChild, ResetChild, RestartChild, StartSupervisor, StopSupervisor,
-};
+use blastema_contract::supervisor::{AddChild, GaveUp, ReadTree, Recovered, SupervisorOrder};
 use blastema_core::recovery::{
-    CallId, ChildRules, GiveUpReason, ReplacementCause, Supervisor, SupervisorOutput,
-    SupervisorRules,
+    CallId, ChildRules, GiveUpReason, Supervisor, SupervisorOutput, SupervisorRules,
 };
 use blastema_core::sorted::SortedMap;
 use blastema_core::{FaultKind, Incarnation, Instant, Lifecycle, ObjectName};
@@ -238,12 +233,12 @@ impl MachineActor for SupervisorActor {
                     None => {}
                 }
             }
-            SupervisorOutput::ExpectEnd { child } => self.with(&child, |child| child.expect_end()),
-            SupervisorOutput::Abandon { child } => self.with(&child, |child| child.abandon()),
-            SupervisorOutput::CutOff { child } => self.with(&child, |child| {
+            SupervisorOutput::ExpectEnd(child) => self.with(&child, |child| child.expect_end()),
+            SupervisorOutput::Abandon(child) => self.with(&child, |child| child.abandon()),
+            SupervisorOutput::CutOff(child) => self.with(&child, |child| {
                 child.cut_off();
             }),
-            SupervisorOutput::Reset { child } => self.with(&child, |child| child.reset()),
+            SupervisorOutput::Reset(child) => self.with(&child, |child| child.reset()),
             SupervisorOutput::Isolate { child, isolated } => {
                 if let Some(child) = self.child(&child) {
                     let object = child.name().clone();
@@ -269,7 +264,7 @@ impl MachineActor for SupervisorActor {
                 // What waits below for its next incarnation waits in vain.
                 self.with(&child, |child| child.retire());
             }
-            SupervisorOutput::Unavailable { reason } => {
+            SupervisorOutput::Unavailable(reason) => {
                 warn!(supervisor = %self.name, reason, "its start waits for what is not there yet");
                 self.tell_parent(ChildEvent::Unavailable { reason });
             }
@@ -280,13 +275,13 @@ impl MachineActor for SupervisorActor {
                     self.declare(child, incarnation, FaultKind::InitializationFailed, detail);
                 }
             }
-            SupervisorOutput::Retire { child } => self.with(&child, |child| child.retire()),
-            SupervisorOutput::Left { child } => self.drop_child(&child),
-            SupervisorOutput::GiveUp { reason } => {
+            SupervisorOutput::Retire(child) => self.with(&child, |child| child.retire()),
+            SupervisorOutput::Left(child) => self.drop_child(&child),
+            SupervisorOutput::GiveUp(reason) => {
                 self.declare_storm(&reason);
                 self.tell_parent(ChildEvent::GivesUp { reason });
             }
-            SupervisorOutput::Escalate { reason } => {
+            SupervisorOutput::Escalate(reason) => {
                 if self.machine.rules().root {
                     self.retire_all();
                 } else {
@@ -329,13 +324,8 @@ impl Actor for SupervisorActor {
     fn started(&mut self, context: &mut Context<Self>) {
         let address = context.address();
         let ports = SupervisorRecipients {
-            restart: address.clone().recipient(),
-            move_away: address.clone().recipient(),
-            reset: address.clone().recipient(),
-            isolate: address.clone().recipient(),
-            safe_stop: address.clone().recipient(),
+            requests: address.clone().recipient(),
             add: address.clone().recipient(),
-            remove: address.clone().recipient(),
             pings: address.clone().recipient(),
             read: address.recipient(),
         };
@@ -353,55 +343,36 @@ impl Supervised for SupervisorActor {
     }
 }
 
-impl Handler<StartSupervisor> for SupervisorActor {
+impl Handler<SupervisorOrder> for SupervisorActor {
     type Result = ();
 
-    fn handle(&mut self, message: StartSupervisor, context: &mut Context<Self>) {
-        let StartSupervisor { incarnation, report } = message;
-        self.parent = Some(report);
-        self.again = false;
-        self.machine.handle_begin(incarnation, platform::now());
-        self.drive(context);
-    }
-}
-
-impl Handler<StopSupervisor> for SupervisorActor {
-    type Result = ();
-
-    fn handle(&mut self, message: StopSupervisor, context: &mut Context<Self>) {
-        let StopSupervisor { again } = message;
-        self.again = again;
-        self.machine.handle_end(platform::now());
-        self.drive(context);
-    }
-}
-
-impl Handler<ExpectEnd> for SupervisorActor {
-    type Result = ();
-
-    fn handle(&mut self, _: ExpectEnd, context: &mut Context<Self>) {
-        self.machine.handle_end_expected(platform::now());
-        self.drive(context);
-    }
-}
-
-impl Handler<AbandonChildren> for SupervisorActor {
-    type Result = ();
-
-    fn handle(&mut self, _: AbandonChildren, context: &mut Context<Self>) {
-        self.watched.end(&self.name, DownReason::Abandoned);
-        self.machine.handle_forsake(platform::now());
-        self.drive(context);
-    }
-}
-
-impl Handler<IsolateAll> for SupervisorActor {
-    type Result = ();
-
-    fn handle(&mut self, message: IsolateAll, context: &mut Context<Self>) {
-        let IsolateAll { isolated, reason } = message;
-        self.children.values_mut().for_each(|child| child.explain_isolation(&reason));
-        self.machine.handle_isolate_all(isolated, platform::now());
+    fn handle(&mut self, order: SupervisorOrder, context: &mut Context<Self>) {
+        let now = platform::now();
+        match order {
+            SupervisorOrder::Start { incarnation, report } => {
+                (self.parent, self.again) = (Some(report), false);
+                self.machine.handle_begin(incarnation, now);
+            }
+            SupervisorOrder::Stop { again } => {
+                self.again = again;
+                self.machine.handle_end(now);
+            }
+            SupervisorOrder::ExpectEnd => self.machine.handle_end_expected(now),
+            SupervisorOrder::Abandon => {
+                self.watched.end(&self.name, DownReason::Abandoned);
+                self.machine.handle_forsake(now);
+            }
+            SupervisorOrder::Isolate { isolated, reason } => {
+                self.children.values_mut().for_each(|child| child.explain_isolation(&reason));
+                self.machine.handle_isolate_all(isolated, now);
+            }
+            SupervisorOrder::Forget => {
+                self.directory.forget(&self.name);
+                self.watched.forget(&self.name);
+                self.watched.forget(&body_of(&self.name));
+                return context.stop();
+            }
+        }
         self.drive(context);
     }
 }
@@ -465,49 +436,6 @@ fn in_order(exit: &ExitReason) -> bool {
     matches!(exit, ExitReason::Returned | ExitReason::Stopped)
 }
 
-impl Handler<RestartChild> for SupervisorActor {
-    type Result = PendingAnswer<RecoveryResult>;
-
-    fn handle(&mut self, message: RestartChild, context: &mut Context<Self>) -> Self::Result {
-        let RestartChild { object, fault } = message;
-        let cause = fault.as_ref().map_or(ReplacementCause::Asked, ReplacementCause::of);
-        let faulty = fault.map(|fault| fault.incarnation);
-        self.ask(context, object, |machine, object, call, now| {
-            machine.handle_restart(object, call, cause, faulty, now);
-        })
-    }
-}
-
-impl Handler<ResetChild> for SupervisorActor {
-    type Result = PendingAnswer<RecoveryResult>;
-
-    fn handle(&mut self, message: ResetChild, context: &mut Context<Self>) -> Self::Result {
-        let ResetChild { object } = message;
-        self.ask(context, object, Supervisor::handle_reset)
-    }
-}
-
-impl Handler<IsolateChild> for SupervisorActor {
-    type Result = PendingAnswer<RecoveryResult>;
-
-    fn handle(&mut self, message: IsolateChild, context: &mut Context<Self>) -> Self::Result {
-        let IsolateChild { object, faulty, isolated, reason } = message;
-        self.with(&object, |child| child.explain_isolation(&reason));
-        self.ask(context, object, |machine, object, call, now| {
-            machine.handle_isolate(object, faulty, isolated, call, now);
-        })
-    }
-}
-
-impl Handler<RemoveChild> for SupervisorActor {
-    type Result = PendingAnswer<RecoveryResult>;
-
-    fn handle(&mut self, message: RemoveChild, context: &mut Context<Self>) -> Self::Result {
-        let RemoveChild { object } = message;
-        self.ask(context, object, Supervisor::handle_remove)
-    }
-}
-
 impl Handler<AddChild> for SupervisorActor {
     type Result = PendingAnswer<RecoveryResult>;
 
@@ -539,17 +467,6 @@ impl Handler<AddChild> for SupervisorActor {
     }
 }
 
-impl Handler<ForgetSupervisor> for SupervisorActor {
-    type Result = ();
-
-    fn handle(&mut self, _: ForgetSupervisor, context: &mut Context<Self>) {
-        self.directory.forget(&self.name);
-        self.watched.forget(&self.name);
-        self.watched.forget(&body_of(&self.name));
-        context.stop();
-    }
-}
-
 /// A supervisor as its parent, or the node, sees it.
 pub(crate) struct SupervisorChild {
     name: ObjectName,
@@ -573,7 +490,7 @@ impl SupervisorChild {
 
 impl Drop for SupervisorChild {
     fn drop(&mut self) {
-        self.address.do_send(ForgetSupervisor);
+        self.address.do_send(SupervisorOrder::Forget);
     }
 }
 
@@ -588,28 +505,28 @@ impl Child for SupervisorChild {
         report: Arc<Recipient<ChildReport>>,
     ) -> Incarnation {
         self.report = Some((incarnation, report.clone()));
-        self.address.do_send(StartSupervisor { incarnation, report });
+        self.address.do_send(SupervisorOrder::Start { incarnation, report });
         incarnation
     }
 
     fn stop(&mut self) {
-        self.address.do_send(StopSupervisor { again: false });
+        self.address.do_send(SupervisorOrder::Stop { again: false });
     }
 
     fn make_way(&mut self) {
-        self.address.do_send(StopSupervisor { again: true });
+        self.address.do_send(SupervisorOrder::Stop { again: true });
     }
 
     fn expect_end(&mut self) {
-        self.address.do_send(ExpectEnd);
+        self.address.do_send(SupervisorOrder::ExpectEnd);
     }
 
     fn retire(&mut self) {
-        self.address.do_send(StopSupervisor { again: false });
+        self.address.do_send(SupervisorOrder::Stop { again: false });
     }
 
     fn abandon(&mut self) {
-        self.address.do_send(AbandonChildren);
+        self.address.do_send(SupervisorOrder::Abandon);
     }
 
     fn reset(&mut self) {
@@ -622,7 +539,8 @@ impl Child for SupervisorChild {
     }
 
     fn isolate(&mut self, isolated: bool) {
-        self.address.do_send(IsolateAll { isolated, reason: self.reason.clone() });
+        let reason = self.reason.clone();
+        self.address.do_send(SupervisorOrder::Isolate { isolated, reason });
     }
 
     fn explain_isolation(&mut self, reason: &str) {

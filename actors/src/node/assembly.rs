@@ -61,7 +61,7 @@ use blastema_contract::supervisor::ReadTree;
 use blastema_contract::transport::Close;
 use blastema_core::detection::dependencies::Dependencies;
 use blastema_core::detection::hang::HangDetectorConfig;
-use blastema_core::detection::{Liveness, ObjectKind, Registration};
+use blastema_core::detection::{ObjectKind, Registration};
 use blastema_core::recovery::{Plan, Restart};
 use blastema_core::{
     Fault, FaultKind, Incarnation, NameError, NodeName, ObjectAddress, ObjectName,
@@ -678,19 +678,16 @@ fn enrolment(node: &NodeName, facts: &ComponentFacts) -> Result<Register, NameEr
     // A component's signs of life are activity records, which the sampler reads: no message is sent
     // for them.
     let unborn = Incarnation::default();
-    let mut enrolment = Registration::new(name.clone()).incarnation(unborn).depends_on(depends_on);
-    enrolment.may_end = *restart != Restart::Permanent;
+    let mut enrolment = Registration::new(name.clone()).depends_on(depends_on);
+    (enrolment.incarnation, enrolment.may_end) = (unborn, *restart != Restart::Permanent);
     Ok(Register { enrolment, pings: None })
 }
 
-/// An object of the middleware. It answers in microseconds; that it did not for several seconds is
-/// no matter of load, and ends in the node's safe state.
+/// An object of the middleware. That it does not answer for several seconds ends in the node's safe
+/// state.
 fn middleware(name: ObjectName, pings: Option<Recipient<AreYouAlive>>) -> Register {
-    let watch = match pings {
-        Some(_) => Liveness::pull(Duration::from_secs(1), Duration::from_secs(3)),
-        None => Liveness::Guard,
-    };
-    let enrolment = Registration::new(name).kind(ObjectKind::Middleware).watch(watch);
+    let mut enrolment = Registration::new(name);
+    enrolment.kind = ObjectKind::Middleware;
     Register { enrolment, pings }
 }
 

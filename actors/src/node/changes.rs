@@ -4,7 +4,7 @@
 //!  add ──► prepare ──► dependencies, monitor ──► AddChild ──► at work
 //!             │ wrong          │ wrong              │ not started
 //!             └────────────────┴────────────────────┴──────► undone in reverse
-//!  remove ──► dependencies ──► RemoveChild (stops in reverse) ──► forgotten
+//!  remove ──► dependencies ──► ChildRequest (stops in reverse) ──► forgotten
 //! ```
 //!
 //! An object is entered in the dependencies before its supervisor has it, and is taken out before
@@ -21,7 +21,7 @@ use crate::host::spec::ChildSpec;
 use crate::platform;
 use actix::Recipient;
 use blastema_contract::reports::AreYouAlive;
-use blastema_contract::supervisor::{AddChild, GaveUp, RemoveChild};
+use blastema_contract::supervisor::{AddChild, ChildAction, ChildRequest, GaveUp};
 use blastema_core::ObjectName;
 use blastema_core::detection::dependencies::DependencyError;
 use blastema_core::recovery::GiveUpReason;
@@ -154,8 +154,9 @@ impl Node {
     ) -> Result<(), RemoveError> {
         let below = names.iter().filter_map(|name| self.0.directory.supervisor(name));
         let below: Vec<_> = below.map(|supervisor| supervisor.pings.clone()).collect();
+        let remove = ChildRequest { object, action: ChildAction::Remove };
         loop {
-            match supervisor.remove.send(RemoveChild { object: object.clone() }).await {
+            match supervisor.requests.send(remove.clone()).await {
                 Ok(Err(GaveUp { why: GiveUpReason::Forgotten, .. }))
                 | Ok(Err(GaveUp { why: GiveUpReason::Full { .. }, .. })) => {
                     platform::sleep(RETRY_INTERVAL).await;
@@ -227,7 +228,8 @@ impl Node {
         };
         if let Some(GiveUpReason::Forgotten | GiveUpReason::Full { .. }) = why {
             // It may be there all the same.
-            let _ = supervisor.remove.send(RemoveChild { object: name.clone() }).await;
+            let remove = ChildRequest { object: name.clone(), action: ChildAction::Remove };
+            let _ = supervisor.requests.send(remove).await;
         }
         let names: Vec<_> = tree.names().cloned().collect();
         // At once: what is gone has no fault that could be recovered.

@@ -72,8 +72,8 @@ use crate::actuator;
 use crate::actuator::{ActuatorRow, Commander};
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
+use crate::fault_chain::detection::DetectionActor;
 use crate::fault_chain::directory::SupervisorDirectory;
-use crate::fault_chain::monitor::MonitorActor;
 use crate::host::reference::ActorRef;
 use crate::liveness::sampler::Running;
 use crate::liveness::threads;
@@ -149,7 +149,7 @@ struct Shared {
     root: Recipient<ReadTree>,
     /// With the monitor, what supervisors need that are added while the node runs.
     guardian: Guardian,
-    monitor: Addr<MonitorActor>,
+    monitor: Addr<DetectionActor>,
     shutdown: Recipient<Shutdown>,
     restart: Recipient<RestartRoot>,
     directory: SupervisorDirectory,

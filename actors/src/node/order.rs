@@ -10,7 +10,7 @@ use super::Node;
 use crate::net::operator::operator;
 #[cfg(feature = "network")]
 use crate::registry::{ContractPort, service_fn::ServiceFn};
-use blastema_contract::supervisor::ResetChild;
+use blastema_contract::supervisor::{ChildAction, ChildRequest};
 #[cfg(feature = "network")]
 use blastema_core::DeliveryError;
 use blastema_core::{FaultLocation, Lifecycle, ObjectName};
@@ -230,7 +230,8 @@ impl Node {
         let object = ObjectName::new(name).map_err(|error| error.to_string())?;
         let supervisor = self.0.directory.supervisor_of(&object);
         let supervisor = supervisor.ok_or("no supervisor keeps it any more")?;
-        match supervisor.reset.send(ResetChild { object }).await {
+        let reset = ChildRequest { object, action: ChildAction::Reset };
+        match supervisor.requests.send(reset).await {
             Ok(reset) => reset.map(drop).map_err(|gave_up| gave_up.why.to_string()),
             Err(_) => Err("the node was shut down".to_owned()),
         }

@@ -4,7 +4,7 @@ use super::Node;
 use super::controller::{NodeState, RestartRefused, RestartRoot};
 use crate::arbiter::pool::CULPRITS_LIMIT;
 use crate::component::spec_error::did_you_mean;
-use blastema_contract::supervisor::{GaveUp, Recovered, RestartChild};
+use blastema_contract::supervisor::{ChildAction, ChildRequest, GaveUp, Recovered};
 use blastema_core::recovery::GiveUpReason;
 use blastema_core::{Incarnation, ObjectName};
 
@@ -138,7 +138,8 @@ impl Node {
         };
         let object = ObjectName::new(name).map_err(|_| unknown())?;
         let controller = self.0.directory.supervisor_of(&object).ok_or_else(unknown)?;
-        match controller.restart.send(RestartChild { object, fault: None }).await {
+        let restart = ChildRequest { object, action: ChildAction::Restart(None) };
+        match controller.requests.send(restart).await {
             Ok(Ok(Recovered { incarnation, waits, .. })) => Ok(match (incarnation, waits) {
                 (Some(incarnation), false) => RestartedChild::Running(incarnation),
                 (Some(incarnation), true) => RestartedChild::Unavailable(incarnation),

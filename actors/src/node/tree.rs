@@ -3,8 +3,8 @@
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
+use crate::fault_chain::detection::DetectionActor;
 use crate::fault_chain::directory::SupervisorDirectory;
-use crate::fault_chain::monitor::MonitorActor;
 use crate::fault_chain::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};
 use crate::host::spec::ChildSpec;
 use crate::runtime::guardian::Guardian;
@@ -274,7 +274,7 @@ pub(super) struct TreeEnvironment<'a> {
     pub(super) environment: &'a Arc<ComponentEnvironment>,
     pub(super) guardian: &'a Guardian,
     pub(super) arbiter: Option<&'a ArbiterHandle>,
-    pub(super) monitor: Addr<MonitorActor>,
+    pub(super) monitor: Addr<DetectionActor>,
     pub(super) directory: SupervisorDirectory,
     pub(super) plan: &'a Plan,
     /// The first start of each supervisor is whole, whatever its spec says.

@@ -1,19 +1,8 @@
 //! What others may say to, and ask of, the detector.
 
-use crate::Confirmed;
 use actix::{Message, Recipient};
-use blastema_core::detection::{FaultRecord, FaultTransition, Observation, RecoveryOutcome};
+use blastema_core::detection::{FaultRecord, FaultTransition, RecoveryOutcome};
 use blastema_core::{Fault, FaultId, Instant};
-
-/// The monitor hands over what it saw, and repeats it until it is confirmed.
-#[derive(Clone, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "Confirmed")]
-pub struct Observed {
-    /// Tells a repetition from the next observation; rises.
-    pub number: u64,
-    /// What was seen.
-    pub observation: Observation,
-}
 
 /// The recoverer tells what becomes of a fault.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]

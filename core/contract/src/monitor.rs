@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! node ──Register, Unregister──►┐
-//! link, router ──LinkReported, NodeReported──► Monitor ──Observed──► Detector
+//! link, router ──LinkReported, NodeReported──► Monitor
 //! supervisor ──IsolationReported──►┤     ▲
 //! node ──NodeEnding──►──────────────┘     │
 //! anyone ──ReadTable─────────────────────┘
@@ -24,8 +24,7 @@ use std::sync::Arc;
 pub struct Register {
     /// Who, and how.
     pub enrolment: Registration,
-    /// Where it answers the monitor's questions, also while it serves a message; needed for
-    /// `Watch::Pull`.
+    /// Where it answers the monitor's questions; `None` for one that is not asked.
     pub pings: Option<Recipient<AreYouAlive>>,
 }
 

@@ -1,10 +1,10 @@
 //! What is asked of a supervisor, and what it answers.
 //!
 //! ```text
-//! strategy ──RestartChild, ResetChild, IsolateChild, SafeStop──► Supervisor
-//!          ◄──Recovered | GaveUp (once it is decided)───────────┘
-//! parent, or the node ──StartSupervisor, ExpectEnd, StopSupervisor, AbandonChildren──► Supervisor
-//!                     ◄──ChildReport───────────────────────────────────────────────────┘
+//! strategy, node ──ChildRequest, AddChild──► Supervisor
+//!                ◄──Recovered | GaveUp─────────┘ once it is decided
+//! parent, or the node ──SupervisorOrder──► Supervisor
+//!                     ◄──ChildReport───────┘
 //! ```
 //!
 //! Requests go down the tree, events go up; a supervisor awaits no other object.
@@ -36,61 +36,43 @@ pub struct GaveUp {
     pub why: GiveUpReason,
 }
 
-/// Replace a child's incarnation by the next one, and do with its siblings what the supervisor's
-/// strategy says. Answered when all of them are at work again, or when that has failed; what
-/// befalls a sibling on the way is a fault of its own.
+/// Have something done with one child. Answered when it is done, or when that has failed.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Result<Recovered, GaveUp>")]
-pub struct RestartChild {
+pub struct ChildRequest {
     /// The child.
     pub object: ObjectName,
-    /// What is wrong with it; `None` when a person asks.
-    pub fault: Option<Fault>,
+    /// What is to be done.
+    pub action: ChildAction,
 }
 
-/// Let a child go on in its next incarnation on a thread of its own, and its queue with it.
-/// Answered as [`RestartChild`].
-#[derive(Clone, Debug, Message)]
-#[rtype(result = "Result<Recovered, GaveUp>")]
-pub struct MoveChild {
-    /// The child.
-    pub object: ObjectName,
-    /// What is wrong with it; `None` when a person asks.
-    pub fault: Option<Fault>,
-}
-
-/// Let a child in error recover by itself.
-#[derive(Clone, Debug, Message)]
-#[rtype(result = "Result<Recovered, GaveUp>")]
-pub struct ResetChild {
-    /// The child.
-    pub object: ObjectName,
-}
-
-/// Forbid a child to send and receive, or allow it again.
-#[derive(Clone, Debug, Message)]
-#[rtype(result = "Result<Recovered, GaveUp>")]
-pub struct IsolateChild {
-    /// The child.
-    pub object: ObjectName,
-    /// The incarnation that a fault struck: nothing is done if another one has followed it. `None`
-    /// means the child, whichever incarnation it has.
-    pub faulty: Option<Incarnation>,
-    /// Forbidden, or allowed.
-    pub isolated: bool,
-    /// Why.
-    pub reason: String,
-}
-
-/// Put a child in safe state: its incarnation ends, it is isolated, and only an explicit restart
-/// brings it back. Answered when it has ended.
-#[derive(Clone, Debug, Message)]
-#[rtype(result = "Result<Recovered, GaveUp>")]
-pub struct SafeStop {
-    /// The child.
-    pub object: ObjectName,
-    /// What is wrong with it; `None` when a person asks.
-    pub fault: Option<Fault>,
+/// What a supervisor does with a child when it is asked to.
+#[derive(Clone, Debug)]
+pub enum ChildAction {
+    /// Replace its incarnation by the next one, and do with its siblings what the supervisor's
+    /// strategy says: for this fault, or because a person asks. Done when all of them are at work
+    /// again; what befalls a sibling on the way is a fault of its own.
+    Restart(Option<Fault>),
+    /// The same, where the next incarnation of the child runs on a thread of its own, with the same
+    /// queue.
+    Move(Option<Fault>),
+    /// Let it recover from its error by itself.
+    Reset,
+    /// Forbid it to send and receive, or allow it again.
+    Isolate {
+        /// The incarnation that a fault struck: nothing is done if another one has followed it.
+        /// `None` means the child, whichever incarnation it has.
+        faulty: Option<Incarnation>,
+        /// Forbidden, or allowed.
+        isolated: bool,
+        /// Why.
+        reason: String,
+    },
+    /// Put it in safe state: its incarnation ends, it is isolated, and only an explicit restart
+    /// brings it back. Done when it has ended.
+    SafeStop(Option<Fault>),
+    /// Stop it and forget it. Done when it has ended.
+    Remove,
 }
 
 /// Take in one more child, behind all the others, and start it if the supervisor is at work.
@@ -107,61 +89,39 @@ pub struct AddChild {
     pub whole: bool,
 }
 
-/// Stop a child and forget it. Answered when it has ended.
-#[derive(Clone, Debug, Message)]
-#[rtype(result = "Result<Recovered, GaveUp>")]
-pub struct RemoveChild {
-    /// The child.
-    pub object: ObjectName,
-}
-
-/// From the parent, or from the node to the root: begin an incarnation and start all children in
-/// order. `report` is told [`Started`] when all are at work; later [`Escalated`] if the supervisor
-/// gives up.
-///
-/// [`Started`]: crate::child::ChildEvent::Started
-/// [`Escalated`]: crate::child::ChildEvent::Escalated
-#[derive(Clone, Message)]
-#[rtype(result = "()")]
-pub struct StartSupervisor {
-    /// Which incarnation of the supervisor this is.
-    pub incarnation: Incarnation,
-    /// Who is told what becomes of it.
-    pub report: Arc<Recipient<ChildReport>>,
-}
-
-/// From the parent: stop all children in reverse order. `Stopped` is reported when all have ended.
-#[derive(Clone, Copy, Debug, Message)]
-#[rtype(result = "()")]
-pub struct StopSupervisor {
-    /// The supervisor is to restart, so that what waits for its children goes on waiting.
-    pub again: bool,
-}
-
-/// From the parent, which has forgotten it: forget all children, and end the supervisor's actor.
-#[derive(Clone, Copy, Debug, Message)]
-#[rtype(result = "()")]
-pub struct ForgetSupervisor;
-
-/// From the parent: you are about to be told to stop, so begin nothing any more. Nothing is
-/// reported.
-#[derive(Clone, Copy, Debug, Message)]
-#[rtype(result = "()")]
-pub struct ExpectEnd;
-
-/// From the parent: give all children up at once. Nothing is reported.
-#[derive(Clone, Copy, Debug, Message)]
-#[rtype(result = "()")]
-pub struct AbandonChildren;
-
-/// From the parent: forbid all children to send and receive, or allow it again.
+/// What a supervisor is told by its parent, or the root by its node.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "()")]
-pub struct IsolateAll {
-    /// Forbidden, or allowed.
-    pub isolated: bool,
-    /// Why.
-    pub reason: String,
+pub enum SupervisorOrder {
+    /// Begin an incarnation and start all children in order. `report` is told [`Started`] when all
+    /// are at work; later [`Escalated`] if the supervisor gives up.
+    ///
+    /// [`Started`]: crate::child::ChildEvent::Started
+    /// [`Escalated`]: crate::child::ChildEvent::Escalated
+    Start {
+        /// Which incarnation of the supervisor this is.
+        incarnation: Incarnation,
+        /// Where its reports go.
+        report: Arc<Recipient<ChildReport>>,
+    },
+    /// Stop all children in reverse order. `Stopped` is reported when all have ended.
+    Stop {
+        /// The supervisor is to restart, so that what waits for its children goes on waiting.
+        again: bool,
+    },
+    /// [`Stop`](SupervisorOrder::Stop) follows, so begin nothing any more. Nothing is reported.
+    ExpectEnd,
+    /// Give all children up at once. Nothing is reported.
+    Abandon,
+    /// Forbid all children to send and receive, or allow it again.
+    Isolate {
+        /// Forbidden, or allowed.
+        isolated: bool,
+        /// Why.
+        reason: String,
+    },
+    /// The parent has forgotten the supervisor: forget all children, and end the actor.
+    Forget,
 }
 
 /// How do a supervisor and everything below it stand?

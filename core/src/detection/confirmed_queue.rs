@@ -27,10 +27,8 @@ pub struct ConfirmedQueue<T> {
     number: u64,
     waiting: SortedMap<(u8, u64), T>,
     flight: Option<Flight<T>>,
-    /// The latest deliveries; none where their number is not limited.
-    recent: Option<SlidingWindow>,
-    held_back: u64,
-    given_up: u64,
+    /// The latest deliveries.
+    recent: SlidingWindow,
     outputs: VecDeque<ConfirmedQueueOutput<T>>,
 }
 
@@ -47,9 +45,8 @@ pub struct ConfirmedQueueLimits {
     pub longest: Duration,
     /// After how many tries an item is given up.
     pub tries: u32,
-    /// How many deliveries a second: what comes faster is held back, not lost. [`usize::MAX`] for
-    /// as many as the receiver confirms.
-    pub per_second: usize,
+    /// How many deliveries a second: what comes faster is held back, not lost.
+    pub per_second: u32,
 }
 
 impl Default for ConfirmedQueueLimits {
@@ -105,9 +102,7 @@ impl<T: Clone> ConfirmedQueue<T> {
             number: first,
             waiting: SortedMap::new(),
             flight: None,
-            recent: u32::try_from(limits.per_second).ok().map(|n| SlidingWindow::new(n, SECOND)),
-            held_back: 0,
-            given_up: 0,
+            recent: SlidingWindow::new(limits.per_second, SECOND),
             outputs: VecDeque::new(),
         }
     }
@@ -122,9 +117,6 @@ impl<T: Clone> ConfirmedQueue<T> {
             self.give_up(item, 0);
         }
         self.advance(now);
-        if !self.waiting.is_empty() && self.freed_at(now) > now {
-            self.held_back += 1;
-        }
     }
 
     /// The receiver has confirmed. Confirmations of anything but what is under way are ignored.
@@ -158,21 +150,6 @@ impl<T: Clone> ConfirmedQueue<T> {
         self.flight.as_ref().map(|flight| &flight.item)
     }
 
-    /// How many items wait or are under way.
-    pub fn pending(&self) -> usize {
-        self.waiting.len() + usize::from(self.flight.is_some())
-    }
-
-    /// How many items had to wait because more came than may be delivered in a second.
-    pub fn held_back(&self) -> u64 {
-        self.held_back
-    }
-
-    /// How many items were given up.
-    pub fn given_up(&self) -> u64 {
-        self.given_up
-    }
-
     /// Sends what is under way again: for a body that has lost its open deliveries. The lost try
     /// counts, so that an item that kills its own sender is given up as well.
     #[must_use]
@@ -202,20 +179,19 @@ impl<T: Clone> ConfirmedQueue<T> {
             number: flight.number,
             item: flight.item.clone(),
         });
-        if let Some(recent) = &mut self.recent {
-            recent.push((), now);
-        }
+        self.recent.push((), now);
     }
 
     fn give_up(&mut self, item: T, tries: u32) {
-        self.given_up += 1;
         self.outputs.push_back(ConfirmedQueueOutput::GivenUp { item, tries });
     }
 
     /// When the next delivery is allowed by the limit per second.
     fn freed_at(&self, now: Instant) -> Instant {
-        let full = self.recent.as_ref().filter(|recent| recent.left(now) == 0);
-        full.and_then(SlidingWindow::next_release).map_or(now, |at| at.max(now))
+        match self.recent.left(now) {
+            0 => self.recent.next_release().map_or(now, |at| at.max(now)),
+            _ => now,
+        }
     }
 }
 
@@ -298,7 +274,6 @@ mod tests {
         assert_eq!(delivered(&mut handover), [(2, "b")]);
         handover.handle_confirmed(2, at(2));
         assert_eq!(handover.poll_timeout(), None);
-        assert_eq!(handover.pending(), 0);
     }
 
     #[test]
@@ -330,7 +305,6 @@ mod tests {
         let lost = (900, ConfirmedQueueOutput::GivenUp { item: "a", tries: 4 });
         let b = (900, ConfirmedQueueOutput::Deliver { number: 2, item: "b" });
         assert_eq!(reported, [a(0), a(100), a(300), a(600), lost, b]);
-        assert_eq!(handover.given_up(), 1);
     }
 
     #[test]
@@ -371,11 +345,10 @@ mod tests {
         handover.hand(0, "critical", at(0));
 
         assert_eq!(drain(&mut handover), [ConfirmedQueueOutput::GivenUp { item: "d", tries: 0 }]);
-        assert_eq!(handover.pending(), 4);
     }
 
     #[test]
-    fn more_than_so_many_a_second_are_held_back_and_counted() {
+    fn more_than_so_many_a_second_are_held_back() {
         let mut handover = ConfirmedQueue::new(ConfirmedQueueLimits { per_second: 2, ..LIMITS }, 0);
         handover.hand(0, "a", at(0));
         handover.handle_confirmed(1, at(10));
@@ -385,7 +358,7 @@ mod tests {
 
         handover.hand(0, "c", at(40));
         assert_eq!(delivered(&mut handover), []);
-        assert_eq!((handover.held_back(), handover.poll_timeout()), (1, Some(at(1000))));
+        assert_eq!(handover.poll_timeout(), Some(at(1000)));
 
         handover.handle_timeout(at(1000));
         assert_eq!(delivered(&mut handover), [(3, "c")]);
@@ -399,7 +372,6 @@ mod tests {
 
         assert_eq!(handover.withdraw(|&item| item == "a"), None);
         assert_eq!(handover.withdraw(|&item| item == "b"), Some("b"));
-        assert_eq!(handover.pending(), 1);
     }
 
     #[test]
@@ -412,6 +384,5 @@ mod tests {
         let mut handover = handover.restarted(at(5));
 
         assert_eq!(delivered(&mut handover), [(1, "a")]);
-        assert_eq!(handover.pending(), 2);
     }
 }

@@ -14,35 +14,23 @@ use std::sync::Arc;
 pub(super) struct DependencyIndex {
     node: NodeName,
     needs: SortedMap<ObjectName, Arc<[ObjectAddress]>>,
-    /// The inverse: the objects that need each.
-    users: SortedMap<ObjectAddress, SortedSet<ObjectName>>,
 }
 
 impl DependencyIndex {
     pub(super) fn new(node: NodeName) -> Self {
-        DependencyIndex { node, needs: SortedMap::new(), users: SortedMap::new() }
+        DependencyIndex { node, needs: SortedMap::new() }
     }
 
     /// Says what an object needs, in place of what was said before.
     pub(super) fn declare(&mut self, object: &ObjectName, needs: Arc<[ObjectAddress]>) {
-        self.forget(object);
-        for need in needs.iter() {
-            self.users.entry(need.clone()).or_default().insert(object.clone());
-        }
-        if !needs.is_empty() {
-            self.needs.insert(object.clone(), needs);
+        match needs.is_empty() {
+            true => self.forget(object),
+            false => drop(self.needs.insert(object.clone(), needs)),
         }
     }
 
     pub(super) fn forget(&mut self, object: &ObjectName) {
-        for need in self.needs.remove(object).iter().flat_map(|needs| needs.iter()) {
-            if let Some(users) = self.users.get_mut(need) {
-                users.remove(object);
-                if users.is_empty() {
-                    self.users.remove(need);
-                }
-            }
-        }
+        self.needs.remove(object);
     }
 
     /// Everything without which `location` cannot work, directly or through others; not itself,
@@ -90,53 +78,6 @@ impl DependencyIndex {
             needs.iter().flat_map(|need| fault_log.open_faults_at(need)).filter(|f| is_down(f));
         down.filter(|fault| fault.location != *location).map(|fault| fault_log.root(fault.id)).min()
     }
-
-    /// The objects of this node that cannot work without `location`, directly or through others.
-    pub(super) fn users_of(&self, location: &FaultLocation) -> Dependents {
-        let (mut objects, mut open) = (SortedSet::new(), Vec::new());
-        match location {
-            FaultLocation::Object(address) => open.extend(self.users.get(address)),
-            FaultLocation::Node(node) => {
-                let there = |(address, _): &(&ObjectAddress, _)| address.node == *node;
-                open.extend(self.users.iter().filter(there).map(|(_, users)| users));
-            }
-            FaultLocation::Link { .. } => {}
-        }
-        while let Some(users) = open.pop() {
-            for user in users {
-                if objects.insert(user.clone()) {
-                    let address = ObjectAddress::new(self.node.clone(), user.clone());
-                    open.extend(self.users.get(&address));
-                }
-            }
-        }
-        let node = match location {
-            FaultLocation::Node(node) => Some(node.clone()),
-            FaultLocation::Object(_) | FaultLocation::Link { .. } => None,
-        };
-        Dependents { here: self.node.clone(), objects, node }
-    }
-}
-
-/// Everything that cannot work without one place.
-pub(super) struct Dependents {
-    here: NodeName,
-    objects: SortedSet<ObjectName>,
-    /// The place, if it is a node: then all that is there, and all links that lead there, need it.
-    node: Option<NodeName>,
-}
-
-impl Dependents {
-    pub(super) fn contain(&self, location: &FaultLocation) -> bool {
-        match location {
-            FaultLocation::Object(address) if address.node == self.here => {
-                self.objects.contains(&address.object)
-            }
-            FaultLocation::Object(address) => self.node.as_ref() == Some(&address.node),
-            FaultLocation::Link { neighbour, .. } => self.node.is_some() && self.node == *neighbour,
-            FaultLocation::Node(_) => false,
-        }
-    }
 }
 
 /// Whether a place with this fault no longer serves those that depend on it.
@@ -176,7 +117,6 @@ pub(super) fn is_down(fault: &Fault) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proptest::prelude::*;
 
     fn node(name: &str) -> NodeName {
         NodeName::new(name).expect("a name")
@@ -210,43 +150,10 @@ mod tests {
         let mut dependencies = dependencies(&[("a", &["b"])]);
 
         dependencies.declare(&here("a").object, [here("c")].into());
-        assert!(
-            !dependencies
-                .users_of(&FaultLocation::Object(here("b")))
-                .contain(&FaultLocation::Object(here("a")))
-        );
-        assert!(
-            dependencies
-                .users_of(&FaultLocation::Object(here("c")))
-                .contain(&FaultLocation::Object(here("a")))
-        );
+        let a = FaultLocation::Object(here("a"));
+        assert_eq!(dependencies.needs_of(&a), [FaultLocation::Object(here("c"))].into());
 
         dependencies.forget(&here("a").object);
-        assert!(dependencies.users.is_empty() && dependencies.needs.is_empty());
-    }
-
-    proptest! {
-        /// An object that needs a place is its user, and the other way round, whatever the
-        /// dependencies.
-        #[test]
-        fn users_and_needs_are_the_same_relation(
-            pairs in prop::collection::vec((0..6usize, prop::collection::vec(0..8usize, 0..4)), 0..8)
-        ) {
-            let names = ["a", "b", "c", "d", "e", "f", "n:x", "n:y"];
-            let mut dependencies = DependencyIndex::new(node("m"));
-            for (object, needs) in pairs {
-                let parse = |name: usize| names[name].parse().unwrap_or_else(|_| here(names[name]));
-                let needs = needs.into_iter().map(parse).collect();
-                dependencies.declare(&here(names[object]).object, needs);
-            }
-            let mut locations: Vec<FaultLocation> = names[..6].iter().map(|n| FaultLocation::Object(here(n))).collect();
-            locations.push(FaultLocation::Node(node("n")));
-            for user in &locations[..6] {
-                let needs = dependencies.needs_of(user);
-                for need in &locations {
-                    prop_assert_eq!(needs.contains(need), dependencies.users_of(need).contain(user));
-                }
-            }
-        }
+        assert!(dependencies.needs.is_empty());
     }
 }

@@ -1,11 +1,7 @@
 //! What is wrong, where, and why: the judge of the fault chain.
 
 use super::correlation::{DependencyIndex, is_down};
-use super::fault_log::Reminder;
-use super::{
-    ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput, FaultLog, FaultNotice, FaultRecord,
-    FaultTransition, Observation, RecoveryOutcome,
-};
+use super::{FaultLog, FaultNotice, FaultRecord, FaultTransition, Observation, RecoveryOutcome};
 use crate::sorted::SortedMap;
 use crate::{
     Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName,
@@ -26,8 +22,6 @@ use std::time::Duration;
 ///   contain.
 /// * **Roots and symptoms.** What an object suffers while something it depends on is down, or
 ///   behind a hang of another, is a symptom, also if its root is found only shortly afterwards.
-/// * **Nothing is forgotten.** A fault on which no recoverer decides is handed over again, and in
-///   the end given up loudly.
 ///
 /// Where the guard has already restarted a component, the fault is recorded and reported, and
 /// handed to no recoverer. It is recovered when the next incarnation is active, shares what becomes
@@ -38,14 +32,10 @@ pub struct Detector {
     objects: SortedMap<ObjectName, Seen>,
     needs: DependencyIndex,
     fault_log: FaultLog,
-    /// The latest decision for each rank of faults: when, and about which.
-    decided: SortedMap<u8, (Instant, FaultId)>,
     nodes: NodeHistories,
     /// The latest pause of this node, while links and nodes may suffer from it.
     pause: Option<Pause>,
-    handover: ConfirmedQueue<FaultNotice>,
     outputs: VecDeque<DetectorOutput>,
-    last_number: u64,
     last_id: u64,
     stale: u64,
     /// The node ends, and its components with it.
@@ -59,12 +49,9 @@ pub struct DetectorLimits {
     pub record: usize,
     /// How long after a symptom its root may be found. Longer explains more, and wrongly at times.
     pub hindsight: Duration,
-    /// How long a recoverer may take to decide before it is reminded, and the next incarnation of
-    /// an object that was stopped to begin. Longer leaves a fault that was lost on the way lying;
-    /// shorter repeats more to a busy recoverer.
-    pub decision: Duration,
-    /// How often a recoverer is reminded before the fault is given up.
-    pub reminders: u32,
+    /// How long the next incarnation of an object that was stopped may take to begin. Longer leaves
+    /// faults of one that was stopped for good standing.
+    pub next_incarnation: Duration,
     /// So many offences of another node within `offences_period` are a fault. More forgives more.
     pub offences: u32,
     /// See `offences`.
@@ -80,8 +67,6 @@ pub struct DetectorLimits {
     /// The time for links and other nodes to return after a pause that is a fault. A link or node
     /// that is still down then has a fault of its own.
     pub after_pause: Duration,
-    /// The hand-over to the notifier.
-    pub handover: ConfirmedQueueLimits,
 }
 
 impl Default for DetectorLimits {
@@ -91,9 +76,8 @@ impl Default for DetectorLimits {
             record: 1024,
             // Links over wireless, the slowest, find a fault within two seconds.
             hindsight: Duration::from_secs(2),
-            // A recoverer decides in microseconds; a second is an outage of the recoverer itself.
-            decision: Duration::from_secs(1),
-            reminders: 3,
+            // A supervisor starts it in milliseconds.
+            next_incarnation: Duration::from_secs(1),
             // A flood is reported every three seconds. A process that crashes five times in a
             // minute is expected to crash again.
             offences: 5,
@@ -108,7 +92,6 @@ impl Default for DetectorLimits {
             // A link that has gone down four times lately comes up after 48 hellos, 2.4 s; then
             // routes and sessions follow.
             after_pause: Duration::from_secs(5),
-            handover: ConfirmedQueueLimits::default(),
         }
     }
 }
@@ -116,19 +99,12 @@ impl Default for DetectorLimits {
 /// An output of a [`Detector`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum DetectorOutput {
-    /// Hand this to the notifier, and bring its confirmation to [`Detector::handle_confirmed`].
-    HandOver {
-        /// The number of its confirmation.
-        number: u64,
-        /// What the notifier must know.
+    /// Tell the notifier.
+    Notify {
+        /// What it must know.
         notice: FaultNotice,
-    },
-    /// The notifier never confirmed this: tell a person.
-    GivenUp {
-        /// What it should have known.
-        notice: FaultNotice,
-        /// How often it was sent.
-        tries: u32,
+        /// When it was so.
+        at: Instant,
     },
     /// Report to all subscribers.
     Tell {
@@ -195,32 +171,24 @@ enum Cause {
 }
 
 impl Detector {
-    /// A detector of `node` that begins at `now` with an empty record.
-    pub fn new(node: NodeName, limits: DetectorLimits, now: Instant) -> Self {
+    /// A detector of `node` with an empty record.
+    pub fn new(node: NodeName, limits: DetectorLimits) -> Self {
         Detector {
             limits,
             objects: SortedMap::new(),
             needs: DependencyIndex::new(node),
             fault_log: FaultLog::new(limits.record),
-            decided: SortedMap::new(),
             nodes: NodeHistories::new(limits),
             pause: None,
-            handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
             outputs: VecDeque::new(),
-            last_number: 0,
             last_id: 0,
             stale: 0,
             ending: false,
         }
     }
 
-    /// The monitor hands over what it saw. A repetition of the last one changes nothing; in any
-    /// case it may be confirmed afterwards.
-    pub fn handle_observed(&mut self, number: u64, observation: Observation, now: Instant) {
-        if number <= self.last_number {
-            return;
-        }
-        self.last_number = number;
+    /// The monitor hands over what it saw.
+    pub fn handle_observed(&mut self, observation: Observation) {
         let Observation { location, incarnation, finding, seen_at } = observation;
         let scene = Scene { location, incarnation, at: seen_at };
         match scene.location.clone() {
@@ -228,7 +196,6 @@ impl Detector {
             FaultLocation::Link { .. } => self.judge_link(scene, finding),
             FaultLocation::Node(_) => self.judge_node(scene, finding),
         }
-        self.handover.handle_timeout(now);
     }
 
     /// The recoverer reports its progress with a fault.
@@ -238,11 +205,7 @@ impl Detector {
             return;
         }
         let fault = entry.fault.clone();
-        let rank = FaultNotice::Found(fault.clone()).rank();
-        // What a recoverer says about a fault on which it has decided before is not progress.
-        if self.fault_log.treat(id, |treatment| treatment.reminder = None).reminder.is_some() {
-            self.decided.insert(rank, (at, id));
-        }
+        self.fault_log.treat(id, |treatment| treatment.end_due = None);
         match outcome {
             RecoveryOutcome::Decided { action } => self.decide(id, at, action),
             RecoveryOutcome::Failed { action, reason } => {
@@ -264,16 +227,6 @@ impl Detector {
         self.ending = true;
     }
 
-    /// The notifier has confirmed a notice.
-    pub fn handle_confirmed(&mut self, number: u64, now: Instant) {
-        self.handover.handle_confirmed(number, now);
-    }
-
-    /// A notice is known not to have reached the notifier.
-    pub fn handle_failed(&mut self, number: u64, now: Instant) {
-        self.handover.handle_failed(number, now);
-    }
-
     /// The record, roots before their symptoms.
     pub fn read_record(&self) -> FaultRecord {
         self.fault_log.read()
@@ -282,12 +235,6 @@ impl Detector {
     /// How often something was seen of an incarnation that is over.
     pub fn stale(&self) -> u64 {
         self.stale
-    }
-
-    /// The detector with the same facts, for an actor that panicked within an input.
-    #[must_use]
-    pub fn restarted(self, now: Instant) -> Self {
-        Detector { handover: self.handover.restarted(now), ..self }
     }
 
     /// A fault was seen: it is counted if it stands already, else recorded and handed over.
@@ -330,15 +277,8 @@ impl Detector {
     fn notify(&mut self, id: FaultId, at: Instant) {
         let Some(entry) = self.fault_log.entry(id) else { return };
         let notice = FaultNotice::Found(entry.fault.clone());
-        self.fault_log.treat(id, |treatment| treatment.handed = true);
-        self.remind_after(id, self.limits.decision, 0, at);
-        self.hand_over(notice, at);
-    }
-
-    /// Asks again about a fault that is not decided by then.
-    fn remind_after(&mut self, id: FaultId, span: Duration, sent: u32, at: Instant) {
-        let reminder = Reminder { due: at + span, sent };
-        self.fault_log.treat(id, |treatment| treatment.reminder = Some(reminder));
+        self.fault_log.treat(id, |treatment| (treatment.handed, treatment.end_due) = (true, None));
+        self.outputs.push_back(DetectorOutput::Notify { notice, at });
     }
 
     /// Counts a fault once more, in its newest words; no, if what stands was given up in another
@@ -364,6 +304,19 @@ impl Detector {
             self.outputs.push_back(tell);
         }
         true
+    }
+
+    /// Counts the fault of this kind that stands once more, or records it.
+    fn count_or_record(
+        &mut self,
+        scene: &Scene,
+        kind: FaultKind,
+        detail: String,
+        cause: Cause,
+    ) -> FaultId {
+        let known = self.fault_log.open_fault(&scene.location, &kind);
+        let known = known.filter(|&id| self.repeat(id, scene, &detail));
+        known.unwrap_or_else(|| self.record(scene, kind, detail, cause))
     }
 
     /// Puts a fault into the record and reports it.
@@ -413,7 +366,6 @@ impl Detector {
             FaultLocation::Object(address) => self.behind(&address.object) == Some(id),
             _ => false,
         };
-        let users = self.needs.users_of(&location);
         let explained: Vec<FaultId> = self
             .fault_log
             .all_open()
@@ -423,7 +375,8 @@ impl Detector {
                     && fault.id != id
                     && fault.found_at - Instant::ORIGIN >= since
                     && self.fault_log.treatment(fault.id).explicable
-                    && (is_behind(fault) || users.contain(&fault.location))
+                    && (is_behind(fault)
+                        || self.needs.needs_of(&fault.location).contains(&location))
             })
             .map(|fault| fault.id)
             .collect();
@@ -446,9 +399,14 @@ impl Detector {
     /// The cause of the fault of this kind at this place, if there is one, is away.
     fn end_kind(&mut self, scene: &Scene, kind: &FaultKind) {
         if let Some(id) = self.fault_log.open_fault(&scene.location, kind) {
-            self.repair(id, scene.at);
-            self.withdraw(id, scene.at);
+            self.end(id, scene.at);
         }
+    }
+
+    /// The cause of a fault is away.
+    fn end(&mut self, id: FaultId, at: Instant) {
+        self.repair(id, at);
+        self.withdraw(id, at);
     }
 
     /// These faults of the place that match; their causes are away, and service is restored if so.
@@ -459,8 +417,7 @@ impl Detector {
             if restored {
                 self.recover(id, scene.at);
             }
-            self.repair(id, scene.at);
-            self.withdraw(id, scene.at);
+            self.end(id, scene.at);
         }
     }
 
@@ -468,16 +425,15 @@ impl Detector {
     fn withdraw(&mut self, id: FaultId, at: Instant) {
         let Some(entry) = self.fault_log.entry(id) else { return };
         let location = entry.fault.location.clone();
-        let waits = |notice: &FaultNotice| notice.id() == id;
-        let handed = self.fault_log.treat(id, |treatment| treatment.handed = false).handed;
-        if handed && self.handover.withdraw(waits).is_none() {
-            self.hand_over(FaultNotice::Cleared { id, location }, at);
+        if self.fault_log.treat(id, |treatment| treatment.handed = false).handed {
+            let notice = FaultNotice::Cleared { id, location };
+            self.outputs.push_back(DetectorOutput::Notify { notice, at });
         }
     }
 
     /// Service is restored. Of an object that is the repair as well.
     fn recover(&mut self, id: FaultId, at: Instant) {
-        self.fault_log.treat(id, |treatment| treatment.reminder = None);
+        self.fault_log.treat(id, |treatment| treatment.end_due = None);
         let Some(entry) = self.fault_log.entry_mut(id) else { return };
         if entry.recovered_at.is_some() || !entry.stands() {
             return;
@@ -517,7 +473,7 @@ impl Detector {
     fn give_up(&mut self, id: FaultId, at: Instant, reason: String) {
         for id in self.sharing_the_outcome_of(id) {
             self.fault_log.treat(id, |treatment| {
-                (treatment.reminder, treatment.unhanded) = (None, false);
+                (treatment.end_due, treatment.unhanded) = (None, false);
             });
             let root = self.fault_log.entry(id).and_then(|entry| entry.fault.symptom_of);
             let root = root.and_then(|root| self.fault_log.entry(root)).map(|root| {
@@ -532,76 +488,26 @@ impl Detector {
             self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
         }
     }
-
-    fn hand_over(&mut self, notice: FaultNotice, now: Instant) {
-        self.handover.hand(notice.rank(), notice, now);
-    }
-
-    /// No recoverer has decided about this fault. That is as it should be for a symptom whose root
-    /// is in treatment.
-    fn remind(&mut self, id: FaultId, reminder: Reminder, now: Instant) {
-        let before = self.fault_log.treat(id, |treatment| treatment.reminder = None);
-        if before.unhanded {
-            return self.end_unhanded(id, now);
-        }
-        let Some(entry) = self.fault_log.entry(id) else { return };
-        let fault = entry.fault.clone();
-        let notice = FaultNotice::Found(fault.clone());
-        // When a recoverer last decided about a fault that goes before this one: since then this one
-        // waits in vain. One that was overtaken is not in the queue.
-        let decided = self.decided.iter().map(|(&of, &(at, last))| (at, (of, last)));
-        let progress = decided.filter(|&(_, last)| last < (notice.rank(), id)).map(|(at, _)| at);
-        let decision = self.limits.decision;
-        if let Some(at) = progress.max().filter(|&at| at + decision > now) {
-            // Its turn comes.
-            return self.remind_after(id, decision, 0, at);
-        }
-        let in_hand = |root| {
-            let root = self.fault_log.entry(root);
-            root.is_some_and(|root| root.stands() && root.recovered_at.is_none())
-        };
-        if fault.symptom_of.is_some_and(in_hand) {
-            self.remind_after(id, decision, reminder.sent, now);
-        } else if reminder.sent < self.limits.reminders {
-            self.remind_after(id, decision, reminder.sent + 1, now);
-            self.handover.withdraw(|notice| notice.id() == id);
-            self.hand_over(notice, now);
-        } else {
-            self.give_up(id, now, "no recoverer has decided about it".into());
-        }
-    }
 }
 
 impl Machine for Detector {
     type Output = DetectorOutput;
 
     fn poll_output(&mut self) -> Option<DetectorOutput> {
-        if let Some(outputs) = self.outputs.pop_front() {
-            return Some(outputs);
-        }
-        self.handover.poll_output().map(|handed| match handed {
-            ConfirmedQueueOutput::Deliver { number, item } => {
-                DetectorOutput::HandOver { number, notice: item }
-            }
-            ConfirmedQueueOutput::GivenUp { item, tries } => {
-                DetectorOutput::GivenUp { notice: item, tries }
-            }
-        })
+        self.outputs.pop_front()
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
         let pause = self.pause.as_ref().map(|pause| pause.until);
-        let reminder = self.fault_log.next_reminder().map(|(_, reminder)| reminder.due);
-        let others = [reminder, self.nodes.poll_timeout(), pause];
-        others.into_iter().chain([self.handover.poll_timeout()]).flatten().min()
+        let end = self.fault_log.next_end().map(|(due, _)| due);
+        [end, self.nodes.poll_timeout(), pause].into_iter().flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        self.handover.handle_timeout(now);
-        while let Some((id, reminder)) = self.fault_log.next_reminder()
-            && reminder.due <= now
+        while let Some((due, id)) = self.fault_log.next_end()
+            && due <= now
         {
-            self.remind(id, reminder, now);
+            self.end_unhanded(id, now);
         }
         while let Some(node) = self.nodes.pop_over(now) {
             self.end_crash_loop(node, now);

@@ -1,14 +1,12 @@
 //! What the monitor remembers of one object.
 
-use super::{CurrentHandler, ExitReason, MonitorRow, ObjectKind, Opinion, Pull};
+use super::{CurrentHandler, ExitReason, MonitorRow, ObjectKind, Opinion};
 use crate::{FaultKind, FaultLocation, Incarnation, Instant, Lifecycle};
 
 /// One line of the monitor's table, as it is kept.
 #[derive(Clone, Debug)]
 pub(super) struct MonitoredObject {
     pub(super) kind: ObjectKind,
-    /// How it is asked, where it is.
-    pub(super) pull: Option<Box<Pull>>,
     pub(super) incarnation: Incarnation,
     pub(super) state: Option<Lifecycle>,
     /// A guard reports its states.
@@ -18,7 +16,7 @@ pub(super) struct MonitoredObject {
     pub(super) last_sign: Option<Instant>,
     pub(super) restarts: u32,
     pub(super) suspicions: u32,
-    /// A sign of life is overdue, or it waits behind the hang of another object.
+    /// It waits behind the hang of another object.
     pub(super) suspect: bool,
     /// Silence was observed and not yet broken.
     pub(super) silent: bool,
@@ -62,7 +60,6 @@ impl MonitoredObject {
     pub(super) fn new(kind: ObjectKind, incarnation: Incarnation) -> Self {
         MonitoredObject {
             kind,
-            pull: None,
             incarnation,
             state: None,
             guarded: false,
@@ -117,11 +114,10 @@ impl MonitoredObject {
     /// restart.
     pub(super) fn begin(&mut self, incarnation: Incarnation) {
         let MonitoredObject { kind, guarded, may_end, isolated, restarts, .. } = *self;
-        let pull = self.pull.take();
         let first = self.incarnation == Incarnation::default();
         let restarts = restarts.saturating_add(u32::from(!first));
         let fresh = MonitoredObject::new(kind, incarnation);
-        *self = MonitoredObject { pull, guarded, may_end, isolated, restarts, ..fresh };
+        *self = MonitoredObject { guarded, may_end, isolated, restarts, ..fresh };
     }
 
     fn opinion(&self) -> Opinion {
@@ -135,7 +131,7 @@ impl MonitoredObject {
         }
     }
 
-    /// The row of the table, but for what only the watchdog and the ping monitor know.
+    /// The row of the table, but for what only the sampler knows.
     pub(super) fn row(&self, location: FaultLocation, now: Instant) -> MonitorRow {
         MonitorRow {
             incarnation: self.incarnation,

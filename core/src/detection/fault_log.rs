@@ -37,15 +37,8 @@ pub(super) struct Treatment {
     /// It stands, and no recoverer treats it: a symptom behind what keeps its thread, which was
     /// only reported, or a fault whose next incarnation is on its way already.
     pub(super) unhanded: bool,
-    /// When to ask again, as long as it is not decided.
-    pub(super) reminder: Option<Reminder>,
-}
-
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Reminder {
-    pub(super) due: Instant,
-    /// How many were sent before this one.
-    pub(super) sent: u32,
+    /// When it is over, unless the next incarnation of its object has begun.
+    pub(super) end_due: Option<Instant>,
 }
 
 impl FaultLog {
@@ -129,11 +122,10 @@ impl FaultLog {
         before
     }
 
-    /// The next fault that is to be asked about again, and when.
-    pub(super) fn next_reminder(&self) -> Option<(FaultId, Reminder)> {
+    /// The next fault that is over unless an incarnation begins, and when.
+    pub(super) fn next_end(&self) -> Option<(Instant, FaultId)> {
         let all = self.entries.iter();
-        let all = all.filter_map(|(&id, recorded)| Some((id, recorded.treatment.reminder?)));
-        all.min_by_key(|&(id, reminder)| (reminder.due, id))
+        all.filter_map(|(&id, recorded)| Some((recorded.treatment.end_due?, id))).min()
     }
 
     /// Writes down that the cause of a fault is away, and lifts its latch. Only the notifier may have

@@ -2,17 +2,17 @@
 //!
 //! ```text
 //! activity records ─► HangDetector ─┐
-//! ping replies ────► PingMonitor ───┤
-//! exits, states, links ─────────────┴─ Monitor ══► Detector ══► Notifier ══► recoverers
+//! exits, states, links, answers ────┴─ Monitor ──► Detector ──► Notifier ══► recoverers
 //!                                      observes    decides      reports
 //! ```
 //! Components are judged by the [scanner](hang), from counters that cost no message. The
-//! middleware's own objects have none, and are asked.
+//! middleware's own objects have none, and are asked by the monitor's actor.
 //!
+//! `──►` is a call within [`DetectionChain`], which returns when the next machine has the finding.
 //! `══►` is a [`ConfirmedQueue`]: repeated until it is confirmed, given up loudly. The monitor
-//! keeps the table and judges nothing but silence. The detector keeps the lifecycle of each object,
-//! compares with the list of faults, separates roots from symptoms and keeps the record. The
-//! notifier limits storms. None of them decides what is done about a fault, and none of them
+//! keeps the table and judges nothing. The detector keeps the lifecycle of each object, compares
+//! with the list of faults, separates roots from symptoms and keeps the record. The notifier limits
+//! storms. None of them decides what is done about a fault, and none of them
 //! restarts anything.
 //!
 //! **When it is found.** An exit, an error state, a declared fault: at once. Silence of an object
@@ -21,12 +21,10 @@
 //! the process was not scheduled, later by as much, and by up to two more intervals: that is no
 //! object's fault.
 //!
-//! **A body that panics.** A machine that was struck in the middle of an input may hold half of it.
-//! Each of the three therefore has `restarted`, which makes a new machine from the plain facts of
-//! the old one: what is enrolled, which incarnation it is in, what is recorded, and what is not yet
-//! confirmed. What was concluded from the passing of time (opinions, open pings) starts again. The
-//! input that caused the panic is lost, and nothing else.
+//! **An actor that panics** in the middle of an input loses that input, and nothing else: its next
+//! incarnation goes on with the same machines, and hands over again what is not yet confirmed.
 
+mod chain;
 mod checks;
 mod confirmed_queue;
 mod correlation;
@@ -38,25 +36,24 @@ mod notifier;
 mod observation;
 mod outcome;
 mod peer_table;
-mod ping;
 mod registration;
 mod table;
 
 pub mod dependencies;
 pub mod hang;
 
+pub use chain::{DetectionChain, DetectionOutput};
 pub use checks::{CheckFailed, Freshness, Invariant, Range, Rate};
 pub use confirmed_queue::{ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput};
 pub use detector::{Detector, DetectorLimits, DetectorOutput};
 pub use fault_log::FaultLog;
-pub use monitor::{Monitor, MonitorLimits, MonitorOutput};
-pub use notifier::{Notifier, NotifierLimits, NotifierOutput, RecovererPort, RecovererPortRow};
+pub use monitor::{Monitor, MonitorLimits};
+pub use notifier::{Notifier, NotifierLimits, RecovererPort};
 pub use observation::{
-    ExitReason, Finding, LinkCondition, NodeCondition, Observation, WorkProgress,
+    ExitReason, Finding, LinkCondition, NodeCondition, Observation, OverloadFigures, WorkProgress,
 };
 pub use outcome::{
     FaultEntry, FaultNotice, FaultRecord, FaultStatus, FaultTransition, RecoveryOutcome,
 };
-pub use ping::{PingMonitor, PingOutput, Verdict};
 pub use registration::{Liveness, ObjectKind, Pull, Push, Registration, RegistrationError};
 pub use table::{CurrentHandler, MonitorRow, Opinion, QueueSample, RoundLateness};

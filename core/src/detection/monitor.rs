@@ -2,11 +2,9 @@
 
 use super::entry::{LastExit, MonitoredObject, NoteCause, describe};
 use super::peer_table::{PeerChange, PeerTable};
-use super::ping::PingOutput;
 use super::{
-    ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput, ExitReason, Finding, LinkCondition,
-    Liveness, MonitorRow, NodeCondition, ObjectKind, Observation, Opinion, PingMonitor,
-    Registration, RegistrationError, Verdict, WorkProgress,
+    ExitReason, Finding, LinkCondition, MonitorRow, NodeCondition, ObjectKind, Observation,
+    Registration, RegistrationError, WorkProgress,
 };
 use crate::sorted::SortedMap;
 use crate::{
@@ -19,9 +17,8 @@ use std::time::Duration;
 
 /// Keeps the table of all monitored objects, and reports its observations to the detector.
 ///
-/// It judges the silence of what it asks, and nothing else. What an older incarnation still says,
-/// or one that has ended, changes nothing and is counted. Whatever begins a new incarnation of an
-/// object (a report, an answer) empties its history.
+/// It judges nothing. What an older incarnation still says, or one that has ended, changes nothing
+/// and is counted. A report or an answer of a new incarnation of an object empties its history.
 ///
 /// What is reported of an object that was never enrolled opens a row of its own, so that a
 /// component that dies before its enrolment arrives is not lost.
@@ -31,9 +28,7 @@ pub struct Monitor {
     limits: MonitorLimits,
     objects: SortedMap<ObjectName, MonitoredObject>,
     around: PeerTable,
-    pings: PingMonitor,
-    handover: ConfirmedQueue<Observation>,
-    asks: VecDeque<ObjectName>,
+    outputs: VecDeque<Observation>,
     /// Declared faults that end by themselves.
     holds: SortedMap<(ObjectName, FaultKind), Hold>,
     /// The node ends.
@@ -54,63 +49,24 @@ struct Hold {
 pub struct MonitorLimits {
     /// How many rows the table may have. A row takes some hundred bytes.
     pub rows: usize,
-    /// The hand-over to the detector.
-    pub handover: ConfirmedQueueLimits,
 }
 
 impl Default for MonitorLimits {
     fn default() -> Self {
         // A hundred thousand components are measured; a robot has hundreds.
-        let rows = 128 * 1024;
-        // At start every object is enrolled at once, and some of them have more to tell.
-        MonitorLimits {
-            rows,
-            // As many are handed over as the detector confirms: what ten thousand objects report at
-            // their start must not hold back the report of a fault for seconds.
-            handover: ConfirmedQueueLimits {
-                capacity: 4 * rows,
-                per_second: usize::MAX,
-                ..Default::default()
-            },
-        }
+        MonitorLimits { rows: 128 * 1024 }
     }
 }
 
-/// An output of a [`Monitor`].
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum MonitorOutput {
-    /// Ask this object whether it is alive, and bring the answer to [`Monitor::handle_alive`].
-    Ask {
-        /// The object.
-        object: ObjectName,
-    },
-    /// Hand this to the detector, and bring its confirmation to [`Monitor::handle_confirmed`].
-    Observe {
-        /// The number under which it is confirmed.
-        number: u64,
-        /// What was seen.
-        observation: Observation,
-    },
-    /// The detector never confirmed this: tell a person.
-    GivenUp {
-        /// What was seen.
-        observation: Observation,
-        /// How often it was sent.
-        tries: u32,
-    },
-}
-
 impl Monitor {
-    /// A monitor of `node` that begins at `now` with an empty table.
-    pub fn new(node: NodeName, limits: MonitorLimits, now: Instant) -> Self {
+    /// A monitor of `node` with an empty table.
+    pub fn new(node: NodeName, limits: MonitorLimits) -> Self {
         Monitor {
             node,
             limits,
             objects: SortedMap::new(),
             around: PeerTable::default(),
-            pings: PingMonitor::new(),
-            handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
-            asks: VecDeque::new(),
+            outputs: VecDeque::new(),
             holds: SortedMap::new(),
             ending: false,
             stale: 0,
@@ -127,7 +83,7 @@ impl Monitor {
         enrolment: Registration,
         now: Instant,
     ) -> Result<(), RegistrationError> {
-        let Registration { object, kind, incarnation, watch, depends_on, may_end } = enrolment;
+        let Registration { object, kind, incarnation, depends_on, may_end } = enrolment;
         if self.is_full() && !self.objects.contains_key(&object) {
             return Err(RegistrationError::TableFull { object, limit: self.limits.rows });
         }
@@ -136,37 +92,29 @@ impl Monitor {
         if entry.incarnation < incarnation {
             entry.begin(incarnation);
         }
-        entry.pull = match watch {
-            Liveness::Pull(pull) => Some(Box::new(pull)),
-            _ => None,
-        };
         (entry.kind, entry.may_end) = (kind, may_end);
         let incarnation = entry.incarnation;
-        if entry.pull.is_none() {
-            self.pings.dismiss(&object);
-        }
         self.observe_object(&object, incarnation, Finding::Enrolled { may_end, depends_on }, now);
-        self.watch_over(&object, now);
-        self.settle(now);
         Ok(())
     }
 
     /// Forgets an object.
     pub fn dismiss(&mut self, object: &ObjectName, now: Instant) {
-        self.pings.dismiss(object);
         if let Some(entry) = self.objects.remove(object) {
             self.observe_object(object, entry.incarnation, Finding::Dismissed, now);
         }
-        self.settle(now);
     }
 
     /// An object has answered.
     pub fn handle_alive(&mut self, object: &ObjectName, progress: WorkProgress, now: Instant) {
-        self.pings.handle_answer(object, progress, now);
-        if self.objects.contains_key(object)
-            && let Some(entry) = self.alive(object, progress.incarnation, now)
-        {
-            entry.last_sign = Some(now);
+        if !self.objects.contains_key(object) {
+            return;
+        }
+        self.handle_found(object, progress.incarnation, Finding::Spoke, now);
+        let is_it = |entry: &&mut MonitoredObject| {
+            entry.incarnation == progress.incarnation && entry.end.is_none()
+        };
+        if let Some(entry) = self.objects.get_mut(object).filter(is_it) {
             // A guard reports every change, and may have reported a later one: answers only stand
             // in for guards where there are none.
             let state = progress.state;
@@ -175,13 +123,14 @@ impl Monitor {
                 self.observe_object(object, progress.incarnation, finding, now);
             }
         }
-        self.settle(now);
     }
 
-    /// The question to this object will never be answered.
-    pub fn handle_unanswered(&mut self, object: &ObjectName, now: Instant) {
-        self.pings.handle_unanswered(object, now);
-        self.settle(now);
+    /// An object has not answered for so long.
+    pub fn handle_unanswered(&mut self, object: &ObjectName, age: Duration, now: Instant) {
+        let entry = self.objects.get(object).filter(|entry| entry.end.is_none());
+        if let Some(incarnation) = entry.map(|entry| entry.incarnation) {
+            self.handle_found(object, incarnation, Finding::Silent { age }, now);
+        }
     }
 
     /// A guard has seen an incarnation end.
@@ -204,11 +153,10 @@ impl Monitor {
             // That it panicked is reported in every case; of the present incarnation it says
             // nothing.
             let finding = Finding::Exited { exit, restarted_as };
-            self.observe_object(object, incarnation, finding, now);
-            return self.settle(now);
+            return self.observe_object(object, incarnation, finding, now);
         }
         let is_known = self.objects.contains_key(object);
-        let Some(entry) = self.admit(object, incarnation, now) else { return };
+        let Some(entry) = self.admit(object, incarnation) else { return };
         // Every component is enrolled before it begins.
         if !is_known && restarted_as.is_some() {
             entry.kind = ObjectKind::Middleware;
@@ -227,17 +175,15 @@ impl Monitor {
         entry.state = Some(if died { Lifecycle::Fatal } else { Lifecycle::Finalized });
         entry.note(NoteCause::End, describe(&exit));
         entry.suspect = false;
-        self.pings.handle_end(object, incarnation, now);
         self.observe_object(object, incarnation, Finding::Exited { exit, restarted_as }, now);
         if let Some(next) = restarted_as {
-            self.admit(object, next, now);
+            self.admit(object, next);
             if is_middleware {
                 // It has no hooks: its guard reports when it serves again.
                 let progress = WorkProgress { incarnation: next, state: Lifecycle::Active };
                 self.handle_alive(object, progress, now);
             }
         }
-        self.settle(now);
     }
 
     /// A guard reports the state of an incarnation.
@@ -252,7 +198,7 @@ impl Monitor {
         if state == Lifecycle::Finalized && !self.objects.contains_key(object) {
             return;
         }
-        let Some(entry) = self.admit(object, incarnation, now) else { return };
+        let Some(entry) = self.admit(object, incarnation) else { return };
         entry.guarded = true;
         entry.state = Some(state);
         entry.last_sign = Some(now);
@@ -266,10 +212,8 @@ impl Monitor {
         }
         if state == Lifecycle::Finalized {
             entry.end.get_or_insert(LastExit::Finalized);
-            self.pings.handle_end(object, incarnation, now);
         }
         self.observe_object(object, incarnation, Finding::State { state, reason }, now);
-        self.settle(now);
     }
 
     /// An object declares a fault of its own; also one that has ended, for what is left of it. With a
@@ -286,7 +230,7 @@ impl Monitor {
     ) {
         let (cause, key) = (NoteCause::Declared(kind.clone()), (object.clone(), kind.clone()));
         let is_held = self.holds.contains_key(&key);
-        let Some(entry) = self.admit(object, incarnation, now) else { return };
+        let Some(entry) = self.admit(object, incarnation) else { return };
         if entry.end.is_none() {
             entry.last_sign = Some(now);
         }
@@ -298,7 +242,6 @@ impl Monitor {
             None => self.holds.remove(&key),
         };
         self.observe_object(object, incarnation, Finding::Declared { kind, detail }, now);
-        self.settle(now);
     }
 
     /// A fault that an object had declared is over.
@@ -309,14 +252,13 @@ impl Monitor {
         kind: FaultKind,
         now: Instant,
     ) {
-        let Some(entry) = self.admit(object, incarnation, now) else { return };
+        let Some(entry) = self.admit(object, incarnation) else { return };
         if entry.end.is_none() {
             entry.last_sign = Some(now);
         }
         entry.erase(&NoteCause::Declared(kind.clone()));
         self.holds.remove(&(object.clone(), kind.clone()));
         self.observe_object(object, incarnation, Finding::Cleared { kind }, now);
-        self.settle(now);
     }
 
     fn next_hold(&self) -> Option<(Instant, &(ObjectName, FaultKind))> {
@@ -396,16 +338,6 @@ impl Monitor {
         }
     }
 
-    /// The detector has confirmed an observation.
-    pub fn handle_confirmed(&mut self, number: u64, now: Instant) {
-        self.handover.handle_confirmed(number, now);
-    }
-
-    /// An observation is known not to have reached the detector.
-    pub fn handle_failed(&mut self, number: u64, now: Instant) {
-        self.handover.handle_failed(number, now);
-    }
-
     /// The whole table: objects by name, then links, then nodes.
     pub fn read_table(&self, now: Instant) -> Vec<MonitorRow> {
         let objects = self.objects.iter().map(|(object, entry)| {
@@ -425,37 +357,8 @@ impl Monitor {
         self.refused
     }
 
-    /// A monitor that knows the same plain facts, for a body that was struck in the middle of an
-    /// input.
-    #[must_use]
-    pub fn restarted(self, now: Instant) -> Self {
-        let mut monitor = Monitor {
-            pings: PingMonitor::new(),
-            handover: self.handover.restarted(now),
-            asks: VecDeque::new(),
-            ..self
-        };
-        let objects: Vec<ObjectName> = monitor.objects.keys().cloned().collect();
-        for object in objects {
-            monitor.watch_over(&object, now);
-        }
-        monitor
-    }
-
     fn is_full(&self) -> bool {
         self.objects.len() + self.around.len() >= self.limits.rows
-    }
-
-    /// Sets the pings on an object of the table, if its entry says so.
-    fn watch_over(&mut self, object: &ObjectName, now: Instant) {
-        let Some(entry) = self.objects.get(object) else { return };
-        if let Some(pull) = &entry.pull {
-            self.pings.enrol(object, **pull, entry.incarnation, now);
-        }
-        // An object that has not begun yet may have to wait for others that are started before it.
-        if entry.end.is_some() || entry.incarnation == Incarnation::default() {
-            self.pings.handle_end(object, entry.incarnation, now);
-        }
     }
 
     /// The entry of an object for news of this incarnation; none if that incarnation is over.
@@ -463,7 +366,6 @@ impl Monitor {
         &mut self,
         object: &ObjectName,
         incarnation: Incarnation,
-        now: Instant,
     ) -> Option<&mut MonitoredObject> {
         if !self.objects.contains_key(object) {
             if self.is_full() {
@@ -480,7 +382,6 @@ impl Monitor {
         }
         if incarnation > entry.incarnation {
             entry.begin(incarnation);
-            self.pings.handle_start(object, incarnation, now);
         }
         Some(entry)
     }
@@ -490,7 +391,6 @@ impl Monitor {
         &mut self,
         object: &ObjectName,
         incarnation: Incarnation,
-        now: Instant,
     ) -> Option<&mut MonitoredObject> {
         let ended =
             |entry: &MonitoredObject| entry.incarnation == incarnation && entry.end.is_some();
@@ -498,7 +398,7 @@ impl Monitor {
             self.stale += 1;
             return None;
         }
-        self.admit(object, incarnation, now)
+        self.admit(object, incarnation)
     }
 
     fn observe_object(
@@ -522,69 +422,20 @@ impl Monitor {
         if self.ending && !finding.is_own_doing() {
             return;
         }
-        // One rank for all: the detector gets reports in the order in which things happened.
-        self.handover.hand(0, Observation { location, incarnation, finding, seen_at: now }, now);
-    }
-
-    /// Acts on what the pings has found.
-    fn settle(&mut self, now: Instant) {
-        while let Some(output) = self.pings.poll_output() {
-            match output {
-                PingOutput::Ask { object } => self.asks.push_back(object),
-                PingOutput::Verdict(verdict) => self.handle_verdict(verdict, now),
-            }
-        }
-    }
-
-    fn handle_verdict(&mut self, verdict: Verdict, now: Instant) {
-        let Verdict { object, incarnation, opinion, silence } = verdict;
-        let Some(entry) = self.objects.get_mut(&object) else { return };
-        if entry.incarnation != incarnation {
-            return;
-        }
-        match opinion {
-            Opinion::Suspect => {
-                entry.suspect = true;
-                entry.suspicions = entry.suspicions.saturating_add(1);
-            }
-            Opinion::Failed => {
-                if !std::mem::replace(&mut entry.silent, true) {
-                    let finding = Finding::Silent { age: silence };
-                    self.observe_object(&object, incarnation, finding, now);
-                }
-            }
-            Opinion::Trusted => {
-                entry.suspect = false;
-                entry.last_sign = Some(now);
-                if std::mem::replace(&mut entry.silent, false) {
-                    self.observe_object(&object, incarnation, Finding::Spoke, now);
-                }
-            }
-            Opinion::Unheard | Opinion::Stopped => {}
-        }
+        self.outputs.push_back(Observation { location, incarnation, finding, seen_at: now });
     }
 }
 
 impl Machine for Monitor {
-    type Output = MonitorOutput;
+    type Output = Observation;
 
-    fn poll_output(&mut self) -> Option<MonitorOutput> {
-        if let Some(object) = self.asks.pop_front() {
-            return Some(MonitorOutput::Ask { object });
-        }
-        self.handover.poll_output().map(|handed| match handed {
-            ConfirmedQueueOutput::Deliver { number, item } => {
-                MonitorOutput::Observe { number, observation: item }
-            }
-            ConfirmedQueueOutput::GivenUp { item, tries } => {
-                MonitorOutput::GivenUp { observation: item, tries }
-            }
-        })
+    /// The next observation for the detector, in the order in which things happened.
+    fn poll_output(&mut self) -> Option<Observation> {
+        self.outputs.pop_front()
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let hold = self.next_hold().map(|(due, _)| due);
-        [self.pings.poll_timeout(), self.handover.poll_timeout(), hold].into_iter().flatten().min()
+        self.next_hold().map(|(due, _)| due)
     }
 
     fn handle_timeout(&mut self, now: Instant) {
@@ -593,9 +444,6 @@ impl Machine for Monitor {
         {
             self.end_hold(key.clone(), now);
         }
-        self.pings.handle_timeout(now);
-        self.handover.handle_timeout(now);
-        self.settle(now);
     }
 }
 

@@ -2,8 +2,7 @@
 
 use super::{ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput, FaultNotice};
 use crate::sorted::SortedMap;
-use crate::{FaultId, Instant, Machine, NodeName};
-use std::collections::VecDeque;
+use crate::{Instant, Machine, NodeName};
 use std::fmt;
 use std::time::Duration;
 
@@ -15,9 +14,7 @@ use std::time::Duration;
 #[derive(Clone, Debug)]
 pub struct Notifier {
     limits: NotifierLimits,
-    ports: SortedMap<RecovererPort, Lane>,
-    outputs: VecDeque<NotifierOutput>,
-    refused: u64,
+    ports: SortedMap<RecovererPort, ConfirmedQueue<FaultNotice>>,
 }
 
 /// The bounds of a [`Notifier`].
@@ -69,198 +66,84 @@ impl fmt::Display for RecovererPort {
     }
 }
 
-/// An output of a [`Notifier`].
-#[derive(Clone, Debug, PartialEq)]
-pub enum NotifierOutput {
-    /// Hand this to the recoverer behind this port, and bring its confirmation to
-    /// [`Notifier::handle_confirmed`].
-    HandOver {
-        /// Which port.
-        port: RecovererPort,
-        /// The number under which it is confirmed.
-        number: u64,
-        /// What the recoverer must know.
-        notice: FaultNotice,
-    },
-    /// The recoverer never confirmed this, or there was no room: tell a person.
-    GivenUp {
-        /// Which port.
-        port: RecovererPort,
-        /// What the recoverer should have known.
-        notice: FaultNotice,
-        /// How often it was sent.
-        tries: u32,
-    },
-}
-
-/// How the hand-overs of one port stand.
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct RecovererPortRow {
-    /// Which port.
-    pub port: RecovererPort,
-    /// How many notices wait or are under way.
-    pub pending: usize,
-    /// How many were confirmed.
-    pub confirmed: u64,
-    /// How many were not handed over because the same fault waited already, or was over in time.
-    pub suppressed: u64,
-    /// How many had to wait because more came than may be handed over in a second.
-    pub held_back: u64,
-    /// How many were given up.
-    pub given_up: u64,
-}
-
-#[derive(Clone, Debug)]
-struct Lane {
-    handover: ConfirmedQueue<FaultNotice>,
-    confirmed: u64,
-    suppressed: u64,
-}
-
 impl Notifier {
     /// A notifier without ports.
     pub fn new(limits: NotifierLimits) -> Self {
-        Notifier { limits, ports: SortedMap::new(), outputs: VecDeque::new(), refused: 0 }
+        Notifier { limits, ports: SortedMap::new() }
     }
 
     /// Opens a port; no, if there are too many. A port that is open stays as it is.
     pub fn add_port(&mut self, port: RecovererPort, now: Instant) -> bool {
         if self.ports.len() >= self.limits.ports && !self.ports.contains_key(&port) {
-            self.refused += 1;
             return false;
         }
         let limits = match port {
             RecovererPort::Local => self.limits.local,
             RecovererPort::Remote(_) => self.limits.remote,
         };
-        let fresh = || Lane {
-            handover: ConfirmedQueue::new(limits, now.as_nanos()),
-            confirmed: 0,
-            suppressed: 0,
-        };
-        self.ports.entry(port).or_insert_with(fresh);
+        self.ports.entry(port).or_insert_with(|| ConfirmedQueue::new(limits, now.as_nanos()));
         true
-    }
-
-    /// Closes a port and forgets what waits there.
-    pub fn remove_port(&mut self, port: &RecovererPort) {
-        self.ports.remove(port);
     }
 
     /// The detector hands over what all recoverers must know.
     pub fn handle_notice(&mut self, notice: FaultNotice, now: Instant) {
-        for lane in self.ports.values_mut() {
-            lane.take(&notice, now);
+        for queue in self.ports.values_mut() {
+            let waited = queue.withdraw(|waiting| waiting.id() == notice.id()).is_some();
+            match notice {
+                // The recoverer behind this port does not know of it.
+                FaultNotice::Cleared { .. } if waited => {}
+                FaultNotice::Found(_) if queue.under_way() == Some(&notice) => {}
+                _ => queue.hand(notice.rank(), notice.clone(), now),
+            }
         }
-        self.collect();
     }
 
     /// A recoverer has confirmed.
     pub fn handle_confirmed(&mut self, port: &RecovererPort, number: u64, now: Instant) {
-        if let Some(lane) = self.ports.get_mut(port) {
-            let before = lane.handover.pending();
-            lane.handover.handle_confirmed(number, now);
-            lane.confirmed += u64::from(lane.handover.pending() < before);
+        if let Some(queue) = self.ports.get_mut(port) {
+            queue.handle_confirmed(number, now);
         }
-        self.collect();
     }
 
     /// A notice is known not to have reached the recoverer.
     pub fn handle_failed(&mut self, port: &RecovererPort, number: u64, now: Instant) {
-        if let Some(lane) = self.ports.get_mut(port) {
-            lane.handover.handle_failed(number, now);
+        if let Some(queue) = self.ports.get_mut(port) {
+            queue.handle_failed(number, now);
         }
-        self.collect();
     }
 
-    /// How the hand-overs stand, port by port.
-    pub fn read_ports(&self) -> Vec<RecovererPortRow> {
-        let row = |(port, lane): (&RecovererPort, &Lane)| RecovererPortRow {
-            port: port.clone(),
-            pending: lane.handover.pending(),
-            confirmed: lane.confirmed,
-            suppressed: lane.suppressed,
-            held_back: lane.handover.held_back(),
-            given_up: lane.handover.given_up(),
-        };
-        self.ports.iter().map(row).collect()
-    }
-
-    /// How many ports were refused because there were too many.
-    pub fn refused(&self) -> u64 {
-        self.refused
-    }
-
-    /// A notifier that knows the same plain facts, for a body that was struck in the middle of an
-    /// input.
+    /// The notifier with the same facts, for an actor that panicked within an input.
     #[must_use]
     pub fn restarted(self, now: Instant) -> Self {
-        let renew = |(port, lane): (RecovererPort, Lane)| {
-            (port, Lane { handover: lane.handover.restarted(now), ..lane })
-        };
-        let ports = self.ports.into_iter().map(renew).collect();
-        let mut notifier = Notifier { ports, outputs: VecDeque::new(), ..self };
-        notifier.collect();
-        notifier
-    }
-
-    fn collect(&mut self) {
-        for (port, lane) in &mut self.ports {
-            while let Some(handed) = lane.handover.poll_output() {
-                let port = port.clone();
-                self.outputs.push_back(match handed {
-                    ConfirmedQueueOutput::Deliver { number, item } => {
-                        NotifierOutput::HandOver { port, number, notice: item }
-                    }
-                    ConfirmedQueueOutput::GivenUp { item, tries } => {
-                        NotifierOutput::GivenUp { port, notice: item, tries }
-                    }
-                });
-            }
-        }
-    }
-}
-
-impl Lane {
-    fn take(&mut self, notice: &FaultNotice, now: Instant) {
-        let id: FaultId = notice.id();
-        let waited = self.handover.withdraw(|waiting| waiting.id() == id).is_some();
-        self.suppressed += u64::from(waited);
-        match notice {
-            // The recoverer behind this port was not notified of it: there is nothing to take back.
-            FaultNotice::Cleared { .. } if waited => {}
-            FaultNotice::Found(_) if self.handover.under_way() == Some(notice) => {
-                self.suppressed += 1;
-            }
-            notice => self.handover.hand(notice.rank(), notice.clone(), now),
-        }
+        let ports = self.ports.into_iter();
+        let ports = ports.map(|(port, queue)| (port, queue.restarted(now))).collect();
+        Notifier { ports, ..self }
     }
 }
 
 impl Machine for Notifier {
-    type Output = NotifierOutput;
+    type Output = (RecovererPort, ConfirmedQueueOutput<FaultNotice>);
 
-    fn poll_output(&mut self) -> Option<NotifierOutput> {
-        self.outputs.pop_front()
+    /// The next thing to do for the recoverer behind a port; a confirmation is brought to
+    /// [`Notifier::handle_confirmed`].
+    fn poll_output(&mut self) -> Option<Self::Output> {
+        let mut ports = self.ports.iter_mut();
+        ports.find_map(|(port, queue)| Some((port.clone(), queue.poll_output()?)))
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        self.ports.values().filter_map(|lane| lane.handover.poll_timeout()).min()
+        self.ports.values().filter_map(Machine::poll_timeout).min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        for lane in self.ports.values_mut() {
-            lane.handover.handle_timeout(now);
-        }
-        self.collect();
+        self.ports.values_mut().for_each(|queue| queue.handle_timeout(now));
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Fault, FaultKind, FaultLocation, Incarnation};
+    use crate::{Fault, FaultId, FaultKind, FaultLocation, Incarnation};
 
     fn at(millis: u64) -> Instant {
         Instant::from_millis(millis)
@@ -305,14 +188,14 @@ mod tests {
         let mut handed = Vec::new();
         while let Some(output) = notifier.poll_output() {
             match output {
-                NotifierOutput::HandOver { port, number, notice } => {
+                (port, ConfirmedQueueOutput::Deliver { number, item: notice }) => {
                     let sign = if matches!(notice, FaultNotice::Found(_)) { '+' } else { '-' };
                     handed.push(format!("{port} {sign}{}", notice.id().0));
                     if confirm {
                         notifier.handle_confirmed(&port, number, now);
                     }
                 }
-                NotifierOutput::GivenUp { port, notice, tries } => {
+                (port, ConfirmedQueueOutput::GivenUp { item: notice, tries }) => {
                     handed.push(format!("{port} gave up {} after {tries}", notice.id().0));
                 }
             }
@@ -328,8 +211,8 @@ mod tests {
         notifier.handle_notice(cleared(1), at(0));
 
         let reported = handed(&mut notifier, true, at(1));
-        assert_eq!(reported, ["here +1", "n +1", "here -1", "n -1"]);
-        assert!(notifier.read_ports().iter().all(|row| (row.confirmed, row.pending) == (2, 0)));
+        assert_eq!(reported, ["here +1", "here -1", "n +1", "n -1"]);
+        assert_eq!(notifier.poll_timeout(), None, "nothing waits");
     }
 
     #[test]
@@ -342,12 +225,12 @@ mod tests {
         loop {
             while let Some(output) = notifier.poll_output() {
                 match output {
-                    NotifierOutput::HandOver { port: RecovererPort::Local, number, .. } => {
+                    (RecovererPort::Local, ConfirmedQueueOutput::Deliver { number, .. }) => {
                         notifier.handle_confirmed(&RecovererPort::Local, number, now);
                         reported.push("here".to_string());
                     }
-                    NotifierOutput::HandOver { .. } => reported.push("n".into()),
-                    NotifierOutput::GivenUp { tries, .. } => {
+                    (_, ConfirmedQueueOutput::Deliver { .. }) => reported.push("n".into()),
+                    (_, ConfirmedQueueOutput::GivenUp { tries, .. }) => {
                         reported.push(format!("lost after {tries}"))
                     }
                 }
@@ -358,7 +241,6 @@ mod tests {
         }
 
         assert_eq!(reported, ["here", "n", "n", "n", "n", "n", "n", "n", "n", "lost after 8"]);
-        assert_eq!(notifier.read_ports()[1].given_up, 1);
     }
 
     #[test]
@@ -398,7 +280,6 @@ mod tests {
         notifier.handle_notice(cleared(3), at(0));
 
         assert_eq!(handed(&mut notifier, true, at(1)), ["here +1", "here +2"]);
-        assert_eq!(notifier.read_ports()[0].suppressed, 3);
     }
 
     #[test]
@@ -417,7 +298,7 @@ mod tests {
         assert_eq!(handed(&mut notifier, true, at(1000)), ["here +3", "here +4", "here +5"]);
         notifier.handle_timeout(at(2000));
         assert_eq!(handed(&mut notifier, true, at(2000)), ["here +6", "here +7"]);
-        assert_eq!(notifier.read_ports()[0].given_up, 0);
+        assert_eq!(notifier.poll_timeout(), None, "nothing waits, and none was given up");
     }
 
     #[test]
@@ -430,20 +311,7 @@ mod tests {
         assert!(!notifier.add_port(remote(), at(0)));
         assert!(notifier.add_port(RecovererPort::Local, at(0)));
 
-        assert_eq!((notifier.refused(), notifier.read_ports()[0].pending), (1, 1));
-    }
-
-    #[test]
-    fn a_port_that_is_removed_is_forgotten_with_what_waits_there() {
-        let mut notifier = notifier(&[remote()]);
-        notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
-        notifier.remove_port(&remote());
-
-        notifier.handle_confirmed(&remote(), 1, at(1));
-        notifier.handle_failed(&remote(), 1, at(1));
-        notifier.handle_notice(fault(2, FaultKind::Panic), at(1));
-
-        assert_eq!((notifier.read_ports(), notifier.poll_timeout()), (vec![], None));
+        assert_eq!(handed(&mut notifier, true, at(0)), ["here +1"]);
     }
 
     #[test]
@@ -456,6 +324,6 @@ mod tests {
         let mut notifier = notifier.restarted(at(1));
 
         let reported = handed(&mut notifier, true, at(1));
-        assert_eq!(reported, ["here +1", "n +1", "here +2", "n +2"]);
+        assert_eq!(reported, ["here +1", "here +2", "n +1", "n +2"]);
     }
 }

@@ -1,6 +1,5 @@
 //! What the monitor saw, before the detector has judged it.
 
-use crate::detection::hang::OverloadFigures;
 use crate::{FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, ObjectAddress, ObjectName};
 use std::sync::Arc;
 use std::time::Duration;
@@ -234,4 +233,35 @@ pub enum NodeCondition {
     Listed,
     /// The description of this node says so: that the other one cannot be reached is no fault.
     MayBeAway,
+}
+
+/// The figures of an overload, each the worst since it began.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OverloadFigures {
+    /// The share of the latest looks that found the component on its thread.
+    pub utilisation_percent: u8,
+    /// How many messages waited for the component that was latest: itself, or one behind it.
+    pub queued: usize,
+    /// How long the oldest of them had waited.
+    pub oldest: Duration,
+    /// Rounds that it, and those behind it, missed within one window.
+    pub missed_rounds: u64,
+    /// Messages to them whose sender did not wait any more when their turn came, within the same.
+    pub expired: u64,
+    /// For how long one of them has given no sign of life, where that is longer than it may.
+    pub silent_for: Duration,
+}
+
+impl OverloadFigures {
+    /// The worse of each figure.
+    pub(super) fn worst(self, other: Self) -> Self {
+        OverloadFigures {
+            utilisation_percent: self.utilisation_percent.max(other.utilisation_percent),
+            queued: self.queued.max(other.queued),
+            oldest: self.oldest.max(other.oldest),
+            missed_rounds: self.missed_rounds.max(other.missed_rounds),
+            expired: self.expired.max(other.expired),
+            silent_for: self.silent_for.max(other.silent_for),
+        }
+    }
 }

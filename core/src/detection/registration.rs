@@ -1,4 +1,4 @@
-//! How an object wants to be watched.
+//! What the monitor is told of an object, and how a component wants to be watched.
 
 use crate::{Incarnation, ObjectAddress, ObjectName};
 use serde::{Deserialize, Serialize};
@@ -8,12 +8,10 @@ use std::time::Duration;
 /// The registration of an object with the monitor.
 ///
 /// ```
-/// use blastema_core::detection::{Registration, Liveness};
 /// use blastema_core::ObjectName;
-/// use std::time::Duration;
+/// use blastema_core::detection::Registration;
 ///
 /// let enrolment = Registration::new(ObjectName::new("laser")?)
-///     .watch(Liveness::push(Duration::from_millis(100), 3))
 ///     .depends_on(["module1:power".parse()?]);
 /// assert_eq!(enrolment.depends_on.len(), 1);
 /// # Ok::<(), blastema_core::NameError>(())
@@ -28,8 +26,6 @@ pub struct Registration {
     /// Which incarnation is about to begin, or lives already. Zero: its guard will report when its
     /// first incarnation begins, and nothing is expected of it before.
     pub incarnation: Incarnation,
-    /// How its signs of life come.
-    pub watch: Liveness,
     /// The objects, here or elsewhere, without which it cannot work: what it suffers while one of
     /// them is down is taken for a symptom.
     pub depends_on: Arc<[ObjectAddress]>,
@@ -38,45 +34,15 @@ pub struct Registration {
 }
 
 impl Registration {
-    /// A component in its first incarnation that depends on nothing and is watched by its guard
-    /// alone.
+    /// A component in its first incarnation that depends on nothing.
     pub fn new(object: ObjectName) -> Self {
         Registration {
             object,
             kind: ObjectKind::Component,
             incarnation: Incarnation::FIRST,
-            watch: Liveness::Guard,
             depends_on: Arc::new([]),
             may_end: false,
         }
-    }
-
-    /// Sets what kind of object it is.
-    #[must_use]
-    pub fn kind(mut self, kind: ObjectKind) -> Self {
-        self.kind = kind;
-        self
-    }
-
-    /// Sets which incarnation this is.
-    #[must_use]
-    pub fn incarnation(mut self, incarnation: Incarnation) -> Self {
-        self.incarnation = incarnation;
-        self
-    }
-
-    /// Sets how its signs of life come.
-    #[must_use]
-    pub fn watch(mut self, watch: Liveness) -> Self {
-        self.watch = watch;
-        self
-    }
-
-    /// Sets whether it may end itself in order.
-    #[must_use]
-    pub fn may_end(mut self, may_end: bool) -> Self {
-        self.may_end = may_end;
-        self
     }
 
     /// Sets what it cannot work without.
@@ -98,12 +64,6 @@ pub enum RegistrationError {
         object: ObjectName,
         /// How many rows there may be.
         limit: usize,
-    },
-    /// Give `Register::pings`, or watch the object in another way.
-    #[error("{object} is to be asked for signs of life, but nothing says where it answers")]
-    NowhereToAsk {
-        /// The object that was to be registered.
-        object: ObjectName,
     },
 }
 
@@ -128,7 +88,7 @@ pub enum Liveness {
     Guard,
     /// The object reports signs of life by itself.
     Push(Push),
-    /// The monitor pings the object.
+    /// The object must finish something, or its thread must turn.
     Pull(Pull),
 }
 

@@ -86,7 +86,7 @@ impl MonitorRow {
 /// | --- | --- | --- |
 /// | unheard | never heard in this incarnation, and its start-up time is not over | nothing |
 /// | trusted | its signs of life come | nothing |
-/// | suspect | a sign is overdue, or it waits behind another component that hangs | it is counted and shown |
+/// | suspect | it waits behind another component that hangs | it is counted and shown |
 /// | failed | it was overdue for longer than is tolerated, or its end was reported | a fault |
 /// | stopped | its incarnation ended as it should | nothing |
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -95,7 +95,7 @@ pub enum Opinion {
     Unheard,
     /// The object gives signs of life.
     Trusted,
-    /// Something is overdue; nothing is torn down yet.
+    /// It waits behind another component that hangs; nothing is torn down yet.
     Suspect,
     /// The object has ended, or was silent for longer than is tolerated.
     Failed,

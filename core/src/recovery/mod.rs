@@ -24,8 +24,7 @@ pub use crate::backoff::Backoff;
 pub use ladder::{Ladder, LadderStep, RecoveryAction};
 pub use plan::{Plan, PlanError};
 pub use recoverer::{
-    FaultResolution, Recoverer, RecovererLimits, RecovererOutput, RecoveryDone, RecoveryFailed,
-    RecoveryOrder,
+    Recoverer, RecovererLimits, RecovererOutput, RecoveryDone, RecoveryFailed, RecoveryOrder,
 };
 pub use rules::{ChildRules, Restart, RestartGrant, Strategy, SupervisorRules, WhenExceeded};
 pub use supervision::{

@@ -11,6 +11,7 @@
 
 use super::supervision::GiveUpReason;
 use super::{Ladder, Plan, RecoveryAction};
+use crate::detection::RecoveryOutcome;
 use crate::sorted::SortedMap;
 use crate::timer::Timers;
 use crate::{Fault, FaultId, FaultKind, FaultLocation, Instant, Machine, NodeName};
@@ -24,7 +25,7 @@ mod types;
 
 use self::safe_state::TreatmentStop;
 pub use self::types::{
-    FaultResolution, RecovererLimits, RecovererOutput, RecoveryDone, RecoveryFailed, RecoveryOrder,
+    RecovererLimits, RecovererOutput, RecoveryDone, RecoveryFailed, RecoveryOrder,
 };
 
 /// The detector latches by place and kind: a place with more faults than this is out of its mind.
@@ -67,6 +68,11 @@ impl Case {
 /// The incarnation that it struck does not answer.
 fn is_stuck(fault: &Fault) -> bool {
     matches!(fault.kind, FaultKind::Hang | FaultKind::Silence)
+}
+
+/// Nothing is done about a fault but to keep it in the record.
+fn observed() -> RecoveryOutcome {
+    RecoveryOutcome::Decided { action: RecoveryAction::Observe.to_string() }
 }
 
 fn ids(faults: &[Fault]) -> Vec<FaultId> {
@@ -226,7 +232,7 @@ impl Recoverer {
         let since = self.orders;
         let ladder = self.plan.answer(&self.node, &fault.kind, &fault.location);
         if ladder.steps()[0].action == RecoveryAction::Observe {
-            return self.tell(&fault, FaultResolution::Observed);
+            return self.tell(&fault, observed());
         }
         if let (Some(treatment_stop), FaultLocation::Object(_)) =
             (self.treatment_stop, &fault.location)
@@ -238,14 +244,14 @@ impl Recoverer {
             if case.faults.len() == FAULTS_LIMIT {
                 let reason =
                     format!("{FAULTS_LIMIT} faults of {location} are being treated already");
-                return self.tell(&fault, FaultResolution::GaveUp { reason });
+                return self.tell(&fault, RecoveryOutcome::GaveUp { reason });
             }
             case.faults.push(Noted { fault, since, over: false });
             return;
         }
         if self.cases.len() == self.limits.cases {
             let reason = format!("{} places are being treated already", self.limits.cases);
-            return self.tell(&fault, FaultResolution::GaveUp { reason });
+            return self.tell(&fault, RecoveryOutcome::GaveUp { reason });
         }
         let ladder = ladder.clone();
         let remembered = self.memories.remove(&(location.clone(), fault.kind.clone()));
@@ -299,8 +305,8 @@ impl Recoverer {
         // At the end of its ladder the fault is given up, for this reason.
         let known = if case.rung < case.ladder.steps().len() { case.known() } else { Vec::new() };
         for fault in known {
-            let (action, reason) = (action.clone(), reason.clone());
-            self.tell(&fault, FaultResolution::Failed { action, reason });
+            let (action, reason) = (action.to_string(), reason.clone());
+            self.tell(&fault, RecoveryOutcome::Failed { action, reason });
         }
         self.approach(location, reason, now);
     }
@@ -315,7 +321,7 @@ impl Recoverer {
         let step = &case.ladder.steps()[case.rung];
         if step.action == RecoveryAction::Observe {
             for fault in self.close(location, now) {
-                self.tell(&fault, FaultResolution::Observed);
+                self.tell(&fault, observed());
             }
             return;
         }
@@ -337,7 +343,7 @@ impl Recoverer {
         }
         if untold {
             for fault in case.known() {
-                self.tell(&fault, FaultResolution::GaveUp { reason: reason.clone() });
+                self.tell(&fault, RecoveryOutcome::GaveUp { reason: reason.clone() });
             }
         }
         if rested {
@@ -370,7 +376,11 @@ impl Recoverer {
         let telling = telling.expect("a case has its first fault");
         let telling = telling.fault.clone();
         for fault in case.known() {
-            self.tell(&fault, FaultResolution::Decided { action: action.clone(), attempt });
+            let action = match attempt {
+                1 => action.to_string(),
+                _ => format!("{action}, attempt {attempt}"),
+            };
+            self.tell(&fault, RecoveryOutcome::Decided { action });
         }
         self.open.insert(number, (location.clone(), action.clone()));
         let idle = Engaged { orders: 0, idle_since: now };
@@ -409,15 +419,17 @@ impl Recoverer {
         let over: Vec<FaultId> = over.into_iter().map(|noted| noted.fault.id).collect();
         let cured: Vec<Fault> = cured.into_iter().map(|noted| noted.fault).collect();
         for fault in &cured {
-            let settled = match contained {
-                true => FaultResolution::Contained { action: action.clone() },
-                false if done.waits => FaultResolution::Waits,
+            let outcome = match contained {
+                true => RecoveryOutcome::GaveUp {
+                    reason: format!("contained by {action}; service is not restored"),
+                },
+                false if done.waits => RecoveryOutcome::Waits,
                 false if done.finished => {
-                    FaultResolution::GaveUp { reason: GiveUpReason::Finished.to_string() }
+                    RecoveryOutcome::GaveUp { reason: GiveUpReason::Finished.to_string() }
                 }
-                false => FaultResolution::Recovered { incarnation: done.incarnation },
+                false => RecoveryOutcome::Recovered,
             };
-            self.tell(fault, settled);
+            self.tell(fault, outcome);
         }
         // Whether restarts go on is for the supervisor to say, and a route for the network.
         if !contained && !restarted && !is_late && *action != RecoveryAction::Reroute {
@@ -447,15 +459,8 @@ impl Recoverer {
     /// The symptoms of these roots get a little time to pass.
     fn release_symptoms(&mut self, roots: &[FaultId], now: Instant) {
         let due = now + self.limits.grace;
-        let mut released = Vec::new();
-        for symptom in self.symptoms.values_mut() {
-            if symptom.due.is_none() && roots.contains(&symptom.root) {
-                symptom.due = Some(due);
-                released.push(symptom.fault.clone());
-            }
-        }
-        for fault in &released {
-            self.tell(fault, FaultResolution::RootSettled);
+        for symptom in self.symptoms.values_mut().filter(|one| roots.contains(&one.root)) {
+            symptom.due.get_or_insert(due);
         }
     }
 
@@ -494,10 +499,9 @@ impl Recoverer {
         }
     }
 
-    fn tell(&mut self, fault: &Fault, settled: FaultResolution) {
+    fn tell(&mut self, fault: &Fault, outcome: RecoveryOutcome) {
         if self.is_ours(fault) {
-            let (fault, location) = (fault.id, fault.location.clone());
-            self.outputs.push_back(RecovererOutput::Settle { fault, location, settled });
+            self.outputs.push_back(RecovererOutput::Settle { fault: fault.id, outcome });
         }
     }
 }

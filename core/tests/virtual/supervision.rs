@@ -139,8 +139,8 @@ impl World {
                         *phase = Phase::Stopping;
                     }
                 }
-                SupervisorOutput::Abandon { child }
-                | SupervisorOutput::CutOff { child }
+                SupervisorOutput::Abandon(child)
+                | SupervisorOutput::CutOff(child)
                 | SupervisorOutput::Overdue { child, .. } => {
                     self.orders.remove(&child);
                     self.present.remove(&child);
@@ -170,22 +170,22 @@ impl World {
                 SupervisorOutput::GaveUp { call, .. } => {
                     assert!(self.open.remove(&call), "{call:?} is answered twice");
                 }
-                SupervisorOutput::Escalate { .. } => {
+                SupervisorOutput::Escalate(_) => {
                     assert!(self.present.is_empty(), "it escalates over running children");
                     self.escalated = true;
                 }
                 SupervisorOutput::AllStopped => assert!(self.present.is_empty()),
                 SupervisorOutput::AllStarted => self.all_started = true,
-                SupervisorOutput::GiveUp { .. } => {
+                SupervisorOutput::GiveUp(_) => {
                     assert!(!self.escalated, "it is said before all else");
                 }
-                SupervisorOutput::ExpectEnd { .. }
-                | SupervisorOutput::Reset { .. }
+                SupervisorOutput::ExpectEnd(_)
+                | SupervisorOutput::Reset(_)
                 | SupervisorOutput::Refused { .. }
-                | SupervisorOutput::Unavailable { .. }
+                | SupervisorOutput::Unavailable(_)
                 | SupervisorOutput::Isolate { .. }
-                | SupervisorOutput::Retire { .. }
-                | SupervisorOutput::Left { .. } => {}
+                | SupervisorOutput::Retire(_)
+                | SupervisorOutput::Left(_) => {}
             }
         }
     }

@@ -5,6 +5,7 @@ use crate::fault_chain::tests::scripted::{Bench, ScriptedReply, fault};
 use crate::registry::Registry;
 use crate::runtime::reports::FaultReports;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
+use blastema_core::detection::RecoveryOutcome;
 use blastema_core::recovery::{Ladder, Plan, RecovererLimits, SupervisorRules};
 use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, NodeName};
 use blastema_doubles::{Probe, advance, paused, settle};
@@ -60,7 +61,6 @@ impl Chain {
             strategies,
             tools,
             detector: outcomes.recipient(),
-            guardian: bench.guardian.clone(),
             callbacks: Callbacks::default(),
         };
         let name = "chain/recoverer".parse().expect("a good name");

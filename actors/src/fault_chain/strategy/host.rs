@@ -88,8 +88,6 @@ impl<S: RecoveryStrategy> Actor for StrategyHost<S> {
     type Context = Context<Self>;
 }
 
-impl<S: RecoveryStrategy> Supervised for StrategyHost<S> {}
-
 impl<S: RecoveryStrategy> Handler<ExecuteAction> for StrategyHost<S> {
     type Result = PendingAnswer<Result<RecoveryDone, RecoveryFailed>>;
 

@@ -1,14 +1,15 @@
-//! Strategies: one actor per mechanism of recovery, made when it is first needed and let go when it
+//! Strategies: the actions that each node has are calls of the tools. Each strategy of the
+//! application has an actor on a thread of its own, made when it is first needed and let go when it
 //! has had nothing to do for a while.
 //!
 //! ```text
+//! Recoverer ─────────────────────────────────────────────────────► tools
 //! Recoverer ──ExecuteAction(order)──► StrategyHost ──► RecoveryStrategy::carry_out(order, tools)
 //!           ◄──RecoveryDone | Failed───┘                        │
-//!                          Supervisor ◄──RestartChild…──┤ tools
+//!                          Supervisor ◄──ChildRequest───┤ tools
 //!                          Router     ◄──Reroute────────┘
 //! ```
 
-mod builtin;
 mod host;
 mod outputs;
 mod table;

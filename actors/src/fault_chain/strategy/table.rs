@@ -1,26 +1,20 @@
 //! How to make each strategy when it is needed.
 
-use super::builtin::BuiltIn;
 use super::host::{StrategyHost, StrategyThread};
 use super::{RecoveryStrategy, StrategyContext};
 use crate::platform::own_arbiter;
 use crate::runtime::callbacks::Callbacks;
-use crate::runtime::guardian::Guardian;
 use actix::prelude::*;
 use blastema_contract::strategy::ExecuteAction;
 use blastema_core::ObjectName;
-use blastema_core::recovery::{RecoveryAction, RecoveryFailed};
+use blastema_core::recovery::RecoveryFailed;
 use blastema_core::sorted::SortedMap;
 use std::sync::Arc;
 use tokio::sync::watch;
 
+/// Starts a strategy here, or on the thread that it has for itself.
 type Make = Arc<
-    dyn Fn(
-            (&Guardian, Option<&ArbiterHandle>),
-            ObjectName,
-            StrategyContext,
-            Option<StrategyThread>,
-        ) -> Recipient<ExecuteAction>
+    dyn Fn(StrategyContext, Option<(&ArbiterHandle, StrategyThread)>) -> Recipient<ExecuteAction>
         + Send
         + Sync,
 >;
@@ -53,9 +47,9 @@ impl Drop for EngagedStrategy {
 }
 
 /// The name under which a strategy is watched.
-pub(crate) fn object_of(action: &RecoveryAction) -> ObjectName {
+pub(crate) fn object_of(strategy: &str) -> ObjectName {
     let plain: String =
-        action.name().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+        strategy.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
     ObjectName::new(&format!("chain/strategy/{plain}"))
         .or_else(|_| ObjectName::new("chain/strategy/custom"))
         .expect("this name is well formed")
@@ -72,7 +66,18 @@ impl StrategyTable {
         name: &str,
         make: impl Fn() -> S + Send + Sync + 'static,
     ) {
-        self.0.insert(name.into(), hosted(make));
+        let make: Arc<dyn Fn() -> S + Send + Sync> = Arc::new(make);
+        let start: Make = Arc::new(move |tools, place| {
+            let make = make.clone();
+            match place {
+                None => StrategyHost::new(make, tools, None).start().recipient(),
+                Some((arbiter, thread)) => StrategyHost::start_in_arbiter(arbiter, |_| {
+                    StrategyHost::new(make, tools, Some(thread))
+                })
+                .recipient(),
+            }
+        });
+        self.0.insert(name.into(), start);
     }
 
     /// The names of the application's own strategies.
@@ -80,45 +85,30 @@ impl StrategyTable {
         self.0.keys().map(|name| &**name)
     }
 
-    /// Makes the strategy that carries `action` out: a built-in one on this arbiter, one of the
-    /// application's own on a thread that it has for itself, unless all of the node runs on one.
+    /// Makes the strategy of this name, on a thread that it has for itself, unless all of the node
+    /// runs on one.
     ///
     /// # Errors
     /// There is none, it keeps its share of threads already, or no thread is left for it.
     pub(crate) fn make(
         &self,
-        action: &RecoveryAction,
-        guardian: &Guardian,
+        name: &str,
         tools: StrategyContext,
         callbacks: &Callbacks,
     ) -> Result<EngagedStrategy, RecoveryFailed> {
-        let object = object_of(action);
-        let known = match action {
-            RecoveryAction::Custom(name) => self.0.get(name).cloned(),
-            _ => Some(hosted(|| BuiltIn)),
-        };
-        let make = known.ok_or_else(|| format!("there is no strategy {action:?}"))?;
-        if !callbacks.have_threads() || !matches!(action, RecoveryAction::Custom(_)) {
-            let orders = make((guardian, None), object, tools, None);
-            return Ok(EngagedStrategy { orders, own: None });
+        let object = object_of(name);
+        let make = self.0.get(name).ok_or_else(|| format!("there is no strategy {name:?}"))?;
+        if !callbacks.have_threads() {
+            return Ok(EngagedStrategy { orders: make(tools, None), own: None });
         }
         let arbiter = callbacks
             .check_share(&object)
             .and_then(|()| own_arbiter())
-            .map_err(|error| format!("there is no thread for the strategy {action}: {error}"))?;
+            .map_err(|error| format!("there is no thread for the strategy {name}: {error}"))?;
         let (blocked_by, blocked) = watch::channel(None);
         let (callbacks, blocked_by) = (callbacks.clone(), Arc::new(blocked_by));
-        let thread = StrategyThread { object: object.clone(), callbacks, blocked_by };
-        let orders = make((guardian, Some(&arbiter)), object, tools, Some(thread));
+        let thread = StrategyThread { object, callbacks, blocked_by };
+        let orders = make(tools, Some((&arbiter, thread)));
         Ok(EngagedStrategy { orders, own: Some((arbiter, blocked)) })
     }
-}
-
-fn hosted<S: RecoveryStrategy>(make: impl Fn() -> S + Send + Sync + 'static) -> Make {
-    let make: Arc<dyn Fn() -> S + Send + Sync> = Arc::new(make);
-    Arc::new(move |(guardian, place), name, tools, thread| {
-        let make = make.clone();
-        let host = move |_: &mut Context<StrategyHost<S>>| StrategyHost::new(make, tools, thread);
-        guardian.start(name, place, host).recipient()
-    })
 }

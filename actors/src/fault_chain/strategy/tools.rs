@@ -1,15 +1,15 @@
 //! What a strategy can do.
 
 use super::SafeOutputs;
-use crate::fault_chain::directory::{SupervisorDirectory, SupervisorRecipients};
+use crate::fault_chain::directory::SupervisorDirectory;
 use crate::messaging::sender::Sender;
 use crate::registry::Registry;
 use actix::prelude::*;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
-use blastema_contract::supervisor::{
-    GaveUp, IsolateChild, MoveChild, Recovered, ResetChild, RestartChild, SafeStop,
+use blastema_contract::supervisor::{ChildAction, ChildRequest, GaveUp, Recovered};
+use blastema_core::recovery::{
+    GiveUpReason, RecoveryAction, RecoveryDone, RecoveryFailed, RecoveryOrder,
 };
-use blastema_core::recovery::{GiveUpReason, RecoveryDone, RecoveryFailed};
 use blastema_core::{
     Contract, DeliveryError, Fault, FaultLocation, Incarnation, NodeName, ObjectName,
 };
@@ -37,6 +37,23 @@ impl StrategyContext {
         StrategyContext(Arc::new(tools))
     }
 
+    /// Carries out an action that needs no strategy of the application.
+    pub(crate) async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
+        let RecoveryOrder { fault, action, .. } = order;
+        match action {
+            RecoveryAction::Reset => self.reset(&fault.location).await,
+            RecoveryAction::Restart => self.restart(fault).await,
+            RecoveryAction::MoveToOwnThread => self.move_to_own_thread(fault).await,
+            RecoveryAction::Reroute => self.reroute(&fault.location).await,
+            RecoveryAction::Isolate => self.isolate_because(fault).await,
+            RecoveryAction::SafeStop => self.safe_stop(fault).await,
+            other => Err(format!("there is no strategy {other:?}").into()),
+        }
+    }
+
     /// Where messages of contract `M` to the object of this name can be sent: what helps a
     /// component may be known to itself, or to a neighbour, alone.
     ///
@@ -51,9 +68,7 @@ impl StrategyContext {
     ///
     /// # Errors The new incarnation did not start, or the supervisor escalated.
     pub async fn restart(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
-        let (object, controller) = self.controller(&fault.location)?;
-        let fault = Some(fault.clone());
-        judge(controller.restart.send(RestartChild { object, fault }).await).map(begun)
+        self.ask(&fault.location, ChildAction::Restart(Some(fault.clone()))).await.map(begun)
     }
 
     /// Moves a component to a thread of its own: its next incarnation runs there, with the same
@@ -62,9 +77,7 @@ impl StrategyContext {
     /// # Errors The component already has a thread of its own, or the whole node runs on one
     /// thread; or as [`restart`](StrategyContext::restart).
     pub async fn move_to_own_thread(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
-        let (object, controller) = self.controller(&fault.location)?;
-        let fault = Some(fault.clone());
-        judge(controller.move_away.send(MoveChild { object, fault }).await).map(begun)
+        self.ask(&fault.location, ChildAction::Move(Some(fault.clone()))).await.map(begun)
     }
 
     /// Lets an object that is in error recover by itself.
@@ -72,9 +85,8 @@ impl StrategyContext {
     /// # Errors
     /// It could not, or has no incarnation.
     pub async fn reset(&self, location: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
-        let (object, controller) = self.controller(location)?;
         // It is the same incarnation as before.
-        let done = judge(controller.reset.send(ResetChild { object }).await)?;
+        let done = self.ask(location, ChildAction::Reset).await?;
         Ok(RecoveryDone { incarnation: None, ..done })
     }
 
@@ -128,16 +140,15 @@ impl StrategyContext {
             return Ok(RecoveryDone::default());
         }
         self.0.safe_outputs.apply(fault).await;
-        let (object, controller) = self.controller(&fault.location)?;
-        let fault = Some(fault.clone());
-        judge(controller.safe_stop.send(SafeStop { object, fault }).await)
+        self.ask(&fault.location, ChildAction::SafeStop(Some(fault.clone()))).await
     }
 
     /// Puts an object into the safe state whose node is in it, or ends. No sender waits for that.
     pub(crate) fn give_up_incarnation(&self, fault: &Fault) {
         // One that was removed meanwhile has no supervisor.
-        if let Ok((object, controller)) = self.controller(&fault.location) {
-            controller.safe_stop.do_send(SafeStop { object, fault: Some(fault.clone()) });
+        if let Ok((object, requests)) = self.supervisor(&fault.location) {
+            let action = ChildAction::SafeStop(Some(fault.clone()));
+            requests.do_send(ChildRequest { object, action });
         }
     }
 
@@ -163,47 +174,46 @@ impl StrategyContext {
             let decided = network.send(IsolateNode { node, isolated, cause }).await;
             return decided.unwrap_or_else(|_| Err("the network did not answer".into()));
         }
-        let (object, controller) = self.controller(location)?;
-        judge(
-            controller
-                .isolate
-                .send(IsolateChild { object, faulty, isolated, reason: cause.to_owned() })
-                .await,
-        )
+        let reason = cause.to_owned();
+        self.ask(location, ChildAction::Isolate { faulty, isolated, reason }).await
     }
 
-    fn controller(
+    async fn ask(
         &self,
         location: &FaultLocation,
-    ) -> Result<(ObjectName, Arc<SupervisorRecipients>), RecoveryFailed> {
+        action: ChildAction,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
+        let (object, requests) = self.supervisor(location)?;
+        match requests.send(ChildRequest { object, action }).await {
+            Ok(Ok(Recovered { incarnation, waits, .. })) => {
+                Ok(RecoveryDone { incarnation, waits, finished: false })
+            }
+            Ok(Err(GaveUp { object, why })) => Err(RecoveryFailed {
+                reason: format!("{object}: {why}"),
+                is_final: matches!(why, GiveUpReason::IntensityExceeded { .. }),
+            }),
+            Err(_) => Err("the supervisor did not answer".into()),
+        }
+    }
+
+    /// Where requests about an object go.
+    fn supervisor(
+        &self,
+        location: &FaultLocation,
+    ) -> Result<(ObjectName, Recipient<ChildRequest>), RecoveryFailed> {
         let FaultLocation::Object(address) = location else {
             return Err(format!("{location} is no object").into());
         };
         if address.node != self.0.node {
             return Err(format!("{address} is an object of another node").into());
         }
-        let controller = self.0.directory.supervisor_of(&address.object);
-        let controller = controller.ok_or_else(|| format!("no supervisor keeps {address}"))?;
-        Ok((address.object.clone(), controller))
+        let supervisor = self.0.directory.supervisor_of(&address.object);
+        let supervisor = supervisor.ok_or_else(|| format!("no supervisor keeps {address}"))?;
+        Ok((address.object.clone(), supervisor.requests.clone()))
     }
 }
 
 /// Where an incarnation was to begin, and none has, its rules do not let it.
 fn begun(done: RecoveryDone) -> RecoveryDone {
     RecoveryDone { finished: done.incarnation.is_none(), ..done }
-}
-
-fn judge(
-    answer: Result<Result<Recovered, GaveUp>, MailboxError>,
-) -> Result<RecoveryDone, RecoveryFailed> {
-    match answer {
-        Ok(Ok(Recovered { incarnation, waits, .. })) => {
-            Ok(RecoveryDone { incarnation, waits, finished: false })
-        }
-        Ok(Err(GaveUp { object, why })) => Err(RecoveryFailed {
-            reason: format!("{object}: {why}"),
-            is_final: matches!(why, GiveUpReason::IntensityExceeded { .. }),
-        }),
-        Err(_) => Err("the supervisor did not answer".into()),
-    }
 }

@@ -1,6 +1,6 @@
 use super::*;
 use crate::fault_chain::tests::scripted::{Bench, ScriptedReply, fault, object};
-use blastema_contract::supervisor::SafeStop;
+use blastema_contract::supervisor::{ChildAction, ChildRequest};
 use blastema_core::recovery::{ChildState, Strategy, WhenExceeded};
 use blastema_doubles::{advance, paused, settle};
 use std::time::Duration;
@@ -9,11 +9,15 @@ fn rules(strategy: Strategy) -> SupervisorRules {
     SupervisorRules { strategy, ..SupervisorRules::default() }
 }
 
-fn restart(bench: &Bench, child: &str, kind: FaultKind, incarnation: u64) -> RestartChild {
+fn restart(bench: &Bench, child: &str, kind: FaultKind, incarnation: u64) -> ChildRequest {
     if kind == FaultKind::Panic {
         bench.script.dies(child);
     }
-    RestartChild { object: object(child), fault: Some(fault(1, kind, child, incarnation)) }
+    request(child, ChildAction::Restart(Some(fault(1, kind, child, incarnation))))
+}
+
+fn request(child: &str, action: ChildAction) -> ChildRequest {
+    ChildRequest { object: object(child), action }
 }
 
 fn recovered(child: &str, incarnation: u64) -> RecoveryResult {
@@ -202,7 +206,7 @@ fn children_come_and_go_and_are_found_by_name() {
         assert_eq!(refused.expect_err("the name is taken").why, GiveUpReason::NameTaken);
         assert!(bench.directory.supervisor_of(&object("b")).is_some());
 
-        let removed = root.address.send(RemoveChild { object: object("b") }).await;
+        let removed = root.address.send(request("b", ChildAction::Remove)).await;
         assert_eq!(removed.expect("it lives"), Ok(gone()));
         assert!(bench.directory.supervisor_of(&object("b")).is_none());
         assert_eq!(added(false).await.expect("it lives"), Ok(gone()));
@@ -216,7 +220,7 @@ fn resets_isolation_and_rest_reach_the_child() {
         let bench = Bench::new();
         let root = bench.serving(rules(Strategy::OneForOne), &["a", "b"]).await;
         bench.script.answer("reset b", &[ScriptedReply::Fails]);
-        let reset = |child| ResetChild { object: object(child) };
+        let reset = |child| request(child, ChildAction::Reset);
 
         assert_eq!(root.address.send(reset("a")).await.expect("it lives"), recovered("a", 1));
         let failed = root.address.send(reset("b")).await.expect("it lives");
@@ -224,11 +228,10 @@ fn resets_isolation_and_rest_reach_the_child() {
             failed.expect_err("it is jammed").why,
             GiveUpReason::ResetFailed { reason: "jammed".into() }
         );
-        let reason = String::new();
-        let isolated = IsolateChild { object: object("a"), faulty: None, isolated: true, reason };
-        assert!(root.address.send(isolated).await.expect("it lives").is_ok());
-        let rest = SafeStop { object: object("b"), fault: None };
-        assert!(root.address.send(rest).await.expect("it lives").is_ok());
+        let isolate = ChildAction::Isolate { faulty: None, isolated: true, reason: String::new() };
+        assert!(root.address.send(request("a", isolate)).await.expect("it lives").is_ok());
+        let rest = ChildAction::SafeStop(None);
+        assert!(root.address.send(request("b", rest)).await.expect("it lives").is_ok());
         assert_eq!(bench.script.done(), ["reset a", "reset b", "isolate a", "isolate b", "stop b"]);
     });
 }

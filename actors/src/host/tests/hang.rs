@@ -12,7 +12,7 @@ use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::LivenessReported;
 use blastema_core::detection::hang::HangDetectorConfig;
 use blastema_core::detection::hang::LivenessEvent;
-use blastema_core::detection::{CurrentHandler, Liveness, MonitorRow, ObjectKind};
+use blastema_core::detection::{CurrentHandler, Finding, Liveness, MonitorRow, ObjectKind};
 use blastema_core::{FaultLocation, NodeName, ObjectAddress};
 use blastema_doubles::{Probe, advance, paused};
 use std::sync::{Arc, Mutex, mpsc};
@@ -131,9 +131,17 @@ impl Site {
     }
 
     async fn hangs(&self) -> (ObjectName, Incarnation, &'static str, Vec<ObjectName>) {
-        match self.sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Hangs { .. })).await {
-            LivenessReported(LivenessEvent::Hangs {
-                object, incarnation, during, victims, ..
+        match self
+            .sighted
+            .wait(|sighted| {
+                matches!(sighted.0, LivenessEvent::Component { finding: Finding::Hangs { .. }, .. })
+            })
+            .await
+        {
+            LivenessReported(LivenessEvent::Component {
+                object,
+                incarnation,
+                finding: Finding::Hangs { during, victims, .. },
             }) => (object, incarnation, during, victims.to_vec()),
             other => panic!("{other:?}"),
         }
@@ -252,7 +260,13 @@ fn silence_is_seen_and_its_end_too() {
         advance(Duration::from_secs(1)).await;
         let (object, incarnation) = (name("beater"), Incarnation(1));
         let seen = sighted.drain();
-        let [LivenessReported(LivenessEvent::Silent { silent_for, .. })] = seen[..] else {
+        let [
+            LivenessReported(LivenessEvent::Component {
+                finding: Finding::Silent { age: silent_for },
+                ..
+            }),
+        ] = seen[..]
+        else {
             panic!("{seen:?}")
         };
         assert!(silent_for >= Duration::from_millis(350), "{silent_for:?}");
@@ -262,7 +276,11 @@ fn silence_is_seen_and_its_end_too() {
         advance(Duration::from_millis(200)).await;
         assert_eq!(
             sighted.drain(),
-            [LivenessReported(LivenessEvent::Spoke { object, incarnation })]
+            [LivenessReported(LivenessEvent::Component {
+                object,
+                incarnation,
+                finding: Finding::Spoke
+            })]
         );
 
         child.stop();
@@ -299,8 +317,14 @@ fn a_handler_that_waits_too_long_is_seen_unless_it_said_so() {
         beater.tell(Do::Wait(3000)).unwrap();
         advance(Duration::from_secs(4)).await;
         let seen = sighted.drain();
-        let [LivenessReported(LivenessEvent::Waits { ref object, during, age, .. }), ref after] =
-            seen[..]
+        let [
+            LivenessReported(LivenessEvent::Component {
+                ref object,
+                finding: Finding::Waits { during, age, .. },
+                ..
+            }),
+            ref after,
+        ] = seen[..]
         else {
             panic!("{seen:?}")
         };

@@ -8,6 +8,7 @@ use crate::{ChildSpec, Component, Context, Event, Handle, ObjectName, Ports};
 use blastema_contract::child::{Child, ChildEvent};
 use blastema_contract::reports::LivenessReported;
 use blastema_core::Contract;
+use blastema_core::detection::Finding;
 use blastema_core::detection::hang::HangDetectorConfig;
 use blastema_core::detection::hang::LivenessEvent;
 use blastema_doubles::{Probe, paused, settle};
@@ -205,11 +206,21 @@ mod real {
             *JUDGED.lock().unwrap() = Some(barrier.clone());
 
             publish(&stage, 1);
-            let seen =
-                sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Hangs { .. })).await;
+            let seen = sighted
+                .wait(|sighted| {
+                    matches!(
+                        sighted.0,
+                        LivenessEvent::Component { finding: Finding::Hangs { .. }, .. }
+                    )
+                })
+                .await;
             barrier.open();
 
-            let LivenessReported(LivenessEvent::Hangs { object, during, victims, .. }) = seen
+            let LivenessReported(LivenessEvent::Component {
+                object,
+                finding: Finding::Hangs { during, victims, .. },
+                ..
+            }) = seen
             else {
                 unreachable!()
             };
@@ -245,7 +256,14 @@ mod real {
             let publisher = stage.environment.topics().publisher("samples").unwrap();
             publisher.publish(Sample(1)).unwrap();
             publisher.publish(Sample(2)).unwrap();
-            sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Hangs { .. })).await;
+            sighted
+                .wait(|sighted| {
+                    matches!(
+                        sighted.0,
+                        LivenessEvent::Component { finding: Finding::Hangs { .. }, .. }
+                    )
+                })
+                .await;
 
             assert_eq!(stage.begin(&mut *judge, 2).await, ChildEvent::Started);
             until("what waited comes along", || *log.lock().unwrap() == [2]).await;
@@ -275,7 +293,14 @@ mod real {
             until("two hubs", || hubs(&stage) == 2).await;
 
             (1..=6).for_each(|n| publish(&stage, n));
-            sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Hangs { .. })).await;
+            sighted
+                .wait(|sighted| {
+                    matches!(
+                        sighted.0,
+                        LivenessEvent::Component { finding: Finding::Hangs { .. }, .. }
+                    )
+                })
+                .await;
             (7..=9).for_each(|n| publish(&stage, n));
             culprit.abandon();
             sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Lost { .. })).await;

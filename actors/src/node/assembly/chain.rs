@@ -4,10 +4,8 @@ use super::{enrolment, middleware, named};
 use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::ArbiterPool;
 use crate::component::environment::ComponentEnvironment;
-use crate::fault_chain::detector::DetectorActor;
+use crate::fault_chain::detection::DetectionActor;
 use crate::fault_chain::directory::SupervisorDirectory;
-use crate::fault_chain::monitor::MonitorActor;
-use crate::fault_chain::notifier::NotifierActor;
 use crate::fault_chain::outside::{ChainWatch, OutsideSetup};
 use crate::fault_chain::recoverer::{RecovererActor, RecovererSetup};
 use crate::fault_chain::strategy::{
@@ -31,10 +29,8 @@ use blastema_contract::notifier::AddPort;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::AreYouAlive;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
-use blastema_core::detection::{
-    DetectorLimits, MonitorLimits, NotifierLimits, RecovererPort, RegistrationError,
-};
-use blastema_core::recovery::{self, RecovererLimits, RecoveryAction};
+use blastema_core::detection::{RecovererPort, RegistrationError};
+use blastema_core::recovery::{self, RecovererLimits};
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName, ObjectName};
 use std::sync::atomic::Ordering::Relaxed;
@@ -157,7 +153,7 @@ impl FaultChain {
 pub(super) struct FaultChainParts {
     pub(super) guardian: Guardian,
     pub(super) chain: FaultChain,
-    pub(super) monitor: Addr<MonitorActor>,
+    pub(super) monitor: Addr<DetectionActor>,
     pub(super) controller: Addr<NodeController>,
     pub(super) state: watch::Receiver<NodeState>,
     pub(super) directory: SupervisorDirectory,
@@ -179,24 +175,12 @@ pub(super) fn make_chain(
     let on_arbiter = arbiter.as_ref();
     let guardian = Guardian::default();
 
-    let notifier =
-        guardian.start(named("chain/notifier"), on_arbiter, |_: &mut Context<NotifierActor>| {
-            NotifierActor::new(NotifierLimits::default())
-        });
-    let (of, found, cleared) =
-        (node.clone(), notifier.clone().recipient(), notifier.clone().recipient());
-    let detector = guardian.start(
-        named("chain/detector"),
+    let of = node.clone();
+    let monitor = guardian.start(
+        named("chain/detection"),
         on_arbiter,
-        move |_: &mut Context<DetectorActor>| {
-            DetectorActor::new(of, DetectorLimits::default(), found, cleared)
-        },
+        move |_: &mut Context<DetectionActor>| DetectionActor::new(of),
     );
-    let (of, observed) = (node.clone(), detector.clone().recipient());
-    let monitor =
-        guardian.start(named("chain/monitor"), on_arbiter, move |_: &mut Context<MonitorActor>| {
-            MonitorActor::new(of, MonitorLimits::default(), observed)
-        });
     guardian.report_to(monitor.clone().recipient());
 
     let callbacks = match builder.placement {
@@ -239,8 +223,7 @@ pub(super) fn make_chain(
         machine: recovery::Recoverer::new(node.clone(), plan, RecovererLimits::default(), spec),
         strategies: builder.strategies.clone(),
         tools,
-        detector: detector.clone().recipient(),
-        guardian: guardian.clone(),
+        detector: monitor.clone().recipient(),
         callbacks: callbacks.clone(),
     };
     let recoverer = guardian.start(
@@ -248,26 +231,24 @@ pub(super) fn make_chain(
         on_arbiter,
         move |_: &mut Context<RecovererActor>| RecovererActor::new(setup),
     );
-    controller.do_send(SubscribeSafeState(detector.clone().recipient()));
+    controller.do_send(SubscribeSafeState(monitor.clone().recipient()));
     controller.do_send(SubscribeSafeState(recoverer.clone().recipient()));
-    notifier.do_send(AddPort {
+    monitor.do_send(AddPort {
         port: RecovererPort::Local,
         recover: recoverer.clone().recipient(),
         stand_down: Some(recoverer.clone().recipient()),
     });
 
     let pings = vec![
-        (named("chain/notifier"), notifier.clone().recipient()),
-        (named("chain/detector"), detector.clone().recipient()),
-        (named("chain/monitor"), monitor.clone().recipient()),
+        (named("chain/detection"), monitor.clone().recipient()),
         (named("chain/recoverer"), recoverer.clone().recipient()),
         (named("controller"), controller.clone().recipient()),
     ];
     let (stands, seen) = watch::channel(false);
     let chain = FaultChain {
         table: monitor.clone().recipient(),
-        record: detector.clone().recipient(),
-        subscribe: detector.recipient(),
+        record: monitor.clone().recipient(),
+        subscribe: monitor.clone().recipient(),
         enrol: monitor.clone().recipient(),
         dismiss: monitor.clone().recipient(),
         ending: monitor.clone().recipient(),
@@ -280,7 +261,7 @@ pub(super) fn make_chain(
         callbacks,
         #[cfg(feature = "journal")]
         journal: Mutex::default(),
-        notifier: notifier.recipient(),
+        notifier: monitor.clone().recipient(),
         recoverer: recoverer.recipient(),
         router,
     };
@@ -298,7 +279,7 @@ pub(super) fn make_chain(
 }
 
 /// Whom guards and components tell.
-pub(super) fn reports(monitor: &Addr<MonitorActor>) -> FaultReports {
+pub(super) fn reports(monitor: &Addr<DetectionActor>) -> FaultReports {
     FaultReports {
         exits: Some(monitor.clone().recipient()),
         states: Some(monitor.clone().recipient()),
@@ -310,7 +291,7 @@ pub(super) fn reports(monitor: &Addr<MonitorActor>) -> FaultReports {
 /// The application's code that the chain calls: faults of it stand under these names.
 pub(super) fn callbacks_of(builder: &NodeBuilder) -> Vec<Register> {
     let strategies = builder.strategies.names();
-    let strategies = strategies.map(|name| object_of(&RecoveryAction::Custom(name.into())));
+    let strategies = strategies.map(object_of);
     let outputs = builder.safe_outputs.iter().map(|_| named(SAFE_OUTPUTS));
     // Two names may differ by what no name of an object can hold.
     let all: SortedSet<ObjectName> = strategies.chain(outputs).collect();

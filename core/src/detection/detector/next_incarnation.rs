@@ -40,19 +40,20 @@ impl Detector {
     /// unless it was stopped to be replaced: then that incarnation begins soon.
     pub(super) fn end_unhanded_at(&mut self, location: &FaultLocation, at: Instant) {
         let ended: Vec<FaultId> = self.unhanded_at(location).map(|fault| fault.id).collect();
+        let due = Some(at + self.limits.next_incarnation);
         for id in ended {
-            self.remind_after(id, self.limits.decision, 0, at);
+            self.fault_log.treat(id, |treatment| treatment.end_due = due);
         }
     }
 
     /// No incarnation has begun in time after the one that ended in order.
     pub(super) fn end_unhanded(&mut self, id: FaultId, at: Instant) {
-        let Some(entry) = self.fault_log.entry(id) else { return };
+        let before = self.fault_log.treat(id, |treatment| treatment.end_due = None);
+        let Some(entry) = self.fault_log.entry(id).filter(|_| before.unhanded) else { return };
         let FaultLocation::Object(address) = &entry.fault.location else { return };
         let seen = self.objects.get(&address.object);
         if !self.ending && seen.is_some_and(|seen| seen.state == Lifecycle::Finalized) {
-            self.repair(id, at);
-            self.withdraw(id, at);
+            self.end(id, at);
         }
     }
 

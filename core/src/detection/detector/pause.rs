@@ -62,10 +62,7 @@ impl Detector {
             span.as_secs_f32()
         );
         let scene = Scene { location, incarnation: Incarnation::default(), at };
-        let kind = FaultKind::NodePaused;
-        let known = self.fault_log.open_fault(&scene.location, &kind);
-        let known = known.filter(|&id| self.repeat(id, &scene, &detail));
-        let id = known.unwrap_or_else(|| self.record(&scene, kind, detail, Cause::Itself));
+        let id = self.count_or_record(&scene, FaultKind::NodePaused, detail, Cause::Itself);
         self.recover(id, at);
         let pause = self.pause.as_mut()?;
         pause.fault = Some(id);

@@ -2,8 +2,7 @@
 
 use super::{Cause, Detector, Scene, Seen};
 use crate::detection::correlation::is_down;
-use crate::detection::hang::OverloadFigures;
-use crate::detection::{ExitReason, Finding, LinkCondition, NodeCondition};
+use crate::detection::{ExitReason, Finding, LinkCondition, NodeCondition, OverloadFigures};
 use crate::{
     Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, NodeName, ObjectName,
 };
@@ -60,7 +59,9 @@ impl Detector {
                 self.find(&scene, FaultKind::Hang, detail, Cause::Above);
             }
             Finding::Overloaded { figures, victims } => {
-                self.judge_overload(object, &scene, &figures, &victims);
+                let detail = describe(&figures, victims.len());
+                let id = self.find(&scene, FaultKind::Overload, detail, Cause::Above);
+                self.put_behind(id, victims.iter().filter(|&victim| victim != object));
             }
             Finding::Flows => self.end_overload(&scene),
             Finding::Resumed => {
@@ -133,37 +134,8 @@ impl Detector {
         self.explain_by(id, scene.at);
     }
 
-    /// An object that is late behind an overload is remembered, as behind a hang.
-    fn judge_overload(
-        &mut self,
-        object: &ObjectName,
-        scene: &Scene,
-        figures: &OverloadFigures,
-        victims: &[ObjectName],
-    ) {
-        let detail = describe(figures, victims.len());
-        let id = self.find(scene, FaultKind::Overload, detail, Cause::Above);
-        self.put_behind(id, victims.iter().filter(|&victim| victim != object));
-    }
-
-    /// The same, where the computer has no time for these objects.
-    fn judge_overloaded_computer(
-        &mut self,
-        scene: &Scene,
-        waited_percent: u8,
-        figures: &OverloadFigures,
-        victims: &[ObjectName],
-    ) {
-        let detail = format!(
-            "the computer is overloaded: a thread of this node waited for a processor for \
-             {waited_percent} % of the time; {}",
-            describe(figures, victims.len())
-        );
-        let id = self.find(scene, FaultKind::Overload, detail, Cause::Itself);
-        self.put_behind(id, victims.iter());
-    }
-
-    /// These wait behind an overload, unless they stand still behind a hang.
+    /// These wait behind an overload, unless they stand still behind a hang. That is remembered, so
+    /// that their silence is known for a symptom.
     fn put_behind<'a>(&mut self, id: FaultId, victims: impl Iterator<Item = &'a ObjectName>) {
         for victim in victims {
             let hangs = self.behind(victim).is_some_and(|root| self.is_hang(root));
@@ -235,9 +207,7 @@ impl Detector {
             return;
         };
         seen.begin(next);
-        let known = self.fault_log.open_fault(&scene.location, &kind);
-        let known = known.filter(|&id| self.repeat(id, scene, &detail));
-        let id = known.unwrap_or_else(|| self.record(scene, kind, detail, cause));
+        let id = self.count_or_record(scene, kind, detail, cause);
         // A recoverer is notified if the next incarnation dies likewise.
         self.await_next_incarnation(id, scene.at);
     }
@@ -370,7 +340,13 @@ impl Detector {
             }
             NodeCondition::Paused { span } => self.judge_pause(&scene, span),
             NodeCondition::Overloaded { waited_percent, figures, victims } => {
-                self.judge_overloaded_computer(&scene, waited_percent, &figures, &victims);
+                let detail = format!(
+                    "the computer is overloaded: a thread of this node waited for a processor for \
+                     {waited_percent} % of the time; {}",
+                    describe(&figures, victims.len())
+                );
+                let id = self.find(&scene, FaultKind::Overload, detail, Cause::Itself);
+                self.put_behind(id, victims.iter());
             }
             NodeCondition::Relieved => self.end_overload(&scene),
             NodeCondition::Offends { what } => {
@@ -408,8 +384,7 @@ impl Detector {
                     self.record(&scene, FaultKind::NodeLost, detail, cause)
                 });
                 self.recover(id, scene.at);
-                self.repair(id, scene.at);
-                self.withdraw(id, scene.at);
+                self.end(id, scene.at);
             }
         }
     }

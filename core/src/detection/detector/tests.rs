@@ -6,8 +6,10 @@ mod record;
 mod symptoms;
 
 use super::*;
-use crate::detection::hang::OverloadFigures;
-use crate::detection::{ExitReason, FaultStatus, Finding, LinkCondition, NodeCondition};
+use crate::detection::{
+    ConfirmedQueueOutput, ExitReason, FaultStatus, Finding, LinkCondition, NodeCondition, Notifier,
+    NotifierLimits, OverloadFigures, RecovererPort,
+};
 use crate::{ObjectAddress, Severity};
 use std::sync::Arc;
 
@@ -47,10 +49,10 @@ fn address(text: &str) -> ObjectAddress {
     text.parse().unwrap_or_else(|_| local())
 }
 
-/// A detector with its clock and numbering.
+/// A detector with its clock, and the notifier behind it.
 struct Bench {
     detector: Detector,
-    number: u64,
+    notifier: Notifier,
     now: Instant,
 }
 
@@ -60,7 +62,9 @@ impl Bench {
     }
 
     fn with(limits: DetectorLimits) -> Self {
-        Bench { detector: Detector::new(node("m"), limits, at(0)), number: 0, now: at(0) }
+        let mut notifier = Notifier::new(NotifierLimits::default());
+        notifier.add_port(RecovererPort::Local, at(0));
+        Bench { detector: Detector::new(node("m"), limits), notifier, now: at(0) }
     }
 
     fn state_of(&self, name: &str) -> Option<(Incarnation, Lifecycle)> {
@@ -68,10 +72,8 @@ impl Bench {
     }
 
     fn see(&mut self, text: &str, incarnation: Incarnation, finding: Finding) {
-        self.number += 1;
         let (location, seen_at) = (location(text), self.now);
-        let observation = Observation { location, incarnation, finding, seen_at };
-        self.detector.handle_observed(self.number, observation, self.now);
+        self.detector.handle_observed(Observation { location, incarnation, finding, seen_at });
     }
 
     fn depend(&mut self, object: &str, on: &[&str]) {
@@ -89,15 +91,17 @@ impl Bench {
                     let turn = turn.split([' ', '{']).next().unwrap_or_default();
                     outputs.push(format!("{turn} {}", fault.id.0));
                 }
-                DetectorOutput::HandOver { number, notice } => {
-                    let sign = if matches!(notice, FaultNotice::Found(_)) { '+' } else { '-' };
-                    outputs.push(format!("{sign}{}", notice.id().0));
-                    self.detector.handle_confirmed(number, self.now);
-                }
-                DetectorOutput::GivenUp { notice, .. } => {
-                    outputs.push(format!("given up {}", notice.id().0));
+                DetectorOutput::Notify { notice, .. } => {
+                    self.notifier.handle_notice(notice, self.now);
                 }
             }
+        }
+        while let Some((port, ConfirmedQueueOutput::Deliver { number, item: notice })) =
+            self.notifier.poll_output()
+        {
+            let sign = if matches!(notice, FaultNotice::Found(_)) { '+' } else { '-' };
+            outputs.push(format!("{sign}{}", notice.id().0));
+            self.notifier.handle_confirmed(&port, number, self.now);
         }
         outputs
     }

@@ -1,7 +1,8 @@
 //! Whether a component that works is late, from counts over time.
 
-use super::{ComponentSample, HangLimits, OverloadFigures, QueueReading, SlotId};
+use super::{ComponentSample, HangLimits, QueueReading, SlotId};
 use crate::Instant;
+use crate::detection::OverloadFigures;
 use crate::sorted::SortedSet;
 use std::time::Duration;
 

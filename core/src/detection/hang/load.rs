@@ -3,9 +3,10 @@
 use super::lateness::{Counts, OverloadRoot};
 use super::{
     Arbiter, Around, ComponentEntry, ComponentRecord, Episode, HangDetector, Late, LivenessEvent,
-    Looked, OverloadFigures, QueueReading, Silence, SlotId,
+    Looked, QueueReading, Silence, SlotId,
 };
 use crate::detection::hang::occupancy::Occupancy;
+use crate::detection::{Finding, NodeCondition, OverloadFigures};
 use crate::sorted::{SortedMap, SortedSet};
 use crate::{Instant, ObjectName};
 use std::time::Duration;
@@ -83,11 +84,7 @@ impl ComponentRecord {
             return None;
         }
         self.silence = Silence::Reported;
-        Some(self.says(reading, |object, incarnation| LivenessEvent::Silent {
-            object,
-            incarnation,
-            silent_for,
-        }))
+        Some(self.says(reading, Finding::Silent { age: silent_for }))
     }
 
     /// It has so much else to do that it gives no sign of life.
@@ -171,7 +168,6 @@ impl HangDetector {
         }
         let (mut figures, victims) = (episode.worst, episode.victims.clone());
         let (object, home) = (root.judged.object.clone(), root.judged.arbiter);
-        let incarnation = reading.incarnation;
         if let Some(arbiter) = self.arbiters.get_mut(&home) {
             let share = arbiter.occupancy.share_of(slot, usize::MAX);
             figures.utilisation_percent = percent(share);
@@ -180,8 +176,9 @@ impl HangDetector {
             }
         }
         let victims = self.names(victims).into();
-        let seen = LivenessEvent::Overloaded { object, incarnation, figures, victims };
-        self.outputs.push_back(seen);
+        let (incarnation, finding) =
+            (reading.incarnation, Finding::Overloaded { figures, victims });
+        self.outputs.push_back(LivenessEvent::Component { object, incarnation, finding });
     }
 
     fn blame_computer(&mut self, late: &[Late], now: Instant) {
@@ -194,8 +191,8 @@ impl HangDetector {
         if episode.note(victims, figures(late, QueueReading::default()), now) {
             let (figures, victims) = (episode.worst, episode.victims.clone());
             let (waited_percent, victims) = (percent(waited), self.names(victims).into());
-            let seen = LivenessEvent::ComputerOverloaded { waited_percent, figures, victims };
-            self.outputs.push_back(seen);
+            let condition = NodeCondition::Overloaded { waited_percent, figures, victims };
+            self.outputs.push_back(LivenessEvent::Computer(condition));
         }
     }
 
@@ -210,7 +207,7 @@ impl HangDetector {
         let relief = self.config.relief;
         let is_over = |episode: &mut Episode| now - episode.latest >= relief;
         if let Some(episode) = self.computer.take_if(is_over) {
-            self.outputs.push_back(LivenessEvent::ComputerRelieved);
+            self.outputs.push_back(LivenessEvent::Computer(NodeCondition::Relieved));
             free.extend(episode.victims);
         }
         for &slot in &self.awake {
@@ -221,12 +218,7 @@ impl HangDetector {
             if let Some(arbiter) = self.arbiters.get_mut(&component.judged.arbiter) {
                 arbiter.overloaded.take_if(|root| *root == slot);
             }
-            self.outputs.push_back(
-                component.says(reading, |object, incarnation| LivenessEvent::Flows {
-                    object,
-                    incarnation,
-                }),
-            );
+            self.outputs.push_back(component.says(reading, Finding::Flows));
             free.extend(episode.victims);
         }
         for victim in free {

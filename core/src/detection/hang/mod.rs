@@ -32,13 +32,13 @@ pub use self::processor::ProcessorTime;
 pub use self::slot_table::SlotTable;
 pub use self::types::{
     ActivityMark, ArbiterId, ArbiterSample, ArbiterStatus, ComponentSample, HangDetectorConfig,
-    HangLimits, JudgedComponent, LivenessEvent, Looked, MaxSilence, OverloadFigures, QueueReading,
-    SlotId,
+    HangLimits, JudgedComponent, LivenessEvent, Looked, MaxSilence, QueueReading, SlotId,
 };
 
 use self::entry::ComponentEntry;
 use self::lateness::{Episode, Late, Lateness, OverloadRoot};
 use self::processor::ProcessorShare;
+use crate::detection::Finding;
 use crate::sorted::SortedMap;
 use crate::{Instant, Machine, ObjectName};
 use occupancy::Occupancy;
@@ -269,8 +269,8 @@ impl HangDetector {
         }
         let incarnation = reading.activity.unwrap_or_default().incarnation;
         let during = reading.during;
-        let hangs = LivenessEvent::Hangs { object, incarnation, during, age, victims };
-        self.outputs.push_back(hangs);
+        let finding = Finding::Hangs { during, age, victims };
+        self.outputs.push_back(LivenessEvent::Component { object, incarnation, finding });
     }
 
     fn resume(&mut self, id: ArbiterId, hang: &Hang, now: Instant) {
@@ -505,10 +505,7 @@ impl ComponentRecord {
             }
             if self.silence != Silence::No && (signs || answers) {
                 self.silence = Silence::No;
-                outputs.push_back(self.says(reading, |object, incarnation| LivenessEvent::Spoke {
-                    object,
-                    incarnation,
-                }));
+                outputs.push_back(self.says(reading, Finding::Spoke));
             }
         }
         if around.runs() && !turned && around.stands(now) {
@@ -522,24 +519,16 @@ impl ComponentRecord {
         if reading.turn % 2 == 1 && !self.waits && age >= limit && !around.stands(now) {
             self.waits = true;
             let during = looked.during(around.slot);
-            outputs.push_back(self.says(reading, |object, incarnation| LivenessEvent::Waits {
-                object,
-                incarnation,
-                during,
-                age,
-            }));
+            outputs.push_back(self.says(reading, Finding::Waits { during, age }));
         }
         if !around.hangs() {
             self.judge_flow(around, looked, turned, now, late);
         }
     }
 
-    fn says(
-        &self,
-        reading: ComponentSample,
-        what: impl FnOnce(ObjectName, crate::Incarnation) -> LivenessEvent,
-    ) -> LivenessEvent {
-        what(self.judged.object.clone(), reading.incarnation)
+    fn says(&self, reading: ComponentSample, finding: Finding) -> LivenessEvent {
+        let (object, incarnation) = (self.judged.object.clone(), reading.incarnation);
+        LivenessEvent::Component { object, incarnation, finding }
     }
 }
 

@@ -4,6 +4,13 @@ use super::*;
 use crate::Incarnation;
 use std::sync::Arc;
 
+/// An event of a component of which this was found.
+macro_rules! found {
+    ($finding:pat) => {
+        LivenessEvent::Component { finding: $finding, .. }
+    };
+}
+
 const HOME: ArbiterId = 7;
 
 fn name(text: &str) -> ObjectName {
@@ -162,7 +169,14 @@ fn a_handler_that_keeps_its_arbiter_is_the_culprit_and_is_named_once() {
     let victims = [name("victim")].into();
     let (object, incarnation, during) = (name("culprit"), Incarnation(1), "Scan");
     let age = ms(500);
-    assert_eq!(seen, [LivenessEvent::Hangs { object, incarnation, during, age, victims }]);
+    assert_eq!(
+        seen,
+        [LivenessEvent::Component {
+            object,
+            incarnation,
+            finding: Finding::Hangs { during, age, victims }
+        }]
+    );
     assert_eq!(world.scanner.poll_timeout(), None);
     world.scanner.handle_timeout(at(3000));
     assert_eq!(world.scanner.poll_output(), None);
@@ -196,7 +210,7 @@ fn a_declared_long_operation_is_no_hang_before_its_time() {
 
     assert_eq!(world.pass(2000, false), []);
 
-    assert!(matches!(world.pass(20, false)[..], [LivenessEvent::Hangs { .. }]));
+    assert!(matches!(world.pass(20, false)[..], [found!(Finding::Hangs { .. })]));
 }
 
 #[test]
@@ -211,7 +225,7 @@ fn an_operation_declared_after_sampling_is_no_hang_with_a_short_limit() {
     world.heartbeat.running = Some(0);
 
     assert_eq!(world.pass(1990, false), []);
-    assert!(matches!(world.pass(20, false)[..], [LivenessEvent::Hangs { .. }]));
+    assert!(matches!(world.pass(20, false)[..], [found!(Finding::Hangs { .. })]));
 }
 
 #[test]
@@ -224,7 +238,7 @@ fn what_follows_a_declared_operation_in_its_turn_has_a_time_of_its_own() {
     world.samples.activities[0].allowance = Duration::ZERO;
 
     assert_eq!(world.pass(490, false), []);
-    assert!(matches!(world.pass(30, false)[..], [LivenessEvent::Hangs { .. }]));
+    assert!(matches!(world.pass(30, false)[..], [found!(Finding::Hangs { .. })]));
 }
 
 #[test]
@@ -249,9 +263,12 @@ fn a_victim_is_measured_from_the_end_of_the_hang() {
     world.heartbeat.running = Some(0);
     let seen = world.pass(1000, false);
     let (object, incarnation) = (name("victim"), Incarnation(1));
-    let silent =
-        |silent_for| LivenessEvent::Silent { object: object.clone(), incarnation, silent_for };
-    let [LivenessEvent::Hangs { .. }, after] = &seen[..] else { panic!("{seen:?}") };
+    let silent = |silent_for| LivenessEvent::Component {
+        object: object.clone(),
+        incarnation,
+        finding: Finding::Silent { age: silent_for },
+    };
+    let [found!(Finding::Hangs { .. }), after] = &seen[..] else { panic!("{seen:?}") };
     assert_eq!(*after, silent(ms(600)));
 
     world.heartbeat.running = None;
@@ -261,7 +278,8 @@ fn a_victim_is_measured_from_the_end_of_the_hang() {
     assert_eq!(seen, [LivenessEvent::Resumed { objects }]);
     assert_eq!(world.pass(200, true), [silent(ms(600))], "it is silent of itself");
     world.samples.activities[2].alive += 1;
-    let spoke = LivenessEvent::Spoke { object: object.clone(), incarnation };
+    let spoke =
+        LivenessEvent::Component { object: object.clone(), incarnation, finding: Finding::Spoke };
     assert_eq!(world.pass(100, true), [spoke], "once");
 }
 
@@ -307,13 +325,14 @@ fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
 
     let (object, incarnation) = (name("victim"), Incarnation(1));
     let (during, age) = ("Turn", ms(1000));
-    let waits = LivenessEvent::Waits { object, incarnation, during, age };
+    let waits =
+        LivenessEvent::Component { object, incarnation, finding: Finding::Waits { during, age } };
     assert_eq!(seen, [waits]);
     let busy: Vec<_> = world.scanner.busy().map(|(slot, turn, _)| (slot, turn)).collect();
     assert_eq!(busy, [(2, 1)]);
     world.samples.activities[2].turn = 3;
     let seen = world.pass(3000, true);
-    assert!(matches!(seen[..], [LivenessEvent::Resumed { .. }, LivenessEvent::Waits { .. }]));
+    assert!(matches!(seen[..], [LivenessEvent::Resumed { .. }, found!(Finding::Waits { .. })]));
 }
 
 #[test]
@@ -366,11 +385,18 @@ fn silence_is_reported_once_and_ended_by_a_sign_of_life() {
     let seen = world.pass(1000, true);
     let (object, incarnation) = (name("culprit"), Incarnation(1));
     let silent_for = ms(300);
-    let silent = LivenessEvent::Silent { object: object.clone(), incarnation, silent_for };
+    let silent = LivenessEvent::Component {
+        object: object.clone(),
+        incarnation,
+        finding: Finding::Silent { age: silent_for },
+    };
     assert_eq!(seen, [silent]);
 
     world.samples.activities[0].alive += 1;
-    assert_eq!(world.pass(100, true), [LivenessEvent::Spoke { object, incarnation }]);
+    assert_eq!(
+        world.pass(100, true),
+        [LivenessEvent::Component { object, incarnation, finding: Finding::Spoke }]
+    );
 }
 
 #[test]
@@ -427,7 +453,7 @@ fn a_hang_is_found_though_the_scanner_is_late_at_every_look() {
         seen.extend(world.look());
     }
 
-    let reported = seen.iter().filter(|reported| matches!(reported, LivenessEvent::Hangs { .. }));
+    let reported = seen.iter().filter(|reported| matches!(reported, found!(Finding::Hangs { .. })));
     assert_eq!(reported.count(), 1, "{seen:?}");
     let (_, status) = world.scanner.arbiters().next().expect("it was shown one");
     assert_eq!(status.hangs.map(|(_, since)| since), Some(at(0)));
@@ -442,7 +468,7 @@ fn a_handler_hangs_by_the_time_that_its_thread_was_given_the_processor() {
 
     assert_eq!(world.starve(1500, 2), [], "neither is its victim silent: it had 300 ms");
     let seen = world.starve(1500, 2);
-    let [LivenessEvent::Hangs { age, .. }, LivenessEvent::Silent { .. }] = seen[..] else {
+    let [found!(Finding::Hangs { age, .. }), found!(Finding::Silent { .. })] = seen[..] else {
         panic!("{seen:?}")
     };
     assert!(age > ms(2400) && age < ms(2600), "{age:?}");
@@ -456,7 +482,7 @@ fn a_handler_whose_thread_is_not_run_hangs_only_once_it_was_run_for_its_limit() 
 
     assert_eq!(world.starve(60_000, 0), []);
     assert_eq!(world.starve(480, 10), []);
-    assert!(matches!(world.starve(30, 10)[..], [LivenessEvent::Hangs { .. }]));
+    assert!(matches!(world.starve(30, 10)[..], [found!(Finding::Hangs { .. })]));
 }
 
 /// Looks that come late, and see the thread ready to run, until one finds a hang. Between two of
@@ -468,7 +494,7 @@ fn looks_until_a_hang(world: &mut World, late: u64, mut run: impl FnMut(u64) -> 
     for look in 1..1000 {
         world.now += late;
         world.heartbeat.used = world.heartbeat.used.map(|used| used + ms(run(look)));
-        let hangs = |seen: &LivenessEvent| matches!(seen, LivenessEvent::Hangs { .. });
+        let hangs = |seen: &LivenessEvent| matches!(seen, found!(Finding::Hangs { .. }));
         if world.look().iter().any(hangs) {
             return world.now;
         }
@@ -502,7 +528,7 @@ fn a_handler_that_waits_or_is_run_all_the_time_hangs_after_its_limit() {
         };
 
         assert_eq!(pass(490), []);
-        assert!(matches!(pass(20)[..], [LivenessEvent::Hangs { .. }]));
+        assert!(matches!(pass(20)[..], [found!(Finding::Hangs { .. })]));
     }
 }
 
@@ -582,7 +608,7 @@ fn a_component_that_has_rested_is_judged_from_when_it_took_something_up() {
     world.samples.activities[2].turn += 1;
 
     assert_eq!(world.pass(1000, true), []);
-    assert!(matches!(world.pass(20, true)[..], [LivenessEvent::Waits { .. }]));
+    assert!(matches!(world.pass(20, true)[..], [found!(Finding::Waits { .. })]));
     assert_eq!(
         world.scanner.busy().map(|(slot, turn, _)| (slot, turn)).collect::<Vec<_>>(),
         [(2, 1)]
@@ -597,7 +623,7 @@ fn messages_that_expire_while_a_component_has_nothing_in_service_are_counted() {
         world.samples.activities[2].expired += 1;
         seen.extend(world.pass(100, true));
     }
-    assert!(matches!(seen[..], [LivenessEvent::Overloaded { .. }, ..]), "{seen:?}");
+    assert!(matches!(seen[..], [found!(Finding::Overloaded { .. }), ..]), "{seen:?}");
 }
 
 #[test]
@@ -605,6 +631,10 @@ fn one_that_rests_is_named_as_a_victim_and_as_a_culprit() {
     let mut world = at_rest();
     world.heartbeat.running = Some(0);
     let seen = world.pass(600, false);
-    let [LivenessEvent::Hangs { object, victims, .. }] = &seen[..] else { panic!("{seen:?}") };
+    let [LivenessEvent::Component { object, finding: Finding::Hangs { victims, .. }, .. }] =
+        &seen[..]
+    else {
+        panic!("{seen:?}")
+    };
     assert_eq!((object, &victims[..]), (&name("culprit"), &[name("victim")][..]));
 }

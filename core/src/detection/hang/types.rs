@@ -1,5 +1,6 @@
 //! What a scanner is shown, and what it has seen.
 
+use crate::detection::{Finding, NodeCondition};
 use crate::{Incarnation, Instant, ObjectName};
 use std::sync::Arc;
 use std::time::Duration;
@@ -173,109 +174,21 @@ pub trait Looked {
     fn queue(&self, slot: SlotId) -> QueueReading;
 }
 
-/// The figures of an overload, each the worst since it began.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct OverloadFigures {
-    /// The share of the latest looks that found the component on its thread.
-    pub utilisation_percent: u8,
-    /// How many messages waited for the component that was latest: itself, or one behind it.
-    pub queued: usize,
-    /// How long the oldest of them had waited.
-    pub oldest: Duration,
-    /// Rounds that it, and those behind it, missed within one window.
-    pub missed_rounds: u64,
-    /// Messages to them whose sender did not wait any more when their turn came, within the same.
-    pub expired: u64,
-    /// For how long one of them has given no sign of life, where that is longer than it may.
-    pub silent_for: Duration,
-}
-
-impl OverloadFigures {
-    /// The worse of each figure.
-    pub(super) fn worst(self, other: Self) -> Self {
-        OverloadFigures {
-            utilisation_percent: self.utilisation_percent.max(other.utilisation_percent),
-            queued: self.queued.max(other.queued),
-            oldest: self.oldest.max(other.oldest),
-            missed_rounds: self.missed_rounds.max(other.missed_rounds),
-            expired: self.expired.max(other.expired),
-            silent_for: self.silent_for.max(other.silent_for),
-        }
-    }
-}
-
 /// A finding of the hang detector.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LivenessEvent {
-    /// A handler keeps its arbiter.
-    Hangs {
-        /// The culprit.
+    /// A component hangs, waits, is silent or overloaded, or is so no more.
+    Component {
+        /// The component; of an overload or hang the culprit.
         object: ObjectName,
         /// Which incarnation.
         incarnation: Incarnation,
-        /// The contract or hook in service.
-        during: &'static str,
-        /// Since when, at least.
-        age: Duration,
-        /// The components that are blocked behind it.
-        victims: Arc<[ObjectName]>,
+        /// What was found.
+        finding: Finding,
     },
-    /// A handler awaits something for too long.
-    Waits {
-        /// Its component.
-        object: ObjectName,
-        /// Which incarnation.
-        incarnation: Incarnation,
-        /// The contract or hook in service.
-        during: &'static str,
-        /// Since when, at least.
-        age: Duration,
-    },
-    /// A component that should give signs of life gives none.
-    Silent {
-        /// The component.
-        object: ObjectName,
-        /// Which incarnation.
-        incarnation: Incarnation,
-        /// For how long, at least.
-        silent_for: Duration,
-    },
-    /// A component works, and is, or makes others, later than they may be.
-    Overloaded {
-        /// The component.
-        object: ObjectName,
-        /// Which incarnation.
-        incarnation: Incarnation,
-        /// How much.
-        figures: OverloadFigures,
-        /// The components that are late behind it, on the same thread.
-        victims: Arc<[ObjectName]>,
-    },
-    /// Components are late because their threads, ready to run, waited for a processor.
-    ComputerOverloaded {
-        /// The share of the time in which the worst of these threads waited.
-        waited_percent: u8,
-        /// How late the components are.
-        figures: OverloadFigures,
-        /// The components that are late.
-        victims: Arc<[ObjectName]>,
-    },
-    /// No component is late any more because of that.
-    ComputerRelieved,
-    /// A component that was overloaded has caught up, and so have those behind it.
-    Flows {
-        /// The component.
-        object: ObjectName,
-        /// Which incarnation.
-        incarnation: Incarnation,
-    },
-    /// A component that was silent gives signs of life again.
-    Spoke {
-        /// The component.
-        object: ObjectName,
-        /// Which incarnation.
-        incarnation: Incarnation,
-    },
+    /// Components are late because their threads, ready to run, waited for a processor; or none is
+    /// any more.
+    Computer(NodeCondition),
     /// An arbiter that hung turns again.
     Resumed {
         /// The components that were blocked on it and still live there.

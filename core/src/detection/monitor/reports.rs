@@ -5,79 +5,60 @@ use super::Monitor;
 use crate::detection::hang::LivenessEvent;
 use crate::detection::{Finding, NodeCondition};
 use crate::{FaultLocation, Incarnation, Instant, ObjectName};
-use std::sync::Arc;
-use std::time::Duration;
 
 impl Monitor {
     /// The sampler has found this.
     pub fn handle_liveness(&mut self, event: LivenessEvent, now: Instant) {
         match event {
-            LivenessEvent::Hangs { object, incarnation, during, age, victims } => {
-                self.handle_hangs(&object, incarnation, during, age, victims, now);
+            LivenessEvent::Component { object, incarnation, finding } => {
+                self.handle_found(&object, incarnation, finding, now);
             }
-            LivenessEvent::Waits { object, incarnation, during, age } => {
-                let finding = Finding::Waits { during, age };
-                self.handle_slow(&object, incarnation, during, finding, now);
-            }
-            LivenessEvent::Overloaded { object, incarnation, figures, victims } => {
-                if self.alive(&object, incarnation, now).is_some() {
-                    let finding = Finding::Overloaded { figures, victims };
-                    self.observe_object(&object, incarnation, finding, now);
-                }
-            }
-            LivenessEvent::Flows { object, incarnation } => {
-                if self.alive(&object, incarnation, now).is_some() {
-                    self.observe_object(&object, incarnation, Finding::Flows, now);
-                }
-            }
-            LivenessEvent::ComputerOverloaded { waited_percent, figures, victims } => {
-                let condition = NodeCondition::Overloaded { waited_percent, figures, victims };
-                self.observe_this_node(condition, now);
-            }
-            LivenessEvent::ComputerRelieved => self.observe_this_node(NodeCondition::Relieved, now),
+            LivenessEvent::Computer(condition) => self.observe_this_node(condition, now),
             LivenessEvent::Resumed { objects } => self.handle_resumed(&objects, now),
             LivenessEvent::Lost { culprit, victims, .. } => {
                 self.handle_lost(&culprit, &victims, now);
             }
-            LivenessEvent::Silent { object, incarnation, silent_for: age } => {
-                if let Some(entry) = self.alive(&object, incarnation, now) {
-                    entry.silent = true;
-                    self.observe_object(&object, incarnation, Finding::Silent { age }, now);
-                }
+            // Which fault that is, if any, the detector decides.
+            LivenessEvent::Stalled { gap: span } => {
+                self.observe_this_node(NodeCondition::Paused { span }, now);
             }
-            LivenessEvent::Spoke { object, incarnation } => {
-                if let Some(entry) = self.alive(&object, incarnation, now) {
-                    (entry.last_sign, entry.suspect) = (Some(now), false);
-                    if std::mem::replace(&mut entry.silent, false) {
-                        self.observe_object(&object, incarnation, Finding::Spoke, now);
-                    }
-                }
-            }
-            LivenessEvent::Stalled { gap } => self.handle_stall(gap, now),
         }
-        self.settle(now);
     }
 
-    /// The watch thread saw this object's handler keep its arbiter from turning.
-    pub(super) fn handle_hangs(
+    /// Something was found of an incarnation: by the sampler, or by asking.
+    pub(super) fn handle_found(
         &mut self,
         object: &ObjectName,
         incarnation: Incarnation,
-        during: &'static str,
-        age: Duration,
-        victims: Arc<[ObjectName]>,
+        finding: Finding,
         now: Instant,
     ) {
-        for victim in victims.iter().filter(|&victim| victim != object) {
-            if let Some(entry) = self.objects.get_mut(victim)
-                && !entry.suspect
-            {
-                entry.suspect = true;
-                entry.suspicions = entry.suspicions.saturating_add(1);
+        let Some(entry) = self.alive(object, incarnation) else { return };
+        match &finding {
+            // One that has waited and keeps its thread now is news again.
+            Finding::Hangs { during, age, .. } | Finding::Waits { during, age } => {
+                let since = Instant::ORIGIN + (now - (Instant::ORIGIN + *age));
+                entry.set_current(Some((during, since)));
+            }
+            Finding::Silent { .. } => entry.silent = true,
+            Finding::Spoke => {
+                (entry.last_sign, entry.suspect) = (Some(now), false);
+                if !std::mem::replace(&mut entry.silent, false) {
+                    return;
+                }
+            }
+            _ => {}
+        }
+        if let Finding::Hangs { victims, .. } = &finding {
+            for victim in victims.iter().filter(|&victim| victim != object) {
+                if let Some(entry) = self.objects.get_mut(victim)
+                    && !std::mem::replace(&mut entry.suspect, true)
+                {
+                    entry.suspicions = entry.suspicions.saturating_add(1);
+                }
             }
         }
-        let finding = Finding::Hangs { during, age, victims };
-        self.handle_slow(object, incarnation, during, finding, now);
+        self.observe_object(object, incarnation, finding, now);
     }
 
     /// The watch thread saw these move again.
@@ -108,31 +89,8 @@ impl Monitor {
         }
     }
 
-    /// The watch, or the whole process, was not scheduled for `gap`: every silence up to now is
-    /// void. Which fault that is, if any, the detector decides.
-    pub(super) fn handle_stall(&mut self, gap: Duration, now: Instant) {
-        self.pings.handle_stall(gap, now);
-        self.observe_this_node(NodeCondition::Paused { span: gap }, now);
-    }
-
     fn observe_this_node(&mut self, condition: NodeCondition, now: Instant) {
         let location = FaultLocation::Node(self.node.clone());
         self.observe(location, Incarnation::default(), Finding::Node(condition), now);
-    }
-
-    /// A handler that takes too long. One that has waited and keeps its thread now is news again.
-    fn handle_slow(
-        &mut self,
-        object: &ObjectName,
-        incarnation: Incarnation,
-        during: &'static str,
-        finding: Finding,
-        now: Instant,
-    ) {
-        let (Finding::Hangs { age, .. } | Finding::Waits { age, .. }) = finding else { return };
-        let Some(entry) = self.alive(object, incarnation, now) else { return };
-        let since = Instant::ORIGIN + (now - (Instant::ORIGIN + age));
-        entry.set_current(Some((during, since)));
-        self.observe_object(object, incarnation, finding, now);
     }
 }

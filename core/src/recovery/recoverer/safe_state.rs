@@ -1,6 +1,6 @@
 //! What a recoverer does while its node is in the safe state, or ends.
 
-use super::{FaultLocation, FaultResolution, Recoverer, RecovererOutput};
+use super::{FaultLocation, Recoverer, RecovererOutput, RecoveryOutcome};
 use crate::{Fault, FaultKind, Instant};
 
 /// Why faults of objects are not treated.
@@ -64,6 +64,6 @@ impl Recoverer {
             TreatmentStop::SafeState => "the node is in the safe state, where nothing is restarted",
             TreatmentStop::NodeEnds => "the node ends, and restarts nothing",
         };
-        self.tell(fault, FaultResolution::GaveUp { reason: reason.to_owned() });
+        self.tell(fault, RecoveryOutcome::GaveUp { reason: reason.to_owned() });
     }
 }

@@ -1,7 +1,8 @@
 //! Outputs, inputs and limits of a recoverer.
 
 use super::RecoveryAction;
-use crate::{Fault, FaultId, FaultLocation, Incarnation};
+use crate::detection::RecoveryOutcome;
+use crate::{Fault, FaultId, Incarnation};
 use std::time::Duration;
 
 /// An order to execute one recovery action.
@@ -47,48 +48,6 @@ impl<T: Into<String>> From<T> for RecoveryFailed {
     }
 }
 
-/// The result of the treatment of a fault.
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum FaultResolution {
-    /// This is being done about it.
-    Decided {
-        /// What.
-        action: RecoveryAction,
-        /// The how-manieth attempt, from 1.
-        attempt: u32,
-    },
-    /// The action has failed; the next attempt, or the next step, follows.
-    Failed {
-        /// What.
-        action: RecoveryAction,
-        /// Why, as the strategy said it.
-        reason: String,
-    },
-    /// Nothing is done about it but to keep it in the record.
-    Observed,
-    /// Service is restored.
-    Recovered {
-        /// The incarnation that is at work now, if a new one began.
-        incarnation: Option<Incarnation>,
-    },
-    /// Nothing more is done: the new incarnation waits for something that is not there yet. Service
-    /// is restored when it is at work.
-    Waits,
-    /// No action helped. Safe stop follows.
-    GaveUp {
-        /// What the last action said.
-        reason: String,
-    },
-    /// Service is not restored, but the place can do no harm any more.
-    Contained {
-        /// Isolated, or stopped.
-        action: RecoveryAction,
-    },
-    /// What it was a symptom of is settled. Unless it is cleared now, it is acted upon itself.
-    RootSettled,
-}
-
 /// An output of a recoverer.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RecovererOutput {
@@ -96,12 +55,10 @@ pub enum RecovererOutput {
     CarryOut(RecoveryOrder),
     /// Tell the detector, which has found it.
     Settle {
-        /// The fault's number in its finder's record.
+        /// The fault's number in the detector's record.
         fault: FaultId,
-        /// Where it is.
-        location: FaultLocation,
         /// What became of it.
-        settled: FaultResolution,
+        outcome: RecoveryOutcome,
     },
     /// This strategy has had nothing to do for a while: let it go.
     Release {

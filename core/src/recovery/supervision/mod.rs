@@ -159,7 +159,7 @@ impl Supervisor {
             self.coming.insert(key);
         } else if self.incarnation != Incarnation::default() {
             // As its siblings, it takes no messages before the next incarnation.
-            self.outputs.push_back(SupervisorOutput::Retire { child: name });
+            self.outputs.push_back(SupervisorOutput::Retire(name));
         }
         self.advance(now);
         Ok(())
@@ -448,7 +448,7 @@ impl Supervisor {
         if self.rules.strategy == Strategy::OneForOne {
             self.coming.remove(&key);
         } else if self.phase == Phase::Starting {
-            self.outputs.push_back(SupervisorOutput::Unavailable { reason });
+            self.outputs.push_back(SupervisorOutput::Unavailable(reason));
         }
         self.advance(now);
     }

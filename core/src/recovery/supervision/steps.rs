@@ -21,7 +21,7 @@ impl Supervisor {
                 None => (Phase::Idle, SupervisorOutput::AllStopped),
                 Some(reason) => {
                     let phase = Phase::Escalated { reason: reason.clone() };
-                    (phase, SupervisorOutput::Escalate { reason })
+                    (phase, SupervisorOutput::Escalate(reason))
                 }
             };
             self.phase = phase;
@@ -243,8 +243,7 @@ impl Supervisor {
                 self.coming.insert(key);
             }
         }
-        let retire = |child| SupervisorOutput::Retire { child };
-        self.outputs.extend(finished.into_iter().map(retire));
+        self.outputs.extend(finished.into_iter().map(SupervisorOutput::Retire));
         self.going.extend(going.iter().copied());
         self.announce_stops(going);
     }
@@ -254,8 +253,7 @@ impl Supervisor {
     pub(super) fn announce_stops(&mut self, going: Vec<ChildKey>) {
         let children = going.into_iter().map(|key| &self.children[&key]);
         let supervisors = children.filter(|child| child.rules.supervises);
-        let expectations =
-            supervisors.map(|child| SupervisorOutput::ExpectEnd { child: child.name.clone() });
+        let expectations = supervisors.map(|child| SupervisorOutput::ExpectEnd(child.name.clone()));
         self.outputs.extend(expectations);
     }
 
@@ -347,7 +345,7 @@ impl Supervisor {
                 self.index.remove(&child.name);
                 self.coming.remove(&key);
                 self.budget.forget(key);
-                self.outputs.push_back(SupervisorOutput::Left { child: child.name });
+                self.outputs.push_back(SupervisorOutput::Left(child.name));
                 if child.joins {
                     self.answer_undone(key, child.failed);
                 }
@@ -362,7 +360,7 @@ impl Supervisor {
             // However its last incarnation has ended, no other one serves what waits for it.
             ChildTarget::Rest | ChildTarget::Finished => {
                 let child = child.name.clone();
-                self.outputs.push_back(SupervisorOutput::Retire { child });
+                self.outputs.push_back(SupervisorOutput::Retire(child));
             }
         }
     }
@@ -400,11 +398,11 @@ impl Supervisor {
                 self.incarnation_ended(key, false, format!("not at work within {limit:?}"), now);
             }
             ChildPhase::Failing { .. } => {
-                self.outputs.push_back(SupervisorOutput::CutOff { child: name });
+                self.outputs.push_back(SupervisorOutput::CutOff(name));
                 self.incarnation_ended(key, false, "its last hooks took too long".into(), now);
             }
             ChildPhase::Stopping { .. } => {
-                self.outputs.push_back(SupervisorOutput::CutOff { child: name });
+                self.outputs.push_back(SupervisorOutput::CutOff(name));
                 self.set_state(key, ChildPhase::Down);
                 self.after_end(key, now);
             }
@@ -425,7 +423,7 @@ impl Supervisor {
         let ChildPhase::AwaitsReset { call } = child.state else { return };
         let (name, due) = (child.name.clone(), now + child.rules.ready_within);
         self.set_state(key, ChildPhase::Resetting { due, call });
-        self.outputs.push_back(SupervisorOutput::Reset { child: name });
+        self.outputs.push_back(SupervisorOutput::Reset(name));
     }
 
     /// The child stays in error. In a group those behind it wait until the recoverer has decided.
@@ -480,7 +478,7 @@ impl Supervisor {
         self.withdraw(key);
         self.set_state(key, ChildPhase::Down);
         let child = self.kept(key).name.clone();
-        self.outputs.push_back(SupervisorOutput::Abandon { child });
+        self.outputs.push_back(SupervisorOutput::Abandon(child));
     }
 
     /// Every state change goes through here, so that no deadline and no waiting reset is forgotten.
@@ -559,7 +557,7 @@ impl Supervisor {
             child.failed = None;
         }
         if let (Some(reason), true) = (&escalation, self.rules.root) {
-            self.outputs.push_back(SupervisorOutput::GiveUp { reason: reason.clone() });
+            self.outputs.push_back(SupervisorOutput::GiveUp(reason.clone()));
         }
         self.phase = Phase::Ending { escalation };
     }

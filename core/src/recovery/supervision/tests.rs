@@ -76,9 +76,9 @@ impl Rig {
                     format!("start {child} {incarnation}")
                 }
                 SupervisorOutput::Stop { child, .. } => format!("stop {child}"),
-                SupervisorOutput::ExpectEnd { child } => format!("announce_stops {child}"),
-                SupervisorOutput::Abandon { child } => format!("abandon {child}"),
-                SupervisorOutput::Reset { child } => format!("reset {child}"),
+                SupervisorOutput::ExpectEnd(child) => format!("announce_stops {child}"),
+                SupervisorOutput::Abandon(child) => format!("abandon {child}"),
+                SupervisorOutput::Reset(child) => format!("reset {child}"),
                 SupervisorOutput::Isolate { child, isolated: true } => format!("isolate {child}"),
                 SupervisorOutput::Isolate { child, isolated: false } => format!("admit {child}"),
                 SupervisorOutput::RestartGrant { child, order: Some(order) } => {
@@ -102,13 +102,13 @@ impl Rig {
                 SupervisorOutput::Refused { child, incarnation, reason } => {
                     format!("refused {child} {incarnation}: {reason}")
                 }
-                SupervisorOutput::Unavailable { reason } => format!("waits: {reason}"),
-                SupervisorOutput::CutOff { child } => format!("cut off {child}"),
+                SupervisorOutput::Unavailable(reason) => format!("waits: {reason}"),
+                SupervisorOutput::CutOff(child) => format!("cut off {child}"),
                 SupervisorOutput::Overdue { child, .. } => format!("overdue {child}"),
-                SupervisorOutput::Retire { child } => format!("retire {child}"),
-                SupervisorOutput::Left { child } => format!("left {child}"),
-                SupervisorOutput::GiveUp { reason } => format!("give up: {reason}"),
-                SupervisorOutput::Escalate { reason } => format!("escalate: {reason}"),
+                SupervisorOutput::Retire(child) => format!("retire {child}"),
+                SupervisorOutput::Left(child) => format!("left {child}"),
+                SupervisorOutput::GiveUp(reason) => format!("give up: {reason}"),
+                SupervisorOutput::Escalate(reason) => format!("escalate: {reason}"),
                 SupervisorOutput::AllStarted => "all started".into(),
                 SupervisorOutput::AllStopped => "all stopped".into(),
             });

@@ -93,26 +93,14 @@ pub enum SupervisorOutput {
     },
     /// Tell the child, which is a supervisor, that its incarnation is about to end: others are
     /// stopped before it.
-    ExpectEnd {
-        /// The child.
-        child: ObjectName,
-    },
+    ExpectEnd(ObjectName),
     /// Give the child's incarnation up without asking it.
-    Abandon {
-        /// The child.
-        child: ObjectName,
-    },
+    Abandon(ObjectName),
     /// The child has had its time to end: give its incarnation up, and report where it keeps its
     /// thread.
-    CutOff {
-        /// The child.
-        child: ObjectName,
-    },
+    CutOff(ObjectName),
     /// Ask a child in error to recover by itself.
-    Reset {
-        /// The child.
-        child: ObjectName,
-    },
+    Reset(ObjectName),
     /// Forbid the child to send and receive, or allow it again.
     Isolate {
         /// The child.
@@ -166,11 +154,8 @@ pub enum SupervisorOutput {
         reason: String,
     },
     /// The supervisor has come as far as it can: a child waits for something that is not there yet,
-    /// and those behind it depend on it.
-    Unavailable {
-        /// What it waits for, as the component said it.
-        reason: String,
-    },
+    /// and those behind it depend on it. What it waits for, as the component said it.
+    Unavailable(String),
     /// A start took too long, and its guard does not say so: give the incarnation up, and report
     /// it.
     Overdue {
@@ -182,26 +167,16 @@ pub enum SupervisorOutput {
         limit: Duration,
     },
     /// The child's end was final: what waits for it is to be given back.
-    Retire {
-        /// The child.
-        child: ObjectName,
-    },
+    Retire(ObjectName),
     /// The child has ended and is forgotten.
-    Left {
-        /// The child.
-        child: ObjectName,
-    },
+    Left(ObjectName),
     /// The root's restarts are not worth it any more: what must be safe is made safe now. All
-    /// children are ended next, which takes its time.
-    GiveUp {
-        /// The limit that was exceeded, and the child that exceeded it.
-        reason: String,
-    },
+    /// children are ended next, which takes its time. The limit that was exceeded, and the child
+    /// that exceeded it.
+    GiveUp(String),
     /// Restarts are not worth it any more; all children have ended. The next authority decides.
-    Escalate {
-        /// The limit that was exceeded, and the child that exceeded it.
-        reason: String,
-    },
+    /// The limit that was exceeded, and the child that exceeded it.
+    Escalate(String),
     /// All children are at work for the first time in this incarnation.
     AllStarted,
     /// All children have ended, as ordered.

@@ -10,7 +10,7 @@ use std::time::Duration;
 async fn the_chain_shows_itself_in_the_table() {
     let node = TestNode::start(Node::builder("module1")).await;
 
-    for name in ["chain/monitor", "chain/detector", "chain/notifier", "chain/recoverer", "root"] {
+    for name in ["chain/detection", "chain/recoverer", "root"] {
         let row = node.row(name).await;
         assert_eq!(row.restarts, 0, "{name}");
     }

@@ -158,17 +158,6 @@ fn the_same_fault_again_is_counted_and_told_at_powers_of_two() {
 }
 
 #[test]
-fn a_repetition_of_a_hand_over_is_not_a_repetition_of_the_fault() {
-    let mut bench = Bench::new();
-    bench.see("arm", ONE, declared());
-
-    bench.number -= 1;
-    bench.see("arm", ONE, declared());
-
-    assert_eq!(bench.fault(1).count, 1);
-}
-
-#[test]
 fn every_way_that_does_not_exist_is_a_fault_and_every_other_is_none() {
     use Lifecycle::{Active, Created, Error, Fatal, Finalized, Initialized};
     let all = [Created, Initialized, Active, Error, Fatal, Finalized];

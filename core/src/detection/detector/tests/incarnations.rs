@@ -146,9 +146,10 @@ fn a_death_whose_restart_fails_is_given_up_without_a_decision() {
     let mut bench = restarted_on_the_spot();
     bench.see("arm", TWO, state(Lifecycle::Fatal));
 
-    let outputs = bench.run_until(60_000);
+    assert_eq!(bench.outputs(), ["Found 2", "+2"]);
+    bench.detector.handle_outcome(FaultId(2), at(5), gave_up());
 
-    assert_eq!(outputs, ["Found 2", "+2", "+2", "+2", "+2", "GaveUp 2", "GaveUp 1"]);
+    assert_eq!(bench.outputs(), ["GaveUp 2", "GaveUp 1"]);
 }
 
 #[test]
@@ -200,7 +201,7 @@ fn a_panic_reported_after_the_next_incarnation_ended_ends_likewise() {
 }
 
 #[test]
-fn a_fault_of_the_next_incarnation_too_is_repeated_until_decided() {
+fn a_fault_of_the_next_incarnation_too_is_handed_over_again() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
     assert_eq!(bench.outputs(), ["Found 1", "+1"]);
@@ -211,7 +212,6 @@ fn a_fault_of_the_next_incarnation_too_is_repeated_until_decided() {
     bench.see("arm", TWO, exited(panicked()));
 
     assert_eq!(bench.outputs(), ["Repeated 1", "+1"]);
-    assert_eq!(bench.run_until(60_000), ["+1", "+1", "+1", "GaveUp 1"]);
 }
 
 #[test]
@@ -224,8 +224,8 @@ fn a_fault_whose_restart_came_to_wait_stands_until_the_incarnation_is_at_work() 
 
     bench.detector.handle_outcome(FaultId(1), at(0), RecoveryOutcome::Waits);
 
-    let outputs = bench.run_until(60_000);
-    assert_eq!(outputs, ["+2", "+2", "+2", "GaveUp 2", "GaveUp 1"], "1 is not in treatment");
+    bench.detector.handle_outcome(FaultId(2), at(1), gave_up());
+    assert_eq!(bench.outputs(), ["GaveUp 2", "GaveUp 1"], "1 is not in treatment");
     assert!(bench.entries()[0].stands());
     bench.see("arm", TWO, state(Lifecycle::Active));
     assert_eq!(bench.outputs(), ["Recovered 1", "Recovered 2", "-1", "-2"]);

@@ -146,57 +146,6 @@ fn a_crash_loop_is_one_counted_fault_until_the_node_stays_up() {
 }
 
 #[test]
-fn an_undecided_fault_is_handed_over_again_and_then_given_up() {
-    let mut bench = Bench::new();
-    bench.see("arm", ONE, exited(panicked()));
-
-    let outputs = bench.run_until(60_000);
-
-    assert_eq!(outputs, ["Found 1", "+1", "+1", "+1", "+1", "GaveUp 1"]);
-}
-
-fn decided() -> RecoveryOutcome {
-    RecoveryOutcome::Decided { action: "restart".into() }
-}
-
-#[test]
-fn a_fault_whose_turn_comes_is_not_given_up_however_long_the_queue_is() {
-    let mut bench = Bench::new();
-    for name in 1..=20 {
-        bench.see(&format!("arm{name}"), ONE, exited(panicked()));
-    }
-    bench.outputs();
-
-    for id in 1..20 {
-        assert_eq!(bench.run_until(id * 900), [""; 0]);
-        bench.detector.handle_outcome(FaultId(id), at(id * 900), decided());
-        assert_eq!(bench.outputs(), [format!("Decided {id}")]);
-    }
-
-    assert_eq!(
-        bench.run_until(60_000),
-        ["+20", "+20", "+20", "GaveUp 20"],
-        "no recoverer answers now"
-    );
-}
-
-#[test]
-fn a_fault_that_others_have_overtaken_is_given_up_while_they_are_decided() {
-    let mut bench = Bench::new();
-    bench.see("lost", ONE, exited(panicked()));
-    bench.outputs();
-
-    let mut outputs = Vec::new();
-    for id in 2..10 {
-        bench.see(&format!("arm{id}"), ONE, exited(panicked()));
-        bench.detector.handle_outcome(FaultId(id), bench.now, decided());
-        outputs.extend(bench.run_until(id * 900).into_iter().filter(|step| step.ends_with(" 1")));
-    }
-
-    assert_eq!(outputs, ["GaveUp 1"]);
-}
-
-#[test]
 fn an_unnoticed_restart_of_a_node_is_found_and_recovered_at_once() {
     let mut bench = Bench::new();
 
@@ -221,19 +170,6 @@ fn a_safe_state_stands_until_the_node_works_leaves_or_restarts() {
         let ended = bench.outputs();
         assert_eq!(ended[0], "Cleared 1", "{over:?}: {ended:?}");
     }
-}
-
-#[test]
-fn a_detector_that_was_struck_keeps_its_record_and_hands_over_again() {
-    let mut bench = Bench::new();
-    bench.see("arm", ONE, exited(panicked()));
-    while bench.detector.poll_output().is_some() {}
-
-    bench.detector = bench.detector.clone().restarted(at(1));
-
-    assert_eq!(bench.outputs(), ["+1"]);
-    bench.see("arm", ONE, declared());
-    assert_eq!(bench.outputs(), ["Found 2", "+2"]);
 }
 
 fn any_finding() -> impl Strategy<Value = Finding> {

@@ -175,22 +175,6 @@ fn a_silent_victim_is_a_symptom_after_its_culprit_was_replaced() {
 }
 
 #[test]
-fn nobody_is_reminded_of_a_symptom_while_its_root_stands() {
-    let mut bench = Bench::new();
-    bench.depend("map", &["laser"]);
-    bench.see("laser", ONE, exited(panicked()));
-    let decided = RecoveryOutcome::Decided { action: "restart".into() };
-    bench.detector.handle_outcome(FaultId(1), at(0), decided);
-    bench.see("map", ONE, silent());
-    bench.outputs();
-    assert_eq!(bench.run_until(30_500), [""; 0]);
-
-    bench.detector.handle_outcome(FaultId(1), at(30_500), RecoveryOutcome::Recovered);
-
-    assert_eq!(bench.run_until(31_500), ["Recovered 1", "+2"]);
-}
-
-#[test]
 fn a_component_silent_behind_an_overload_is_reported_and_not_treated() {
     let mut bench = Bench::new();
     ["planner", "safety"].iter().for_each(|name| bench.depend(name, &[]));

@@ -1,6 +1,7 @@
 //! A planner (slot 0) that keeps the thread, and a neighbour (slot 2) behind it.
 
 use super::*;
+use crate::detection::NodeCondition;
 
 /// A thread that the planner keeps by short handlers, while the neighbour's rounds are due every 20
 /// ms.
@@ -65,15 +66,23 @@ impl Road {
 
 fn names(seen: &[(u64, LivenessEvent)]) -> Vec<String> {
     let text = |event: &LivenessEvent| match event {
-        LivenessEvent::Overloaded { object, victims, .. } => {
+        LivenessEvent::Component {
+            object, finding: Finding::Overloaded { victims, .. }, ..
+        } => {
             format!("{object} overloads {victims:?}")
         }
-        LivenessEvent::Flows { object, .. } => format!("{object} flows"),
-        LivenessEvent::ComputerOverloaded { waited_percent, victims, .. } => {
+        LivenessEvent::Component { object, finding: Finding::Flows, .. } => {
+            format!("{object} flows")
+        }
+        LivenessEvent::Computer(NodeCondition::Overloaded { waited_percent, victims, .. }) => {
             format!("the computer overloads {victims:?}: {waited_percent} %")
         }
-        LivenessEvent::Silent { object, .. } => format!("{object} is silent"),
-        LivenessEvent::Spoke { object, .. } => format!("{object} spoke"),
+        LivenessEvent::Component { object, finding: Finding::Silent { .. }, .. } => {
+            format!("{object} is silent")
+        }
+        LivenessEvent::Component { object, finding: Finding::Spoke, .. } => {
+            format!("{object} spoke")
+        }
         other => format!("{other:?}"),
     };
     seen.iter().map(|(_, event)| text(event)).collect()
@@ -91,7 +100,7 @@ fn the_component_that_keeps_the_thread_is_the_root_of_missed_rounds() {
     let seen = road.pass(10_000);
 
     assert_eq!(names(&seen), [overloads()], "once");
-    let (when, LivenessEvent::Overloaded { figures, .. }) = &seen[0] else { panic!("{seen:?}") };
+    let (when, found!(Finding::Overloaded { figures, .. })) = &seen[0] else { panic!("{seen:?}") };
     assert!(*when <= 3000, "{when}");
     assert_eq!((figures.utilisation_percent, figures.queued, figures.oldest), (100, 7, ms(400)));
     assert!((14..=20).contains(&figures.missed_rounds), "16 of 50 each second: {figures:?}");
@@ -107,7 +116,7 @@ fn an_overload_is_reported_again_each_time_a_figure_has_doubled() {
     }
 
     let ages = |(_, seen): &(u64, LivenessEvent)| match seen {
-        LivenessEvent::Overloaded { figures, .. } => figures.oldest,
+        found!(Finding::Overloaded { figures, .. }) => figures.oldest,
         other => panic!("{other:?}"),
     };
     assert_eq!(reported.iter().map(ages).collect::<Vec<_>>(), [ms(400), ms(800), ms(1700)]);
@@ -182,7 +191,10 @@ fn an_overload_of_the_computer_is_over_when_the_load_has_been_gone_for_a_while()
     (road.rounds, road.processor) = (2, Some((1, 0)));
     let seen = road.pass(10_000);
 
-    assert!(matches!(seen[..], [(_, LivenessEvent::ComputerRelieved)]), "{seen:?}");
+    assert!(
+        matches!(seen[..], [(_, LivenessEvent::Computer(NodeCondition::Relieved))]),
+        "{seen:?}"
+    );
     assert!(seen[0].0 >= 13_000 && seen[0].0 <= 15_500, "{seen:?}");
 }
 
