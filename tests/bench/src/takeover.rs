@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 const MEMBERS: [&str; 3] = ["module1", "module2", "module3"];
 /// As often as the goals say: the primary's, and those of links.
 const HELLO: Duration = Duration::from_millis(10);
-/// How often it is looked whether everybody is in step: a fifth of what is waited for.
+/// How often the members are polled until all are in step: a fifth of the heartbeat interval.
 const PACE: Duration = Duration::from_millis(2);
 /// A killed process that is not replaced within this is no matter of load.
 const PATIENCE: Duration = Duration::from_secs(60);
