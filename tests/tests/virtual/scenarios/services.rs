@@ -8,12 +8,12 @@ use blastema::{
 use blastema_testkit::{TestNode, now};
 use std::time::Duration;
 
+mod configurations;
 mod epochs;
-mod exposure;
 mod outage;
 mod shown;
 mod states;
-mod terms;
+mod under_replication;
 
 const MS: Duration = Duration::from_millis(1);
 const MEMBERS: [&str; 3] = ["module1", "module2", "module3"];
@@ -76,7 +76,7 @@ fn node(own: &str, medium: &MemoryMedium) -> NodeBuilder {
 
 struct Robot {
     medium: MemoryMedium,
-    /// One that carries nothing, and asks.
+    /// A node that carries no service, and sends requests.
     asker: TestNode,
     members: Vec<TestNode>,
 }
@@ -131,7 +131,7 @@ async fn standing(node: &TestNode, kind: &FaultKind) -> Option<Fault> {
 }
 
 #[blastema_testkit::test]
-async fn whoever_asks_a_service_need_not_know_who_serves() {
+async fn a_caller_of_a_service_need_not_know_its_primary() {
     let robot = Robot::start(StandbyKind::Warm).await;
     assert_eq!(robot.serving().len(), 1);
 
@@ -173,7 +173,7 @@ async fn a_standby_answers_soon_after_the_primarys_cable_is_cut_and_forgets_noth
 }
 
 #[blastema_testkit::test]
-async fn a_node_that_begins_anew_comes_into_step_and_can_take_over() {
+async fn a_restarted_node_comes_into_step_and_can_take_over() {
     let mut robot = Robot::start(StandbyKind::Hot).await;
     assert_eq!(robot.add(5).await, Ok(5));
     robot.members[0].shutdown().await;
@@ -195,7 +195,7 @@ async fn a_node_that_begins_anew_comes_into_step_and_can_take_over() {
 }
 
 #[blastema_testkit::test]
-async fn what_fails_is_told_once_and_the_state_outlives_the_component() {
+async fn a_failure_is_reported_once_and_the_state_outlives_the_component() {
     for kind in [StandbyKind::Warm, StandbyKind::Hot] {
         let robot = Robot::start(kind).await;
         assert_eq!(robot.add(5).await, Ok(5));
@@ -291,7 +291,7 @@ async fn with_cold_standbys_the_next_begins_afresh() {
 }
 
 #[blastema_testkit::test]
-async fn half_a_robot_serves_only_if_it_was_told_to() {
+async fn half_a_robot_serves_only_if_it_is_configured_to() {
     for (on_partition, expected) in [(OnPartition::Stop, 0), (OnPartition::Continue, 2)] {
         let both = ["module1", "module2"];
         let spec = move || {
