@@ -156,7 +156,7 @@ impl<C: Stateful> ServiceSpec<C> {
     /// Sets how often the primary sends a heartbeat: 50 ms by default. Outside 1 ms to one hour it
     /// is refused at start. A standby takes over 3.3 intervals after the last heartbeat. A primary
     /// whose process stands still for so long loses the service.
-    pub fn hello_every(mut self, interval: Duration) -> Self {
+    pub fn heartbeat_every(mut self, interval: Duration) -> Self {
         self.heartbeat_interval = interval;
         self
     }

@@ -156,7 +156,7 @@ impl ServiceConfiguration {
                 "its primary sends a heartbeat every",
                 &here,
                 &there,
-                "the same .hello_every(..)",
+                "the same .heartbeat_every(..)",
             );
         }
         text

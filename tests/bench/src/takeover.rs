@@ -127,7 +127,7 @@ pub(crate) fn child(arguments: &[String]) {
         let node = Node::builder(&format!("module{number}"))
             .network(ethernet(&addresses, usize::from(number)))
             .child(ChildSpec::new("witness", move || Witness(told.clone())))
-            .service(counter.standby(kind).hello_every(HELLO))
+            .service(counter.standby(kind).heartbeat_every(HELLO))
             .start()
             .await
             .expect("the node starts");

@@ -50,7 +50,7 @@ pub(in crate::node) fn check_service(carried: &Carried) -> Result<(), StartError
         )
     } else if !(HEARTBEAT_MIN..=HEARTBEAT_MAX).contains(&config.heartbeat_interval) {
         format!(
-            "its primary cannot send a heartbeat every {:?}: give .hello_every(..) from \
+            "its primary cannot send a heartbeat every {:?}: give .heartbeat_every(..) from \
              {HEARTBEAT_MIN:?} to {HEARTBEAT_MAX:?}, such as 50 ms",
             config.heartbeat_interval
         )

@@ -60,7 +60,7 @@ impl Stateful for Counter {
 }
 
 fn counter(kind: StandbyKind) -> ServiceSpec<Counter> {
-    ServiceSpec::new("counter", MEMBERS, Counter::default).standby(kind).hello_every(10 * MS)
+    ServiceSpec::new("counter", MEMBERS, Counter::default).standby(kind).heartbeat_every(10 * MS)
 }
 
 /// Every node has a link of its own to every other.
@@ -296,7 +296,7 @@ async fn half_a_robot_serves_only_if_it_is_configured_to() {
         let both = ["module1", "module2"];
         let spec = move || {
             let spec = ServiceSpec::new("counter", both, Counter::default);
-            spec.on_partition(on_partition).hello_every(10 * MS)
+            spec.on_partition(on_partition).heartbeat_every(10 * MS)
         };
         let medium = MemoryMedium::default();
         let one = TestNode::start(node("module1", &medium).service(spec())).await;
@@ -324,7 +324,7 @@ async fn a_service_follows_those_that_it_depends_on() {
     for own in MEMBERS {
         let map = ServiceSpec::new("map", MEMBERS, Counter::default);
         // Its standbys take their time.
-        let map = map.hello_every(100 * MS);
+        let map = map.heartbeat_every(100 * MS);
         let counter = counter(StandbyKind::Warm).depends_on(["map"]);
         members.push(TestNode::start(node(own, &medium).service(counter).service(map)).await);
     }
@@ -349,12 +349,12 @@ async fn a_service_of_other_nodes_is_waited_for_before_a_standby_takes_over() {
     // counter's nodes carries no map.
     let map = || {
         let map = ServiceSpec::new("map", ["module1", "module0", "module2"], Counter::default);
-        map.hello_every(100 * MS)
+        map.heartbeat_every(100 * MS)
     };
     let counter = || {
         let members = ["module1", "module3", "module2"];
         let counter = ServiceSpec::new("counter", members, Counter::default);
-        counter.hello_every(10 * MS).depends_on(["map"])
+        counter.heartbeat_every(10 * MS).depends_on(["map"])
     };
     let medium = MemoryMedium::default();
     let mut nodes = vec![
@@ -405,11 +405,15 @@ async fn a_service_that_is_described_wrongly_is_refused_at_the_start() {
     let refused = TestNode::try_start(Node::builder("module1").service(twice)).await;
     let Err(StartError::Service { reason, .. }) = refused else { panic!("it stands there twice") };
     assert!(reason.contains("twice"), "{reason}");
-    for hello in [Duration::ZERO, Duration::from_micros(999), Duration::from_secs(3601)] {
-        let spec = ServiceSpec::new("counter", ["module1"], Counter::default).hello_every(hello);
+    for interval in [Duration::ZERO, Duration::from_micros(999), Duration::from_secs(3601)] {
+        let spec =
+            ServiceSpec::new("counter", ["module1"], Counter::default).heartbeat_every(interval);
         let refused = TestNode::try_start(Node::builder("module1").service(spec)).await;
-        let Err(StartError::Service { reason, .. }) = refused else { panic!("every {hello:?}") };
-        assert!(reason.contains("from 1ms to 3600s") && reason.contains("hello_every"), "{reason}");
+        let Err(StartError::Service { reason, .. }) = refused else { panic!("every {interval:?}") };
+        assert!(
+            reason.contains("from 1ms to 3600s") && reason.contains("heartbeat_every"),
+            "{reason}"
+        );
     }
     let names: Vec<_> = (1..=257).map(|n| format!("module{n}")).collect();
     let all = ServiceSpec::new("counter", names.iter().map(String::as_str), Counter::default);

@@ -5,7 +5,7 @@ use super::*;
 const LOOK: Duration = Duration::from_millis(1200);
 
 async fn start(own: &str, medium: &MemoryMedium, spec: ServiceSpec<Counter>) -> TestNode {
-    TestNode::start(node(own, medium).service(spec.hello_every(10 * MS))).await
+    TestNode::start(node(own, medium).service(spec.heartbeat_every(10 * MS))).await
 }
 
 fn on(members: &'static [&'static str]) -> ServiceSpec<Counter> {
@@ -117,7 +117,7 @@ async fn a_caller_with_another_contract_is_refused_at_once() {
 async fn a_request_sent_while_configurations_differ_is_answered_when_they_agree() {
     let medium = MemoryMedium::default();
     let asker = TestNode::start(node("module0", &medium)).await;
-    let slow = on(&MEMBERS).hello_every(20 * MS);
+    let slow = on(&MEMBERS).heartbeat_every(20 * MS);
     let wrong = TestNode::start(node("module1", &medium).service(slow)).await;
     let nodes = [
         start("module2", &medium, on(&MEMBERS)).await,
@@ -147,8 +147,8 @@ async fn where_a_node_may_have_begun_a_mismatch_that_lasts_leaves_the_outcome_un
     robot.cut(first);
     for member in (0..3).filter(|member| *member != first) {
         robot.members[member].shutdown().await;
-        let hello = MS * (20 + u32::try_from(member).unwrap());
-        let spec = on(&MEMBERS).hello_every(hello);
+        let interval = MS * (20 + u32::try_from(member).unwrap());
+        let spec = on(&MEMBERS).heartbeat_every(interval);
         let again = node(MEMBERS[member], &robot.medium).service(spec);
         robot.members[member] = TestNode::start(again).await;
     }
@@ -298,8 +298,9 @@ async fn requests_sent_while_a_list_is_changed_by_killing_node_after_node_are_an
 #[blastema_testkit::test]
 async fn a_service_has_a_primary_a_second_after_the_node_that_prevented_it_has_left_in_order() {
     let medium = MemoryMedium::default();
-    let hello = |every| ServiceSpec::new("counter", MEMBERS, Counter::default).hello_every(every);
-    let start = async |own, every| TestNode::start(node(own, &medium).service(hello(every))).await;
+    let spec =
+        |every| ServiceSpec::new("counter", MEMBERS, Counter::default).heartbeat_every(every);
+    let start = async |own, every| TestNode::start(node(own, &medium).service(spec(every))).await;
     let wrong = start("module1", 20 * MS).await;
     let nodes = vec![start("module2", 10 * MS).await, start("module3", 10 * MS).await];
     wrong.advance(4000 * MS).await;

@@ -28,7 +28,7 @@ async fn a_caller_does_not_accept_a_restarted_node_with_another_configuration_an
         drop(robot.members.remove(robot.primary()));
         let list = if rule == OnPartition::Stop { vec![own] } else { MEMBERS.to_vec() };
         let wrong = ServiceSpec::new("counter", list, Counter::default).on_partition(rule);
-        let wrong = node(own, &robot.medium).service(wrong.hello_every(10 * MS));
+        let wrong = node(own, &robot.medium).service(wrong.heartbeat_every(10 * MS));
         let wrong = TestNode::start(wrong).await;
         assert!(robot.asker.connected(own, 2000 * MS).await);
         while wrong.service_role("counter") != Some(Role::Primary { epoch: 1 }) {
