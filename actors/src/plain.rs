@@ -1,6 +1,6 @@
 //! Plain actix actors among components: the one place where actix types are shown.
 //!
-//! A plain actor sends to components as everybody does, through a [`Sender`]; [`recipient`] is for
+//! A plain actor sends to components through a [`Sender`], as components do; [`recipient`] is for
 //! code that wants an actix `Recipient`. Components send to a plain actor through what [`sender`]
 //! returns. A plain actor has no guard, no bounded queue and no life cycle: what is promised of
 //! components is not promised of it.

@@ -322,8 +322,8 @@ impl GatewayActor {
             Ok(fault) => fault,
             Err(error) => return warn!(%peer, %error, "a fault that cannot be read"),
         };
-        // A node is believed about its own objects and links. What it thinks of other nodes, or of
-        // ours, is no reason to do anything here: everybody sees that for itself.
+        // A node's reports of its own objects and links count. Its reports of other nodes, or of
+        // this one, do not: each node judges those by its own links.
         let theirs = match &fault.location {
             FaultLocation::Object(address) => NodeId::of(&address.node) == peer,
             FaultLocation::Link { node, .. } => NodeId::of(node) == peer,

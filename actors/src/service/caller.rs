@@ -1,8 +1,8 @@
-//! Whoever asks a service, and follows it from node to node.
+//! Sends requests to a service, and follows its primary from node to node.
 
-use super::finder::{Finder, Found, Missing, PROBE};
+use super::finder::{Finder, FoundPrimary, NoAnswer, PROBE};
 use super::roster::Roster;
-use super::words::{Answered, AskService, Task};
+use super::types::{Answered, AskService, Task};
 use crate::messaging::error::{RequestError, decode_kind};
 use crate::messaging::message_id::next_id;
 use crate::platform;
@@ -19,7 +19,8 @@ use std::marker::PhantomData;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// Asks a service, whichever node serves it now. Clones share what they know of it.
+/// Sends requests to a service, whichever node is primary. Clones share what they know of the
+/// service.
 pub struct ServiceRef<M: Request> {
     finder: Finder,
     asks: PhantomData<fn(M)>,
@@ -37,46 +38,45 @@ impl<M: Request> fmt::Debug for ServiceRef<M> {
     }
 }
 
-/// A request to a service that waits for its answer. Replies are kept for it no longer than it
-/// waits.
-struct Open(u64);
+/// The number of a request that waits for its reply. The service keeps the reply no longer than
+/// that.
+struct OpenRequest(u64);
 
-/// The requests of this process that wait, by number: as many as it has under way.
+/// The requests of this process that wait, by number: as many as it has in flight.
 static OPEN: Mutex<SortedSet<u64>> = Mutex::new(SortedSet::new());
 
 fn open() -> MutexGuard<'static, SortedSet<u64>> {
     OPEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Open {
-    /// A new identity, and below which number all requests have their answers.
-    fn begin() -> (MessageId, u64, Open) {
+impl OpenRequest {
+    /// Returns a new identity, and the number below which all requests have their replies.
+    fn begin() -> (MessageId, u64, OpenRequest) {
         let mut open = open();
-        // Numbered under the lock: whoever looks meanwhile must not find a gap.
+        // The number is taken under the lock, so that no other task computes `settled` without it.
         let id = next_id();
         open.insert(id.sequence);
         let settled = open.first().copied().unwrap_or(id.sequence);
-        (id, settled, Open(id.sequence))
+        (id, settled, OpenRequest(id.sequence))
     }
 }
 
-impl Drop for Open {
+impl Drop for OpenRequest {
     fn drop(&mut self) {
         open().remove(&self.0);
     }
 }
 
-/// How far a request has come that has no answer yet.
+/// The progress of a request that has no reply yet.
 #[derive(Default)]
-struct Pursuit {
+struct RequestProgress {
     begun: Begun,
-    /// What the nodes of the service were told differently, if that was the last that was heard of
-    /// it.
+    /// How the configurations of the service's nodes differ, if that was the last answer.
     difference: Option<String>,
 }
 
-impl Pursuit {
-    /// Why there was no answer by the deadline.
+impl RequestProgress {
+    /// Returns why there was no reply by the deadline.
     fn why(self) -> DeliveryError {
         match (self.difference, self.begun) {
             (Some(reason), Begun::Perhaps) => DeliveryError::OutcomeUnknown { reason },
@@ -86,17 +86,17 @@ impl Pursuit {
     }
 }
 
-/// Whether anybody may have begun what was asked for.
+/// Whether a node may have begun the request.
 #[derive(Clone, Copy, Default)]
 enum Begun {
     #[default]
     No,
-    /// One was asked, and does not say.
+    /// A node received the request, and its outcome is unknown.
     Perhaps,
 }
 
 impl Begun {
-    /// What a caller is told that may not ask.
+    /// Returns the error for a caller that may not ask.
     fn refused(self, why: DeliveryError) -> DeliveryError {
         match self {
             Begun::No => why,
@@ -105,13 +105,13 @@ impl Begun {
     }
 }
 
-/// What came of asking one node.
-enum Turn {
+/// The outcome of one attempt at one node.
+enum AttemptOutcome {
     Answered(Answered),
-    /// It did not answer, and why.
+    /// The node did not answer.
     Failed(DeliveryError),
-    /// Another node serves meanwhile.
-    Moved(Found),
+    /// Another node is primary now.
+    Moved(FoundPrimary),
 }
 
 impl<M: Request> ServiceRef<M> {
@@ -120,13 +120,13 @@ impl<M: Request> ServiceRef<M> {
         Ok(ServiceRef { finder, asks: PhantomData })
     }
 
-    /// The node that answered last.
+    /// Returns the node that answered last.
     pub fn primary(&self) -> Option<NodeName> {
         self.finder.primary()
     }
 
-    /// Asks, and waits for the reply for five seconds at most: long enough for a standby to take
-    /// over.
+    /// Sends a request, and waits at most five seconds for the reply: long enough for a standby to
+    /// take over.
     ///
     /// # Errors
     /// As [`ask_within`](Self::ask_within).
@@ -134,33 +134,33 @@ impl<M: Request> ServiceRef<M> {
         self.ask_within(message, Duration::from_secs(5)).await
     }
 
-    /// Asks, and waits for the reply until the deadline. Where the node that serves fails, the
-    /// request is sent to the one that follows, under the same identity: it takes effect once.
+    /// Sends a request, and waits for the reply until the deadline. If the primary's node fails,
+    /// the request is sent to the next primary with the same identity, so it takes effect once.
     ///
     /// # Errors
-    /// [`DeliveryError::OutcomeUnknown`] where the primary of a service with cold standbys failed
-    /// while it served, unless the contract is declared `idempotent`;
-    /// [`DeliveryError::DeadlinePassed`] where nobody served in time; what the component's failure
-    /// was, where it failed; [`DeliveryError::ContractDiffers`] where the service means another
-    /// contract by that name.
+    /// * [`DeliveryError::OutcomeUnknown`] if the primary of a service with cold standbys failed
+    ///   while it served, unless the contract is declared `idempotent`.
+    /// * [`DeliveryError::DeadlinePassed`] if there was no primary in time.
+    /// * [`DeliveryError::ContractDiffers`] if the service has another contract of this name.
+    /// * The component's error, if the component failed.
     ///
-    /// Where nobody serves because the service's nodes were told different things of it, that may
-    /// end, as while a list is changed: it is asked on. At the deadline it is
-    /// [`DeliveryError::ContractDiffers`] with what differs, or [`DeliveryError::OutcomeUnknown`]
-    /// with that where somebody may have begun.
+    /// Nodes with different configurations may prevent an election. That can end, as while a list
+    /// is changed, so the request is tried until the deadline. The error is then
+    /// [`DeliveryError::ContractDiffers`] with the difference, or [`DeliveryError::OutcomeUnknown`]
+    /// with it if a node may have begun the request.
     pub async fn ask_within(
         &self,
         message: M,
         deadline: Duration,
     ) -> Result<M::Reply, RequestError<M>> {
-        // A component that dies of it three times dies of it again.
+        // A request that ends the component three times will end it again.
         let rule = RetryPolicy { attempts: 3, within: deadline, ..RetryPolicy::default() };
         self.ask_by(message, &rule).await
     }
 
-    /// Asks until the deadline of this rule. Whatever the rule says, the service is followed
-    /// wherever it goes; the rule is for its component's failures: a request whose contract is
-    /// declared `idempotent` is asked again where the component died while it served it.
+    /// Sends a request until the deadline of this rule. The primary is followed from node to node
+    /// whatever the rule says. The rule applies to the component's failures: a request with an
+    /// `idempotent` contract is sent again if the component ended while it served it.
     ///
     /// # Errors
     /// As [`ask_within`](Self::ask_within).
@@ -178,8 +178,8 @@ impl<M: Request> ServiceRef<M> {
         let until = platform::now() + rule.within;
         let failed = |why| RequestError::new(why, None);
         for asked in 1.. {
-            // That a request has failed is remembered: asked again, it is another one.
-            let (id, settled, _open) = Open::begin();
+            // The service keeps the failure of a request: the next attempt is another request.
+            let (id, settled, _open) = OpenRequest::begin();
             let ask = AskService {
                 sender: id.sender,
                 sequence: id.sequence,
@@ -187,10 +187,10 @@ impl<M: Request> ServiceRef<M> {
                 since: 0,
                 task: task.clone(),
             };
-            let mut pursuit = Pursuit::default();
-            let pursued = self.pursue(ask, until, &mut pursuit);
+            let mut progress = RequestProgress::default();
+            let pursued = self.pursue(ask, until, &mut progress);
             let pursued = tokio::time::timeout(until - platform::now(), pursued).await;
-            let why = match pursued.unwrap_or_else(|_| Err(pursuit.why())) {
+            let why = match pursued.unwrap_or_else(|_| Err(progress.why())) {
                 Ok(reply) => {
                     return codec::decode_reply::<M>(&reply).map_err(|error| {
                         failed(DeliveryError::Undecodable { reason: error.to_string() })
@@ -207,90 +207,91 @@ impl<M: Request> ServiceRef<M> {
         Err(failed(DeliveryError::DeadlinePassed))
     }
 
-    /// Follows the service from node to node until it has answered.
+    /// Follows the primary from node to node until it answers.
     ///
-    /// Where its nodes are at odds, it is asked on under the same identity, as after any other
-    /// change of the primary: whoever serves next has the table of those that it follows, or none
+    /// While the configurations differ, the request is sent again with the same identity, as after
+    /// any change of the primary. The next primary has the table of those that it follows, or none
     /// of their effects.
     async fn pursue(
         &self,
         mut ask: AskService,
         until: Instant,
-        pursuit: &mut Pursuit,
+        progress: &mut RequestProgress,
     ) -> Result<Vec<u8>, DeliveryError> {
         let mut primary = self.primary();
-        // Who has not answered, and what became of the request there if that is not known.
+        // The node that did not answer, and why the outcome there is unknown.
         let (mut failed, mut uncertain) = (None, None);
         loop {
             let node = match primary.take() {
                 Some(node) => node,
                 None => match self.finder.find(failed.take().as_ref()).await {
-                    Ok(Found { keeps: false, .. }) if uncertain.is_some() && !M::IDEMPOTENT => {
+                    Ok(FoundPrimary { keeps: false, .. })
+                        if uncertain.is_some() && !M::IDEMPOTENT =>
+                    {
                         return Err(DeliveryError::OutcomeUnknown {
                             reason: uncertain.unwrap_or_default(),
                         });
                     }
-                    Ok(Found { primary, .. }) => {
-                        pursuit.difference = None;
+                    Ok(FoundPrimary { primary, .. }) => {
+                        progress.difference = None;
                         primary
                     }
                     Err(missing) => {
                         let pause = missing.pause();
-                        pursuit.difference = match missing {
-                            Missing::Nobody | Missing::Outdated => None,
-                            Missing::Disputed(difference) => Some(difference),
-                            Missing::Forbidden(why) => return Err(pursuit.begun.refused(why)),
+                        progress.difference = match missing {
+                            NoAnswer::NoPrimary | NoAnswer::Outdated => None,
+                            NoAnswer::ConfigMismatch(difference) => Some(difference),
+                            NoAnswer::Forbidden(why) => return Err(progress.begun.refused(why)),
                         };
                         tokio::time::sleep(pause).await;
                         continue;
                     }
                 },
             };
-            ask.since = self.finder.least(&node);
+            ask.since = self.finder.least_epoch(&node);
             match self.try_at(&node, &ask, until).await {
-                Turn::Answered(Answered::Done { reply, epoch }) => {
+                AttemptOutcome::Answered(Answered::Done { reply, epoch }) => {
                     self.finder.note_epoch(&node, epoch);
                     self.finder.note(node);
                     return Ok(reply);
                 }
-                Turn::Answered(Answered::Failed { why, epoch }) => {
+                AttemptOutcome::Answered(Answered::Failed { why, epoch }) => {
                     self.finder.note_epoch(&node, epoch);
                     return Err(decode_kind(&why));
                 }
-                Turn::Answered(Answered::Refused { why }) => match decode_kind(&why) {
+                AttemptOutcome::Answered(Answered::Refused { why }) => match decode_kind(&why) {
                     DeliveryError::Full | DeliveryError::Restarting => {
                         primary = Some(node);
                         tokio::time::sleep(PROBE).await;
                     }
-                    // Its component means the same: it is the nodes that were told different
-                    // things.
+                    // The component has the same contract: the nodes' configurations differ.
                     DeliveryError::ContractDiffers { difference } => {
-                        pursuit.difference = Some(difference);
+                        progress.difference = Some(difference);
                         failed = Some(node);
                     }
                     why => return Err(why),
                 },
-                Turn::Answered(Answered::Elsewhere { primary: told }) => {
-                    pursuit.begun = Begun::Perhaps;
-                    primary = told.and_then(|told| self.finder.member(&told));
+                AttemptOutcome::Answered(Answered::Elsewhere { primary: named }) => {
+                    progress.begun = Begun::Perhaps;
+                    primary = named.and_then(|name| self.finder.member(&name));
                     if primary.is_none() || primary.as_ref() == Some(&node) {
                         tokio::time::sleep(PROBE).await;
                     }
                 }
-                Turn::Moved(Found { primary, keeps: false }) if !M::IDEMPOTENT => {
+                AttemptOutcome::Moved(FoundPrimary { primary, keeps: false }) if !M::IDEMPOTENT => {
                     self.finder.note(primary);
                     let reason = "the primary has changed, and its standbys are cold".into();
                     return Err(DeliveryError::OutcomeUnknown { reason });
                 }
-                Turn::Moved(found) => {
-                    (primary, pursuit.begun) = (Some(found.primary), Begun::Perhaps);
+                AttemptOutcome::Moved(found) => {
+                    (primary, progress.begun) = (Some(found.primary), Begun::Perhaps);
                 }
-                Turn::Failed(why @ DeliveryError::Forbidden { .. }) => {
-                    return Err(pursuit.begun.refused(why));
+                AttemptOutcome::Failed(why @ DeliveryError::Forbidden { .. }) => {
+                    return Err(progress.begun.refused(why));
                 }
-                Turn::Failed(why) => {
-                    pursuit.begun = Begun::Perhaps;
-                    // It was taken there, perhaps; those that follow may not know.
+                AttemptOutcome::Failed(why) => {
+                    progress.begun = Begun::Perhaps;
+                    // The node may have executed it, and the next primary may not have it.
                     if matches!(
                         why,
                         DeliveryError::PeerDied { .. } | DeliveryError::OutcomeUnknown { .. }
@@ -303,12 +304,12 @@ impl<M: Request> ServiceRef<M> {
         }
     }
 
-    /// Asks one node, and after a while the others whether it still serves.
-    async fn try_at(&self, node: &NodeName, ask: &AskService, until: Instant) -> Turn {
+    /// Sends the request to one node, and asks the others after a while whether it still serves.
+    async fn try_at(&self, node: &NodeName, ask: &AskService, until: Instant) -> AttemptOutcome {
         let address = format!("{node}:{}", self.finder.name);
         let sender = match self.finder.registry.sender::<AskService>(&address) {
             Ok(sender) => sender,
-            Err(why) => return Turn::Failed(why),
+            Err(why) => return AttemptOutcome::Failed(why),
         };
         let asking = sender.ask_within(ask.clone(), until - platform::now());
         let moved = async {
@@ -318,10 +319,10 @@ impl<M: Request> ServiceRef<M> {
         tokio::select! {
             biased;
             asked = asking => match asked {
-                Ok(answered) => Turn::Answered(answered),
-                Err(error) => Turn::Failed(error.kind),
+                Ok(answered) => AttemptOutcome::Answered(answered),
+                Err(error) => AttemptOutcome::Failed(error.kind),
             },
-            found = moved => Turn::Moved(found),
+            found = moved => AttemptOutcome::Moved(found),
         }
     }
 }

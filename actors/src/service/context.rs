@@ -1,4 +1,4 @@
-//! How components reach services.
+//! Access to services from components and their contexts.
 
 use super::ServiceRef;
 use super::roster::Roster;
@@ -11,17 +11,17 @@ use blastema_core::{NameError, Request};
 impl Extension for Roster {}
 
 impl ComponentEnvironment {
-    /// The services of the robot.
+    /// Returns the services of this node.
     pub(crate) fn services(&self) -> &Roster {
         self.extensions.get()
     }
 }
 
 impl<C: Component> Context<C> {
-    /// Asks the service of this name, whichever node serves it.
+    /// Returns a reference to the service of this name, whichever node is primary.
     ///
     /// # Errors
-    /// The name does not parse. Whether there is such a service is found out when it is asked.
+    /// The name does not parse. Whether there is such a service shows when a request is sent.
     pub fn service<M: Request>(&self, name: &str) -> Result<ServiceRef<M>, NameError> {
         let environment = &self.cell.record.environment;
         ServiceRef::new(&environment.registry, environment.services(), name)

@@ -1,7 +1,7 @@
-//! Finds out who serves.
+//! Finds the primary of a service.
 
 use super::roster::Roster;
-use super::words::WhoServes;
+use super::types::WhoServes;
 use crate::platform;
 use crate::registry::Registry;
 use blastema_core::{DeliveryError, Instant, NodeName, ObjectName};
@@ -11,78 +11,82 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tracing::warn;
 
-/// How long a caller waits before it asks other nodes who serves, and before it tries again.
+/// How long a caller waits before it asks the other nodes for the primary, and between two
+/// attempts.
 pub(super) const PROBE: Duration = Duration::from_millis(5);
-/// How long they are asked at a time: they answer as soon as they know. Shorter notices sooner that
-/// another node can be reached; longer costs fewer messages while nobody serves.
-const HELD: Duration = Duration::from_millis(100);
-/// So long nobody is followed who serves under a lower epoch than one that has answered: much
-/// longer than a new life takes to meet the others, and short enough that whoever asks for five
-/// seconds follows a service that has begun again as a whole.
-const LAPSE: Duration = Duration::from_secs(2);
-/// Whoever waits so long for a service waits for one that is not there, or has a wrong name.
-const STRANGE: Duration = Duration::from_secs(10);
+/// How long a question waits: a node answers as soon as it knows of a primary. A shorter timeout
+/// finds sooner that another node is reachable; a longer one costs fewer messages without a
+/// primary.
+const QUESTION_TIMEOUT: Duration = Duration::from_millis(100);
+/// How long a caller does not accept a primary with a lower epoch than one that has answered. That
+/// is much longer than a restarted node takes to meet the others. It is shorter than the default
+/// deadline of five seconds, so that a service whose nodes all restarted is accepted in time.
+const OUTDATED_TIMEOUT: Duration = Duration::from_secs(2);
+/// How often a wait for a service is logged: after so long, the service may not exist or its name
+/// may be wrong.
+const WARN_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Why nobody was found who serves.
-pub(super) enum Missing {
-    /// Nobody does now.
-    Nobody,
-    /// Nobody does but under an epoch lower than one that has answered.
+/// Why no primary was found.
+pub(super) enum NoAnswer {
+    /// There is none now.
+    NoPrimary,
+    /// There is only one with a lower epoch than a primary that has answered.
     Outdated,
-    /// Nobody does before this is mended.
-    Disputed(String),
-    /// This node may not ask.
+    /// There is none until this difference of configurations is corrected.
+    ConfigMismatch(String),
+    /// The policy forbids this node to ask.
     Forbidden(DeliveryError),
 }
 
-impl Missing {
-    /// How long to wait before all are asked again.
+impl NoAnswer {
+    /// Returns how long to wait before all nodes are asked again.
     pub(super) fn pause(&self) -> Duration {
         match self {
-            Missing::Nobody => PROBE,
-            // That is answered at once, and not held back until somebody serves.
-            Missing::Outdated | Missing::Disputed(_) | Missing::Forbidden(_) => HELD,
+            NoAnswer::NoPrimary => PROBE,
+            // These are answered at once; the question does not wait for a primary.
+            NoAnswer::Outdated | NoAnswer::ConfigMismatch(_) | NoAnswer::Forbidden(_) => {
+                QUESTION_TIMEOUT
+            }
         }
     }
 
-    /// Whether this tells a caller more than the other.
-    fn tells_more_than(&self, other: &Missing) -> bool {
-        let rank = |missing: &Missing| match missing {
-            Missing::Nobody => 0,
-            Missing::Outdated => 1,
-            Missing::Disputed(_) => 2,
-            Missing::Forbidden(_) => 3,
+    /// Returns whether this reason is at least as specific as the other.
+    fn outranks(&self, other: &NoAnswer) -> bool {
+        let rank = |missing: &NoAnswer| match missing {
+            NoAnswer::NoPrimary => 0,
+            NoAnswer::Outdated => 1,
+            NoAnswer::ConfigMismatch(_) => 2,
+            NoAnswer::Forbidden(_) => 3,
         };
         rank(self) >= rank(other)
     }
 }
 
-/// Finds out who serves a service. Clones share what was learnt.
+/// Finds the primary of one service. Clones share their state.
 #[derive(Clone)]
 pub(super) struct Finder {
     pub(super) name: ObjectName,
     pub(super) registry: Registry,
     roster: Roster,
-    known: Arc<Mutex<Known>>,
+    known: Arc<Mutex<FinderState>>,
 }
 
-/// What was learnt of a service by asking.
+/// What a finder knows of a service from answers.
 #[derive(Default)]
-struct Known {
-    /// Who answered last.
+struct FinderState {
+    /// The node that answered last.
     primary: Option<NodeName>,
-    /// Who carries it, as one of them said.
+    /// The nodes that carry it, as one of them answered.
     members: Vec<NodeName>,
-    /// The greatest epoch under which one of them answered, and which.
+    /// The greatest epoch in which a node answered, and that node.
     answered: Option<(u64, NodeName)>,
-    /// When somebody was met who serves under a lower one, first and last, and nobody else since.
+    /// When a primary with a lower epoch was met, first and last, without another one since.
     outdated: Option<(Instant, Instant)>,
 }
 
-impl Known {
-    /// The lowest epoch under which this one may serve: under one epoch nobody serves but who has
-    /// answered.
-    fn least(&self, node: &NodeName) -> u64 {
+impl FinderState {
+    /// Returns the lowest epoch in which this node may serve: one epoch has one primary.
+    fn least_epoch(&self, node: &NodeName) -> u64 {
         match &self.answered {
             Some((epoch, by)) if by == node => *epoch,
             Some((epoch, _)) => epoch.saturating_add(1),
@@ -90,17 +94,17 @@ impl Known {
         }
     }
 
-    /// Whether this one, who serves under that epoch, is followed.
-    fn follows(&mut self, node: &NodeName, epoch: u64, now: Instant) -> bool {
-        if epoch >= self.least(node) {
+    /// Returns whether this primary with its epoch is accepted.
+    fn accepts(&mut self, node: &NodeName, epoch: u64, now: Instant) -> bool {
+        if epoch >= self.least_epoch(node) {
             self.outdated = None;
             return true;
         }
-        // What was met long ago says nothing of who has been there meanwhile.
-        let before = self.outdated.filter(|(_, last)| now - *last < LAPSE);
+        // A primary that was met long ago does not show that there was no other one since.
+        let before = self.outdated.filter(|(_, last)| now - *last < OUTDATED_TIMEOUT);
         let first = before.map_or(now, |(first, _)| first);
         self.outdated = Some((first, now));
-        if now - first < LAPSE {
+        if now - first < OUTDATED_TIMEOUT {
             return false;
         }
         (self.answered, self.outdated) = (None, None);
@@ -108,8 +112,8 @@ impl Known {
     }
 }
 
-/// Who serves, and whether whoever follows keeps what was served.
-pub(super) struct Found {
+/// The primary, and whether the next one keeps its state.
+pub(super) struct FoundPrimary {
     pub(super) primary: NodeName,
     pub(super) keeps: bool,
 }
@@ -119,7 +123,7 @@ impl Finder {
         Finder { name, registry: registry.clone(), roster: roster.clone(), known: Arc::default() }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Known> {
+    fn lock(&self) -> MutexGuard<'_, FinderState> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -131,38 +135,39 @@ impl Finder {
         self.lock().primary = Some(primary);
     }
 
-    /// The lowest epoch under which this one is to answer.
-    pub(super) fn least(&self, node: &NodeName) -> u64 {
-        self.lock().least(node)
+    /// Returns the lowest epoch in which this node may answer.
+    pub(super) fn least_epoch(&self, node: &NodeName) -> u64 {
+        self.lock().least_epoch(node)
     }
 
-    /// This one has answered under that epoch.
+    /// Notes that this node answered in that epoch.
     pub(super) fn note_epoch(&self, node: &NodeName, epoch: u64) {
         let mut known = self.lock();
-        if epoch >= known.least(node) {
+        if epoch >= known.least_epoch(node) {
             (known.answered, known.outdated) = (Some((epoch, node.clone())), None);
         }
     }
 
-    /// Asks all who carry the service who serves; `besides` is no answer, and is not asked.
-    pub(super) async fn find(&self, besides: Option<&NodeName>) -> Result<Found, Missing> {
+    /// Asks all carriers of the service for the primary, except the node `besides`, which does not
+    /// count as an answer either.
+    pub(super) async fn find(&self, besides: Option<&NodeName>) -> Result<FoundPrimary, NoAnswer> {
         let members = self.members();
         let others = members.iter().filter(|member| Some(*member) != besides);
-        let mut told: FuturesUnordered<_> =
+        let mut answers: FuturesUnordered<_> =
             others.map(|member| self.who_serves(member, besides)).collect();
-        let mut missing = Missing::Nobody;
-        while let Some(found) = told.next().await {
+        let mut missing = NoAnswer::NoPrimary;
+        while let Some(found) = answers.next().await {
             match found {
                 Ok(found) => return Ok(found),
-                Err(told) if told.tells_more_than(&missing) => missing = told,
+                Err(answers) if answers.outranks(&missing) => missing = answers,
                 Err(_) => {}
             }
         }
         Err(missing)
     }
 
-    /// Finds somebody who serves now, however long that takes.
-    pub(super) async fn follow(&self, besides: Option<&NodeName>) -> Found {
+    /// Waits until there is a primary other than `besides`.
+    pub(super) async fn follow(&self, besides: Option<&NodeName>) -> FoundPrimary {
         loop {
             match self.find(besides).await {
                 Ok(found) => return found,
@@ -171,51 +176,53 @@ impl Finder {
         }
     }
 
-    /// Who serves, as soon as that node knows of anybody.
+    /// Returns the primary as soon as this node knows of one.
     async fn who_serves(
         &self,
         node: &NodeName,
         besides: Option<&NodeName>,
-    ) -> Result<Found, Missing> {
+    ) -> Result<FoundPrimary, NoAnswer> {
         let address = format!("{node}:{}", self.name);
-        let sender = self.registry.sender::<WhoServes>(&address).map_err(|_| Missing::Nobody)?;
+        let sender =
+            self.registry.sender::<WhoServes>(&address).map_err(|_| NoAnswer::NoPrimary)?;
         let question = WhoServes { besides: besides.map(NodeName::to_string) };
-        let serving =
-            sender.ask_within(question, HELD).await.map_err(|error| match error.kind {
-                why @ DeliveryError::Forbidden { .. } => Missing::Forbidden(why),
-                _ => Missing::Nobody,
-            })?;
+        let serving = sender.ask_within(question, QUESTION_TIMEOUT).await.map_err(|error| {
+            match error.kind {
+                why @ DeliveryError::Forbidden { .. } => NoAnswer::Forbidden(why),
+                _ => NoAnswer::NoPrimary,
+            }
+        })?;
         let primary = serving.primary.and_then(|primary| self.member(&primary));
         if let Some(primary) = &primary
-            && !self.lock().follows(primary, serving.epoch, platform::now())
+            && !self.lock().accepts(primary, serving.epoch, platform::now())
         {
-            return Err(Missing::Outdated);
+            return Err(NoAnswer::Outdated);
         }
         let members: Result<Vec<_>, _> = serving.members.iter().map(|n| NodeName::new(n)).collect();
         if let Ok(members) = members {
             self.lock().members = members;
         }
         match (primary.filter(|primary| Some(primary) != besides), serving.disputed) {
-            (Some(primary), _) => Ok(Found { primary, keeps: serving.keeps }),
-            (None, Some(difference)) => Err(Missing::Disputed(difference)),
-            (None, None) => Err(Missing::Nobody),
+            (Some(primary), _) => Ok(FoundPrimary { primary, keeps: serving.keeps }),
+            (None, Some(difference)) => Err(NoAnswer::ConfigMismatch(difference)),
+            (None, None) => Err(NoAnswer::NoPrimary),
         }
     }
 
-    /// Completes when somebody says of itself that it serves. What others say of it may be past:
-    /// they notice later than itself that it has stopped, or died.
+    /// Completes when a node answers that it is primary itself. The other nodes' answers may be
+    /// outdated: they notice the end of a primary later.
     pub(super) async fn served(&self) {
-        let patience = async {
+        let warnings = async {
             loop {
-                tokio::time::sleep(STRANGE).await;
-                warn!(service = %self.name, "others wait for this service, and nobody serves it");
+                tokio::time::sleep(WARN_INTERVAL).await;
+                warn!(service = %self.name, "this node waits for a service that has no primary");
             }
         };
         let found = async {
             let mut besides = None;
             loop {
                 let primary = match self.find(besides.take().as_ref()).await {
-                    Ok(Found { primary, .. }) => primary,
+                    Ok(FoundPrimary { primary, .. }) => primary,
                     Err(missing) => {
                         tokio::time::sleep(missing.pause()).await;
                         continue;
@@ -228,12 +235,12 @@ impl Finder {
                         Err(_) => std::future::pending().await,
                     }
                 };
-                let told = tokio::select! {
+                let answers = tokio::select! {
                     own = own => own,
                     found = other => Ok(found),
                 };
-                match told {
-                    Ok(told) if told.primary == primary => return,
+                match answers {
+                    Ok(answers) if answers.primary == primary => return,
                     Ok(_) => besides = Some(primary),
                     Err(_) => {}
                 }
@@ -241,12 +248,12 @@ impl Finder {
         };
         tokio::select! {
             () = found => {}
-            () = patience => {}
+            () = warnings => {}
         }
     }
 
-    /// The nodes that carry the service, as far as is known: each tells its names when it is met,
-    /// and any of them knows the others.
+    /// Returns the nodes that carry the service, as far as is known: each node sends its names when
+    /// it connects, and each carrier knows the others.
     fn members(&self) -> Vec<NodeName> {
         let mut members = self.roster.members(&self.name);
         let known = self.lock();
@@ -257,7 +264,7 @@ impl Finder {
         members
     }
 
-    /// The node of this name, if it may serve.
+    /// Returns the node of this name, if it may claim the service.
     pub(super) fn member(&self, name: &str) -> Option<NodeName> {
         let node = NodeName::new(name).ok()?;
         self.registry.access().may_claim(&node, &self.name).then_some(node)
@@ -268,36 +275,39 @@ impl Finder {
 mod tests {
     use super::*;
 
-    fn answered(epoch: u64, by: &str) -> Known {
-        Known { answered: Some((epoch, NodeName::new(by).unwrap())), ..Known::default() }
+    fn answered(epoch: u64, by: &str) -> FinderState {
+        FinderState {
+            answered: Some((epoch, NodeName::new(by).unwrap())),
+            ..FinderState::default()
+        }
     }
 
     #[test]
-    fn under_one_epoch_nobody_is_followed_but_who_has_answered() {
+    fn in_one_epoch_only_the_node_that_answered_is_accepted() {
         let (n1, n2) = (NodeName::new("n1").unwrap(), NodeName::new("n2").unwrap());
         let now = Instant::from_millis(1000);
         for (node, epoch, expected) in
             [(&n1, 2, true), (&n2, 2, false), (&n2, 3, true), (&n1, 1, false), (&n1, 3, true)]
         {
-            assert_eq!(answered(2, "n1").follows(node, epoch, now), expected, "{node} {epoch}");
+            assert_eq!(answered(2, "n1").accepts(node, epoch, now), expected, "{node} {epoch}");
         }
-        assert!(Known::default().follows(&n2, 1, now));
+        assert!(FinderState::default().accepts(&n2, 1, now));
     }
 
     #[test]
-    fn what_is_outdated_is_followed_when_nobody_else_was_met_all_the_while() {
+    fn an_outdated_primary_is_accepted_when_no_other_one_was_met_for_the_whole_timeout() {
         let n2 = NodeName::new("n2").unwrap();
         let at = Instant::from_millis;
         let mut known = answered(2, "n1");
-        assert!(!known.follows(&n2, 1, at(1000)));
-        // Long ago: it has not been asked meanwhile.
-        assert!(!known.follows(&n2, 1, at(9000)));
-        assert!(!known.follows(&n2, 1, at(10_900)));
-        // Somebody knows of a follower.
-        assert!(known.follows(&n2, 3, at(10_950)));
-        assert!(!known.follows(&n2, 1, at(11_000)));
-        assert!(!known.follows(&n2, 1, at(12_500)));
-        assert!(known.follows(&n2, 1, at(13_000)));
-        assert_eq!(known.least(&n2), 0);
+        assert!(!known.accepts(&n2, 1, at(1000)));
+        // The last meeting was too long ago.
+        assert!(!known.accepts(&n2, 1, at(9000)));
+        assert!(!known.accepts(&n2, 1, at(10_900)));
+        // Another node knows of a later primary.
+        assert!(known.accepts(&n2, 3, at(10_950)));
+        assert!(!known.accepts(&n2, 1, at(11_000)));
+        assert!(!known.accepts(&n2, 1, at(12_500)));
+        assert!(known.accepts(&n2, 1, at(13_000)));
+        assert_eq!(known.least_epoch(&n2), 0);
     }
 }

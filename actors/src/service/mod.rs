@@ -7,22 +7,23 @@
 //!                      standbys' replicas ─ confirm ─► the reply goes out
 //! ```
 //!
-//! Each node that carries a service has a replica (the machine's body, on the network's arbiter)
-//! under the service's name, and the component under `<name>/replica`.
+//! Each node that carries a service has a replica under the service's name, and the component under
+//! `<name>/replica`. The replica is an actor on the network's arbiter, which drives the state
+//! machine in the core.
 
-mod accord;
+mod agreement;
 mod caller;
 mod context;
 mod finder;
 mod peers;
 mod replica;
 mod roster;
-mod words;
+mod types;
 
 pub use blastema_core::service::{OnPartition, Role, ServiceState, StandbyKind};
 
 pub use caller::ServiceRef;
-pub(crate) use replica::{Carried, ReplicaBody};
+pub(crate) use replica::{Carried, ReplicaActor};
 pub(crate) use roster::Roster;
 pub use roster::ServiceRow;
 
@@ -39,21 +40,21 @@ use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Duration;
-use words::{LoadState, RoleChanged, SaveState};
+use types::{LoadState, RoleChanged, SaveState};
 
-/// A component that can be carried over to another node. Needs the feature `network`.
+/// A component whose state can be carried over to another node. Needs the feature `network`.
 pub trait Stateful: Component {
-    /// Its state, from which [`load`](Stateful::load) makes the same again.
+    /// Returns its state, from which [`load`](Stateful::load) restores the component.
     fn save(&self) -> Vec<u8>;
 
-    /// Takes over a state that another replica has saved.
+    /// Replaces the state by one that another replica has saved.
     ///
     /// # Errors
-    /// A failure ends this component's work, like that of a hook.
+    /// A failure fails the component, like that of a hook.
     fn load(&mut self, state: &[u8]) -> Result<(), Failure>;
 
-    /// It serves from now on, under an epoch, or stands by. A component that acts by itself, and
-    /// not only when it is asked, does so only while it serves.
+    /// Reports that the component serves from now on, in this epoch, or stands by. A component that
+    /// acts by itself, and not only on request, does so only while it serves.
     fn role_changed(&mut self, epoch: Option<u64>, cx: &mut Context<Self>) {
         let _ = (epoch, cx);
     }
@@ -110,7 +111,7 @@ pub struct ServiceSpec<C: Stateful> {
     factory: Arc<dyn Fn() -> C + Send + Sync>,
     kind: StandbyKind,
     on_partition: OnPartition,
-    hello_interval: Duration,
+    heartbeat_interval: Duration,
     depends_on: Vec<String>,
 }
 
@@ -121,9 +122,9 @@ impl<C: Stateful> fmt::Debug for ServiceSpec<C> {
 }
 
 impl<C: Stateful> ServiceSpec<C> {
-    /// A service on these nodes, 256 at most, of which those that stand first have their turn
-    /// first. Its standbys are warm; where less than a majority of the nodes see each other, there
-    /// is no service.
+    /// Describes a service on these nodes, 256 at most. The earlier a node stands in the list, the
+    /// earlier it stands for election. Standbys are warm. Without a majority of the nodes there is
+    /// no primary.
     pub fn new<'a>(
         name: &str,
         members: impl IntoIterator<Item = &'a str>,
@@ -135,44 +136,44 @@ impl<C: Stateful> ServiceSpec<C> {
             factory: Arc::new(factory),
             kind: StandbyKind::default(),
             on_partition: OnPartition::default(),
-            hello_interval: Duration::from_millis(50),
+            heartbeat_interval: Duration::from_millis(50),
             depends_on: Vec::new(),
         }
     }
 
-    /// What standbys do.
+    /// Sets what standbys do.
     pub fn standby(mut self, kind: StandbyKind) -> Self {
         self.kind = kind;
         self
     }
 
-    /// What happens without a majority.
+    /// Sets what happens without a majority.
     pub fn on_partition(mut self, on_partition: OnPartition) -> Self {
         self.on_partition = on_partition;
         self
     }
 
-    /// How often the primary says hello; 50 ms unless this says otherwise, and from 1 ms to one
-    /// hour: any other is refused at start. A standby takes over 3.3 of them after the last one; a
-    /// process that gets no time for so long loses the service.
-    pub fn hello_every(mut self, interval: Duration) -> Self {
-        self.hello_interval = interval;
+    /// Sets how often the primary sends a heartbeat: 50 ms by default. Outside 1 ms to one hour it
+    /// is refused at start. A standby takes over 3.3 intervals after the last heartbeat. A primary
+    /// whose process stands still for so long loses the service.
+    pub fn heartbeat_every(mut self, interval: Duration) -> Self {
+        self.heartbeat_interval = interval;
         self
     }
 
-    /// Services that this one cannot do without, whichever nodes carry them: a node begins to
-    /// serve, or takes over, only while each of them is served.
+    /// Adds services that this one depends on, whichever nodes carry them. A node is elected
+    /// primary only while each of them has a primary.
     pub fn depends_on<'a>(mut self, services: impl IntoIterator<Item = &'a str>) -> Self {
         self.depends_on.extend(services.into_iter().map(str::to_owned));
         self
     }
 
-    /// What the node `own` needs to carry it, and the component.
+    /// Returns the component's child spec, and what the node `own` needs to carry the service.
     pub(crate) fn carried(self, own: &str) -> (ChildSpec<C>, Result<Carried, ServiceSpecError>) {
         let component = format!("{}/replica", self.name);
         let initial = first_state(&*self.factory);
         let (kind, on_partition) = (self.kind, self.on_partition);
-        let (hello_interval, name) = (self.hello_interval, self.name);
+        let (heartbeat_interval, name) = (self.heartbeat_interval, self.name);
         let (members, depends_on) = (self.members, self.depends_on);
         let parsed = || {
             let of = |what: &str| {
@@ -193,7 +194,7 @@ impl<C: Stateful> ServiceSpec<C> {
                 kind,
                 on_partition,
                 depends: !depends_on.is_empty(),
-                hello_interval,
+                heartbeat_interval,
             };
             let object = |text: &str| ObjectName::new(text).map_err(of("the name of"));
             let name = object(&name)?;
@@ -202,7 +203,7 @@ impl<C: Stateful> ServiceSpec<C> {
             Ok(Carried {
                 name,
                 component: object(&component)?,
-                body: object(&format!("{component}/body"))?,
+                actor: object(&format!("{component}/body"))?,
                 config,
                 initial,
                 depends_on: parse(depends_on).map_err(of("what is depended on by"))?,
@@ -215,7 +216,7 @@ impl<C: Stateful> ServiceSpec<C> {
     }
 }
 
-/// Why a service cannot be described as it is.
+/// Why a node cannot carry a service.
 #[derive(Clone, Debug)]
 pub(crate) enum ServiceSpecError {
     /// A name does not parse.
@@ -224,8 +225,8 @@ pub(crate) enum ServiceSpecError {
     Refused { name: ObjectName, reason: String },
 }
 
-/// With which state a component begins: it is built once more to see that, before there is a node
-/// to catch it.
+/// Returns the first state of the component. The component is built once more for that, before
+/// there is a node that would catch a panic.
 fn first_state<C: Stateful>(factory: &dyn Fn() -> C) -> Result<Bytes, String> {
     panics::install_hook();
     let _guarded = panics::PanicGuard::enter();
@@ -238,7 +239,7 @@ fn first_state<C: Stateful>(factory: &dyn Fn() -> C) -> Result<Bytes, String> {
     })
 }
 
-/// The contracts by which a replica drives its component.
+/// Returns the ports by which a replica drives its component.
 pub(crate) fn stateful_ports<C: Stateful>() -> Vec<PortConstructor<C>> {
     vec![
         ContractPort::open::<C, SaveState>,
@@ -247,8 +248,8 @@ pub(crate) fn stateful_ports<C: Stateful>() -> Vec<PortConstructor<C>> {
     ]
 }
 
-/// The component was stopped, isolated or removed, and not only restarted.
-fn takes_nothing(why: &DeliveryError) -> bool {
+/// Returns whether the component is stopped, isolated or removed, and not only restarting.
+fn is_inactive(why: &DeliveryError) -> bool {
     use DeliveryError::{Isolated, NotServed, Stopped, Unknown};
     matches!(why, Stopped | Isolated { .. } | Unknown { .. } | NotServed { .. })
 }

@@ -1,10 +1,10 @@
-//! What replicas say to each other, and which node says it.
+//! Messages between replicas, with their verified senders.
 //!
-//! A message names its sender, but anybody may write any name: one that votes, or was told other
-//! terms, in the name of another node could make a service resign, or elect somebody. So what
-//! counts is the node that the session says it comes from, and the message's own word has to agree.
+//! A message names its sender, but any node may write any name. A vote or a configuration in the
+//! name of another node could end or elect a primary. The sender that counts is the node of the
+//! session; a message that names another one is refused.
 
-use super::words::{CompareTerms, ReplicaSays};
+use super::types::{CompareConfiguration, ReplicaMessage};
 use crate::messaging::reply::Responder;
 use crate::registry::ContractPort;
 use crate::registry::access::MessageOrigin;
@@ -14,45 +14,45 @@ use blastema_core::net::NodeId;
 use blastema_core::{Contract, NodeName};
 use std::sync::Arc;
 
-/// A message that names the node that it comes from.
-pub(super) trait Signed: Contract {
-    /// That name.
-    fn from(&self) -> &str;
+/// A message that contains the name of its sender.
+pub(super) trait NamesSender: Contract {
+    /// Returns the name.
+    fn sender_name(&self) -> &str;
 }
 
-impl Signed for ReplicaSays {
-    fn from(&self) -> &str {
+impl NamesSender for ReplicaMessage {
+    fn sender_name(&self) -> &str {
         &self.from
     }
 }
 
-impl Signed for CompareTerms {
-    fn from(&self) -> &str {
+impl NamesSender for CompareConfiguration {
+    fn sender_name(&self) -> &str {
         &self.from
     }
 }
 
-/// Another replica says something.
+/// A message of another replica.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(super) struct Spoken<M: Contract> {
-    /// The node that it comes from; `None` if it says that it were another.
-    pub(super) by: Option<NodeName>,
+pub(super) struct FromReplica<M: Contract> {
+    /// The node of the session; `None` if the message names another one.
+    pub(super) sender: Option<NodeName>,
     pub(super) message: M,
     pub(super) answer: Responder<M>,
 }
 
-/// Where other replicas speak.
-pub(super) fn port<M: Signed>(body: Recipient<Spoken<M>>) -> ContractPort {
-    ContractPort::of_service_fn(receiver(body))
+/// Returns the port for messages of other replicas.
+pub(super) fn port<M: NamesSender>(actor: Recipient<FromReplica<M>>) -> ContractPort {
+    ContractPort::of_service_fn(receiver(actor))
 }
 
-fn receiver<M: Signed>(body: Recipient<Spoken<M>>) -> ServiceFn<M> {
+fn receiver<M: NamesSender>(actor: Recipient<FromReplica<M>>) -> ServiceFn<M> {
     ServiceFn(Arc::new(move |message: M, MessageOrigin { peer }, answer| {
-        let by = NodeName::new(message.from()).ok();
-        // A replica on this node says nothing to itself.
-        let by = by.filter(|name| peer == Some(NodeId::of(name)));
-        body.do_send(Spoken { by, message, answer });
+        let sender = NodeName::new(message.sender_name()).ok();
+        // A replica sends no messages to itself.
+        let sender = sender.filter(|name| peer == Some(NodeId::of(name)));
+        actor.do_send(FromReplica { sender, message, answer });
     }))
 }
 
@@ -64,10 +64,10 @@ mod tests {
     use blastema_doubles::{Probe, paused};
 
     #[test]
-    fn a_replica_is_heard_in_no_name_but_its_own() {
+    fn a_message_that_names_another_sender_is_refused() {
         paused(async {
-            let heard = Probe::<Spoken<ReplicaSays>>::start();
-            let gate = receiver(heard.recipient());
+            let probe = Probe::<FromReplica<ReplicaMessage>>::start();
+            let skeleton = receiver(probe.recipient());
             let node = |name: &str| NodeName::new(name).unwrap();
             let cases = [
                 ("n2", Some("n2"), Some(node("n2"))),
@@ -75,19 +75,20 @@ mod tests {
                 ("n2", None, None),
                 ("not a name!", Some("n2"), None),
             ];
-            for (says, peer, by) in cases {
+            for (says, peer, sender) in cases {
                 let mut bytes = Vec::new();
-                let says = ReplicaSays { from: says.to_owned(), message: Vec::new() };
+                let says = ReplicaMessage { from: says.to_owned(), message: Vec::new() };
                 codec::encode(&says, &mut bytes).unwrap();
                 let from = peer.map(|name| NodeId::of(&node(name)));
-                gate.deliver(
-                    &bytes.into(),
-                    MessageMetadata { from, ..MessageMetadata::default() },
-                    None,
-                )
-                .unwrap();
+                skeleton
+                    .deliver(
+                        &bytes.into(),
+                        MessageMetadata { from, ..MessageMetadata::default() },
+                        None,
+                    )
+                    .unwrap();
 
-                assert_eq!(heard.expect().await.by, by, "{says:?} by {peer:?}");
+                assert_eq!(probe.expect().await.sender, sender, "{says:?} by {peer:?}");
             }
         });
     }

@@ -1,11 +1,11 @@
-//! One replica of a service: the body of the machine in the core.
+//! The actor of one replica, which drives the state machine in the core.
 
 use super::finder::Finder;
-use super::peers::{self, Spoken};
+use super::peers::{self, FromReplica};
 use super::roster::Roster;
-use super::words::{
-    Answered, AskService, CompareTerms, LoadState, ReplicaSays, RoleChanged, SaveState, Serving,
-    Task, WhoServes,
+use super::types::{
+    Answered, AskService, CompareConfiguration, LoadState, ReplicaMessage, RoleChanged, SaveState,
+    Serving, Task, WhoServes,
 };
 use crate::component::environment::ComponentEnvironment;
 use crate::messaging::death_watch::{Down, DownReason, Watcher};
@@ -36,39 +36,39 @@ use std::sync::Arc;
 use std::time::Duration;
 use tracing::{info, warn};
 
-/// How soon a component that could not take a state over is given it again.
-const LOAD_AGAIN: Duration = Duration::from_millis(5);
-/// How often a component that was stopped or isolated is asked whether it takes something again.
-/// Shorter makes its node a candidate sooner; each question is one small message within the node.
-const LOOK_AGAIN: Duration = Duration::from_millis(100);
-/// The most bytes of one task: the caller's limit, which is checked there as well.
+/// The delay before a state is loaded again that a restarting component did not receive.
+const LOAD_RETRY: Duration = Duration::from_millis(5);
+/// How often a stopped or isolated component is asked whether it accepts jobs again. A shorter
+/// interval makes its node a candidate sooner; each question is one small message within the node.
+const COMPONENT_POLL: Duration = Duration::from_millis(100);
+/// The most bytes of one task. Callers check the same limit.
 const TASK_MAX: usize = 2 * 1024 * 1024;
 
-/// Questions that may wait for somebody to serve: a few of each of many callers. Further ones are
+/// The most questions that may wait for a primary: a few of each of many callers. Further ones are
 /// answered with what is known.
-const WONDERING_MAX: usize = 1024;
+const QUESTIONS_MAX: usize = 1024;
 
-/// A service as a node carries it.
+/// A service that this node carries.
 #[derive(Clone)]
 pub(crate) struct Carried {
     pub(crate) name: ObjectName,
-    /// The component's name.
+    /// The name of the component.
     pub(crate) component: ObjectName,
-    /// The replica's own.
-    pub(crate) body: ObjectName,
+    /// The name of the replica's actor.
+    pub(crate) actor: ObjectName,
     pub(crate) config: ReplicaConfig,
     pub(crate) initial: Bytes,
-    /// Services without which it does not take over.
+    /// The services that this one depends on.
     pub(crate) depends_on: Vec<ObjectName>,
 }
 
-/// Nobody mourns a service: its component has lives of its own.
-struct Undying;
+/// A service cannot be watched: its component has incarnations of its own.
+struct NeverWatched;
 
-impl crate::messaging::death_watch::Watchable for Undying {}
+impl crate::messaging::death_watch::Watchable for NeverWatched {}
 
-/// The body.
-pub(crate) struct ReplicaBody {
+/// The actor.
+pub(crate) struct ReplicaActor {
     pub(super) carried: Carried,
     pub(super) machine: Replica,
     wake: WakeTimer,
@@ -76,17 +76,17 @@ pub(crate) struct ReplicaBody {
     pub(super) roster: Roster,
     pub(super) reports: FaultReports,
     callers: SortedMap<u64, Responder<AskService>>,
-    /// Who wants to know who serves, while nobody does.
-    wondering: VecDeque<Wondered>,
+    /// The questions that wait for a primary.
+    questions: VecDeque<PrimaryQuestion>,
     inquiry: Option<SpawnHandle>,
-    next: u64,
-    /// It is going to be asked whether it takes something again.
-    looking: bool,
-    others: SortedMap<NodeName, Sender<ReplicaSays>>,
+    next_caller: u64,
+    /// The component is to be asked whether it accepts jobs again.
+    polls_component: bool,
+    others: SortedMap<NodeName, Sender<ReplicaMessage>>,
 }
 
-impl ReplicaBody {
-    /// Starts the replica, and gives the service its name here.
+impl ReplicaActor {
+    /// Starts the replica, and registers the service's name on this node.
     pub(crate) fn start(
         carried: Carried,
         environment: &ComponentEnvironment,
@@ -99,7 +99,7 @@ impl ReplicaBody {
         let reports = environment.reports.clone();
         let make = move |_: &mut Context<Self>| {
             let (config, initial) = (kept.config.clone(), kept.initial.clone());
-            ReplicaBody {
+            ReplicaActor {
                 machine: Replica::new(config, initial, platform::now()),
                 carried: kept,
                 wake: WakeTimer::default(),
@@ -107,69 +107,69 @@ impl ReplicaBody {
                 roster: known,
                 reports,
                 callers: SortedMap::new(),
-                wondering: VecDeque::new(),
+                questions: VecDeque::new(),
                 inquiry: None,
-                next: 0,
-                looking: false,
+                next_caller: 0,
+                polls_component: false,
                 others: SortedMap::new(),
             }
         };
-        let body = guardian.start(carried.body.clone(), arbiter, make);
+        let actor = guardian.start(carried.actor.clone(), arbiter, make);
         let mut ports = SortedMap::new();
-        let asked = body.clone().recipient::<Asked>();
+        let ask_recipient = actor.clone().recipient::<AskReceived>();
         let serve = ServiceFn::<AskService>(Arc::new(move |ask, _, answer| {
-            asked.do_send(Asked(ask, answer));
+            ask_recipient.do_send(AskReceived(ask, answer));
         }));
-        let wondered = body.clone().recipient::<Wondered>();
+        let question_recipient = actor.clone().recipient::<PrimaryQuestion>();
         let who = ServiceFn::<WhoServes>(Arc::new(move |question, _, answer| {
-            wondered.do_send(Wondered(question, answer));
+            question_recipient.do_send(PrimaryQuestion(question, answer));
         }));
-        ports.insert(ReplicaSays::NAME, peers::port::<ReplicaSays>(body.clone().recipient()));
+        let replicas = peers::port::<ReplicaMessage>(actor.clone().recipient());
+        ports.insert(ReplicaMessage::NAME, replicas);
         ports.insert(AskService::NAME, ContractPort::of_service_fn(serve));
         ports.insert(WhoServes::NAME, ContractPort::of_service_fn(who));
-        ports.insert(CompareTerms::NAME, peers::port::<CompareTerms>(body.clone().recipient()));
-        registry.register(&carried.name, ports, Arc::new(Undying))?;
-        let told = body.clone().recipient::<Died>();
-        let tell = move |down: Down| {
+        let configurations = peers::port::<CompareConfiguration>(actor.clone().recipient());
+        ports.insert(CompareConfiguration::NAME, configurations);
+        registry.register(&carried.name, ports, Arc::new(NeverWatched))?;
+        let death_recipient = actor.clone().recipient::<ComponentDied>();
+        let report = move |down: Down| {
             if !matches!(down.ending, DownReason::NotAlive | DownReason::Unknown) {
-                told.do_send(Died);
+                death_recipient.do_send(ComponentDied);
             }
         };
-        let life = Arc::new(IncarnationToken::default());
-        let mourner = Watcher {
+        let incarnation = Arc::new(IncarnationToken::default());
+        let watcher = Watcher {
             who: carried.name.clone(),
-            incarnation: life,
+            incarnation,
             outlasts_object: true,
-            tell: Box::new(tell),
+            tell: Box::new(report),
         };
-        registry.watch(carried.component.clone(), mourner);
-        Ok(body.recipient())
+        registry.watch(carried.component.clone(), watcher);
+        Ok(actor.recipient())
     }
 
-    /// Hands something to the component; the answer comes back to this body.
+    /// Sends a message to the component; the reply comes back to this actor.
     fn hand_over(
         &self,
-        (contract, message): (&str, Vec<u8>),
-        then: impl FnOnce(Result<Bytes, DeliveryError>) -> Done + Send + 'static,
+        contract: &str,
+        message: Vec<u8>,
+        then: impl FnOnce(Result<Bytes, DeliveryError>) -> ComponentReply + Send + 'static,
         context: &mut Context<Self>,
     ) {
-        let body = context.address();
+        let actor = context.address();
         let reply_to: ReplyTo =
-            Box::new(move |result| body.do_send(then(result.map(GatherBuffer::into_bytes))));
+            Box::new(move |result| actor.do_send(then(result.map(GatherBuffer::into_bytes))));
         match self.registry.skeleton(&self.carried.component, contract) {
-            // What came of it is told to the closure in every case.
-            Ok((_, doorway)) => {
+            // The reply closure is called in every case.
+            Ok((_, skeleton)) => {
                 let _ =
-                    doorway.deliver(&message.into(), MessageMetadata::default(), Some(reply_to));
+                    skeleton.deliver(&message.into(), MessageMetadata::default(), Some(reply_to));
             }
             Err(why) => reply_to(Err(why)),
         }
     }
 
     fn execute(&mut self, request: &[u8], save: bool, context: &mut Context<Self>) {
-        let refused = |why: DeliveryError, context: &mut Context<Self>| {
-            context.address().do_send(Done::Executed { result: Err(why), save: false });
-        };
         let undecodable =
             |error: codec::DecodeError| DeliveryError::Undecodable { reason: error.to_string() };
         let read = codec::decode_bounded::<Task, TASK_MAX>(request).map_err(undecodable);
@@ -185,10 +185,13 @@ impl ReplicaBody {
         });
         match read {
             Ok((contract, payload)) => {
-                let then = move |result| Done::Executed { result, save };
-                self.hand_over((&contract, payload), then, context);
+                let then = move |result| ComponentReply::Executed { result, save };
+                self.hand_over(&contract, payload, then, context);
             }
-            Err(why) => refused(why, context),
+            Err(why) => {
+                let refused = ComponentReply::Executed { result: Err(why), save: false };
+                context.address().do_send(refused);
+            }
         }
     }
 
@@ -205,13 +208,13 @@ impl ReplicaBody {
                     .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
             });
             match loaded {
-                Ok(true) => Done::Loaded,
-                Ok(false) => Done::NotLoaded,
-                Err(why) if super::takes_nothing(&why) => Done::Gone,
-                Err(_) => Done::LoadAgain { state },
+                Ok(true) => ComponentReply::Loaded,
+                Ok(false) => ComponentReply::NotLoaded,
+                Err(why) if super::is_inactive(&why) => ComponentReply::Inactive,
+                Err(_) => ComponentReply::LoadFailed { state },
             }
         };
-        self.hand_over((LoadState::NAME, bytes), then, context);
+        self.hand_over(LoadState::NAME, bytes, then, context);
     }
 
     fn save(&mut self, after: Option<Result<Bytes, DeliveryError>>, context: &mut Context<Self>) {
@@ -225,40 +228,40 @@ impl ReplicaBody {
                     .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
             });
             match after {
-                Some(result) => Done::Both { result, state },
-                None => Done::Saved { state },
+                Some(result) => ComponentReply::ExecutedAndSaved { result, state },
+                None => ComponentReply::Saved { state },
             }
         };
-        self.hand_over((SaveState::NAME, bytes), then, context);
+        self.hand_over(SaveState::NAME, bytes, then, context);
     }
 
-    fn tell(&mut self, to: &NodeName, message: Bytes) {
+    fn send(&mut self, to: &NodeName, message: Bytes) {
         if message.len() > MESSAGE_MAX {
             let detail = "a reply is too large to be kept for the standbys: let it be smaller";
             return self.declare(FaultKind::CheckFailed, detail);
         }
         if !self.others.contains_key(to) {
             let name = format!("{to}:{}", self.carried.name);
-            let Ok(sender) = self.registry.sender::<ReplicaSays>(&name) else { return };
+            let Ok(sender) = self.registry.sender::<ReplicaMessage>(&name) else { return };
             self.others.insert(to.clone(), sender);
         }
         if let Some(other) = self.others.get(to) {
             let from = self.carried.config.own.to_string();
-            // One that cannot be reached now will be told again.
-            let told = other.tell(ReplicaSays { from, message: message.into() });
-            let kept_out =
-                told.is_err_and(|refused| matches!(refused.kind, DeliveryError::Isolated { .. }));
-            self.machine.handle_sent(to, kept_out);
+            // The machine repeats what an unreachable node misses.
+            let sent = other.tell(ReplicaMessage { from, message: message.into() });
+            let isolated =
+                sent.is_err_and(|refused| matches!(refused.kind, DeliveryError::Isolated { .. }));
+            self.machine.handle_sent(to, isolated);
         }
     }
 
-    /// A fault of the service.
+    /// Declares a fault of the service.
     fn declare(&self, kind: FaultKind, detail: &str) {
         let name = &self.carried.name;
         warn!(service = %name, "{detail}");
         if let Some(faults) = &self.reports.faults {
             let (object, incarnation) =
-                (self.carried.body.clone(), crate::runtime::guardian::alive().incarnation);
+                (self.carried.actor.clone(), crate::runtime::guardian::alive().incarnation);
             let detail = format!("service {name}: {detail}");
             faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold: None });
         }
@@ -272,31 +275,31 @@ impl ReplicaBody {
                 Some(*epoch)
             }
             Role::Standby { primary, in_step } => {
-                let primary = primary.as_ref().map_or("nobody", NodeName::as_str);
+                let primary = primary.as_ref().map_or("none", NodeName::as_str);
                 info!(service = %name, primary, in_step, "this node stands by");
                 None
             }
         };
         let before = self.roster.role(name);
         self.roster.note(name, role.clone());
-        self.tell_all_who_serves();
+        self.answer_questions();
         if matches!(before, Some(Role::Primary { .. })) || epoch.is_some() {
-            self.tell_role(context);
+            self.send_role(context);
         }
     }
 
-    fn tell_all_who_serves(&mut self) {
-        for question in std::mem::take(&mut self.wondering) {
-            self.tell_who_serves(question);
+    fn answer_questions(&mut self) {
+        for question in std::mem::take(&mut self.questions) {
+            self.answer_question(question);
         }
     }
 
-    /// Shows people what is known of the service now.
+    /// Updates the view of the service, for display.
     pub(super) fn show(&self) {
         self.roster.show(&self.carried.name, self.machine.view(), platform::now());
     }
 
-    /// Under which epoch it serves, as was told last, or somebody does.
+    /// Returns the epoch in which this node serves, or the greatest one that it knows.
     fn epoch(&self) -> u64 {
         match self.roster.role(&self.carried.name) {
             Some(Role::Primary { epoch }) => epoch,
@@ -304,27 +307,28 @@ impl ReplicaBody {
         }
     }
 
-    /// Answers at once where somebody serves, or nobody may, else as soon as anybody does.
-    fn tell_who_serves(&mut self, Wondered(question, answer): Wondered) {
+    /// Answers a question for the primary: at once if there is one, or if there can be none;
+    /// otherwise as soon as one is known.
+    fn answer_question(&mut self, PrimaryQuestion(question, answer): PrimaryQuestion) {
         let config = &self.carried.config;
         let primary = self.roster.primary(&self.carried.name, &config.own);
         let primary = primary.map(|node| node.to_string());
-        let disputed = self.machine.dispute().map(str::to_owned);
+        let disputed = self.machine.mismatch().map(str::to_owned);
         let known = disputed.is_some() || primary.is_some() && primary != question.besides;
-        if !known && self.wondering.len() >= WONDERING_MAX {
-            // Those whose deadline has passed.
-            self.wondering.retain(|Wondered(_, answer)| answer.is_wanted());
+        if !known && self.questions.len() >= QUESTIONS_MAX {
+            // Drop those whose deadlines have passed.
+            self.questions.retain(|PrimaryQuestion(_, answer)| answer.is_wanted());
         }
-        if !known && self.wondering.len() < WONDERING_MAX {
-            return self.wondering.push_back(Wondered(question, answer));
+        if !known && self.questions.len() < QUESTIONS_MAX {
+            return self.questions.push_back(PrimaryQuestion(question, answer));
         }
         let keeps = config.kind != StandbyKind::Cold;
         let members = config.members.iter().map(NodeName::to_string).collect();
         answer.give(Serving { primary, epoch: self.epoch(), keeps, members, disputed });
     }
 
-    /// The component is to know whether it serves.
-    fn tell_role(&self, context: &mut Context<Self>) {
+    /// Sends the role to the component.
+    fn send_role(&self, context: &mut Context<Self>) {
         let epoch = match self.roster.role(&self.carried.name) {
             Some(Role::Primary { epoch }) => Some(epoch),
             _ => None,
@@ -332,20 +336,24 @@ impl ReplicaBody {
         let mut bytes = Vec::new();
         // A number always fits.
         let _ = codec::encode(&RoleChanged { epoch }, &mut bytes);
-        self.hand_over((RoleChanged::NAME, bytes), |told| Done::Told(told.map(drop)), context);
+        let then = |received: Result<Bytes, DeliveryError>| {
+            ComponentReply::RoleReceived(received.map(drop))
+        };
+        self.hand_over(RoleChanged::NAME, bytes, then, context);
     }
 
-    /// Asks in a while whether the component takes something again.
-    fn look_again(&mut self, context: &mut Context<Self>) {
-        if !std::mem::replace(&mut self.looking, true) {
-            context.run_later(LOOK_AGAIN, |body, context| {
-                body.looking = false;
-                body.tell_role(context);
+    /// Schedules a question whether the component accepts jobs again.
+    fn poll_component(&mut self, context: &mut Context<Self>) {
+        if !std::mem::replace(&mut self.polls_component, true) {
+            context.run_later(COMPONENT_POLL, |actor, context| {
+                actor.polls_component = false;
+                actor.send_role(context);
             });
         }
     }
 
-    /// Waits for the others that this service needs; there is one inquiry at a time.
+    /// Waits until the services that this one depends on have primaries. A new check replaces the
+    /// one before.
     fn inquire(&mut self, context: &mut Context<Self>) {
         if let Some(before) = self.inquiry.take() {
             context.cancel_future(before);
@@ -356,16 +364,17 @@ impl ReplicaBody {
         let served = async move {
             futures_util::future::join_all(finders.iter().map(Finder::served)).await;
         };
-        let told = |(), body: &mut Self, context: &mut Context<Self>| {
-            body.inquiry = None;
-            body.machine.handle_ready(platform::now());
-            body.drive(context);
+        let on_served = |(), actor: &mut Self, context: &mut Context<Self>| {
+            actor.inquiry = None;
+            actor.machine.handle_ready(platform::now());
+            actor.drive(context);
         };
-        self.inquiry = Some(context.spawn(actix::fut::wrap_future::<_, Self>(served).map(told)));
+        self.inquiry =
+            Some(context.spawn(actix::fut::wrap_future::<_, Self>(served).map(on_served)));
     }
 }
 
-impl MachineActor for ReplicaBody {
+impl MachineActor for ReplicaActor {
     type Machine = Replica;
 
     fn driven(&mut self) -> (&mut Replica, &mut WakeTimer) {
@@ -375,30 +384,30 @@ impl MachineActor for ReplicaBody {
     fn carry_out(&mut self, output: ReplicaOutput, context: &mut Context<Self>) {
         let shows = matches!(
             output,
-            ReplicaOutput::Became(_)
+            ReplicaOutput::RoleChanged(_)
                 | ReplicaOutput::Fault { .. }
-                | ReplicaOutput::Mended { .. }
-                | ReplicaOutput::Disputed { .. }
-                | ReplicaOutput::Agreed
+                | ReplicaOutput::FaultCleared { .. }
+                | ReplicaOutput::ConfigMismatch { .. }
+                | ReplicaOutput::MismatchCleared
         );
         if shows {
             self.show();
         }
         match output {
-            ReplicaOutput::Send { to, message } => self.tell(&to, message),
-            ReplicaOutput::Became(role) => self.became(&role, context),
+            ReplicaOutput::Send { to, message } => self.send(&to, message),
+            ReplicaOutput::RoleChanged(role) => self.became(&role, context),
             ReplicaOutput::Execute { request, save } => self.execute(&request, save, context),
             ReplicaOutput::Save => self.save(None, context),
             ReplicaOutput::Load { state } => self.load(state, context),
             ReplicaOutput::Fault { kind, detail } => self.declare(kind, &detail),
-            ReplicaOutput::Mended { kind } => self.mend(kind),
-            ReplicaOutput::Disputed { detail } => {
+            ReplicaOutput::FaultCleared { kind } => self.clear_fault(kind),
+            ReplicaOutput::ConfigMismatch { detail } => {
                 self.declare(FaultKind::ContractMismatch, &detail);
-                self.tell_all_who_serves();
+                self.answer_questions();
             }
-            ReplicaOutput::Agreed => self.mend(FaultKind::ContractMismatch),
+            ReplicaOutput::MismatchCleared => self.clear_fault(FaultKind::ContractMismatch),
             ReplicaOutput::Compare { with } => self.compare(with, context),
-            ReplicaOutput::Inquire => self.inquire(context),
+            ReplicaOutput::CheckDependencies => self.inquire(context),
             ReplicaOutput::Answer { caller, outcome } => {
                 if let Some(answer) = self.callers.remove(&caller) {
                     answer.give(match outcome {
@@ -423,62 +432,62 @@ impl MachineActor for ReplicaBody {
     }
 }
 
-answers_the_monitor!(ReplicaBody);
+answers_the_monitor!(ReplicaActor);
 
-impl Actor for ReplicaBody {
+impl Actor for ReplicaActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
         self.show();
-        self.look_around(context);
+        self.poll_directory(context);
         self.drive(context);
     }
 }
 
-impl Supervised for ReplicaBody {
-    /// It has forgotten what it knew, and comes into step like one whose process began anew.
+impl Supervised for ReplicaActor {
+    /// The replica has lost its state, and comes into step like one whose process restarted.
     fn restarting(&mut self, context: &mut Context<Self>) {
-        self.machine = self.machine.begun_anew(platform::now());
-        // The component lives on, but nobody knows any more what it has done.
+        self.machine = self.machine.restarted(platform::now());
+        // The component still runs, but its state no longer has a position.
         self.machine.handle_component_died(platform::now());
-        self.looking = false;
+        self.polls_component = false;
         self.wake = WakeTimer::default();
         self.callers.clear();
-        self.wondering.clear();
+        self.questions.clear();
         self.inquiry = None;
-        let nobody = Role::Standby { primary: None, in_step: false };
-        self.became(&nobody, context);
+        let standby = Role::Standby { primary: None, in_step: false };
+        self.became(&standby, context);
         self.started(context);
     }
 }
 
-/// Another replica says something.
-impl Handler<Spoken<ReplicaSays>> for ReplicaBody {
+/// A message of another replica.
+impl Handler<FromReplica<ReplicaMessage>> for ReplicaActor {
     type Result = ();
 
-    fn handle(&mut self, spoken: Spoken<ReplicaSays>, context: &mut Context<Self>) {
-        let Spoken { by, message: says, answer } = spoken;
+    fn handle(&mut self, received: FromReplica<ReplicaMessage>, context: &mut Context<Self>) {
+        let FromReplica { sender, message, answer } = received;
         answer.give(());
-        match by {
-            Some(from) => self.machine.handle_message(&from, &says.message, platform::now()),
+        match sender {
+            Some(from) => self.machine.handle_message(&from, &message.message, platform::now()),
             None => self.machine.handle_forged(),
         }
         self.drive(context);
     }
 }
 
-/// Somebody asks for the service.
+/// A caller's request.
 #[derive(Message)]
 #[rtype(result = "()")]
-struct Asked(AskService, Responder<AskService>);
+struct AskReceived(AskService, Responder<AskService>);
 
-impl Handler<Asked> for ReplicaBody {
+impl Handler<AskReceived> for ReplicaActor {
     type Result = ();
 
-    fn handle(&mut self, Asked(ask, answer): Asked, context: &mut Context<Self>) {
+    fn handle(&mut self, AskReceived(ask, answer): AskReceived, context: &mut Context<Self>) {
         let AskService { sender, sequence, settled, since, task } = ask;
         if matches!(self.machine.role(), Role::Primary { epoch } if epoch < since) {
-            // This life has not met those who know better.
+            // This process has not met the nodes that know of the later epoch.
             return answer.give(Answered::Elsewhere { primary: None });
         }
         let mut request = Vec::new();
@@ -486,11 +495,11 @@ impl Handler<Asked> for ReplicaBody {
             let why = encode_kind(&DeliveryError::TooLarge { limit: TASK_MAX });
             return answer.give(Answered::Refused { why });
         }
-        self.next += 1;
+        self.next_caller += 1;
         let until = answer.until();
-        self.callers.insert(self.next, answer);
+        self.callers.insert(self.next_caller, answer);
         let asked = ServiceRequest {
-            caller: self.next,
+            caller: self.next_caller,
             id: MessageId { sender, sequence },
             settled,
             until,
@@ -501,44 +510,44 @@ impl Handler<Asked> for ReplicaBody {
     }
 }
 
-/// Somebody wants to know who serves.
+/// A question for the primary.
 #[derive(Message)]
 #[rtype(result = "()")]
-struct Wondered(WhoServes, Responder<WhoServes>);
+struct PrimaryQuestion(WhoServes, Responder<WhoServes>);
 
-impl Handler<Wondered> for ReplicaBody {
+impl Handler<PrimaryQuestion> for ReplicaActor {
     type Result = ();
 
-    fn handle(&mut self, wondered: Wondered, _: &mut Context<Self>) {
-        self.tell_who_serves(wondered);
+    fn handle(&mut self, question: PrimaryQuestion, _: &mut Context<Self>) {
+        self.answer_question(question);
     }
 }
 
-/// A life of the component has ended.
+/// The component has ended.
 #[derive(Message)]
 #[rtype(result = "()")]
-struct Died;
+struct ComponentDied;
 
-impl Handler<Died> for ReplicaBody {
+impl Handler<ComponentDied> for ReplicaActor {
     type Result = ();
 
-    fn handle(&mut self, _: Died, context: &mut Context<Self>) {
+    fn handle(&mut self, _: ComponentDied, context: &mut Context<Self>) {
         self.machine.handle_component_died(platform::now());
-        // Its next life knows nothing.
-        self.tell_role(context);
+        // The restarted component does not know its role.
+        self.send_role(context);
         self.drive(context);
     }
 }
 
-/// The component has done something.
+/// The component's reply to the replica.
 #[derive(Message)]
 #[rtype(result = "()")]
-enum Done {
+enum ComponentReply {
     Executed {
         result: Result<Bytes, DeliveryError>,
         save: bool,
     },
-    Both {
+    ExecutedAndSaved {
         result: Result<Bytes, DeliveryError>,
         state: Result<Bytes, DeliveryError>,
     },
@@ -546,53 +555,53 @@ enum Done {
         state: Result<Bytes, DeliveryError>,
     },
     Loaded,
-    /// It could not, and has said so.
+    /// The component failed to load the state.
     NotLoaded,
-    /// It takes nothing, and has not loaded the state either.
-    Gone,
-    LoadAgain {
+    /// The component is stopped or isolated, and has not loaded the state.
+    Inactive,
+    LoadFailed {
         state: Bytes,
     },
-    /// It knows its role, or why not.
-    Told(Result<(), DeliveryError>),
+    /// The component has received its role, or why it has not.
+    RoleReceived(Result<(), DeliveryError>),
 }
 
-impl Handler<Done> for ReplicaBody {
+impl Handler<ComponentReply> for ReplicaActor {
     type Result = ();
 
-    fn handle(&mut self, done: Done, context: &mut Context<Self>) {
+    fn handle(&mut self, done: ComponentReply, context: &mut Context<Self>) {
         let now = platform::now();
         match done {
-            Done::Executed { result: Ok(reply), save: true } => {
+            ComponentReply::Executed { result: Ok(reply), save: true } => {
                 return self.save(Some(Ok(reply)), context);
             }
-            Done::Executed { result, .. } => {
+            ComponentReply::Executed { result, .. } => {
                 if let Err(DeliveryError::Stopped | DeliveryError::Isolated { .. }) = result {
-                    self.look_again(context);
+                    self.poll_component(context);
                 }
                 self.machine.handle_executed(result, None, now);
             }
-            Done::Both { result, state } => {
+            ComponentReply::ExecutedAndSaved { result, state } => {
                 self.machine.handle_executed(result, Some(state), now);
             }
-            Done::Saved { state } => self.machine.handle_saved(state, now),
-            Done::Loaded => self.machine.handle_loaded(),
-            Done::NotLoaded => self.machine.handle_not_loaded(now),
-            Done::Gone => {
+            ComponentReply::Saved { state } => self.machine.handle_saved(state, now),
+            ComponentReply::Loaded => self.machine.handle_loaded(),
+            ComponentReply::NotLoaded => self.machine.handle_not_loaded(now),
+            ComponentReply::Inactive => {
                 self.machine.handle_not_loaded(now);
-                self.machine.handle_component_gone(now);
-                self.look_again(context);
+                self.machine.handle_component_stopped(now);
+                self.poll_component(context);
             }
-            Done::LoadAgain { state } => {
-                context.run_later(LOAD_AGAIN, move |body, context| body.load(state, context));
+            ComponentReply::LoadFailed { state } => {
+                context.run_later(LOAD_RETRY, move |actor, context| actor.load(state, context));
                 return;
             }
-            Done::Told(Ok(())) => self.machine.handle_component_back(now),
-            Done::Told(Err(why)) if super::takes_nothing(&why) => {
-                self.machine.handle_component_gone(now);
-                self.look_again(context);
+            ComponentReply::RoleReceived(Ok(())) => self.machine.handle_component_resumed(now),
+            ComponentReply::RoleReceived(Err(why)) if super::is_inactive(&why) => {
+                self.machine.handle_component_stopped(now);
+                self.poll_component(context);
             }
-            Done::Told(Err(_)) => return,
+            ComponentReply::RoleReceived(Err(_)) => return,
         }
         self.drive(context);
     }

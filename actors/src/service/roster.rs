@@ -1,4 +1,4 @@
-//! Which services this node carries, and who serves them.
+//! The services that this node carries, and their primaries.
 
 use crate::directory::DirectoryTable;
 use crate::platform;
@@ -9,47 +9,47 @@ use blastema_core::{Instant, NodeName, ObjectName};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// What is known of one service.
-struct Entry {
+/// One service of this node.
+struct CarriedEntry {
     members: Vec<NodeName>,
     kind: StandbyKind,
     role: Role,
-    shown: Option<Shown>,
+    shown: Option<ShownView>,
 }
 
-/// What its replica has shown of itself last.
-struct Shown {
+/// The last view of a replica.
+struct ShownView {
     view: ServiceView,
     at: Instant,
-    /// Since when it is in that state.
+    /// Since when it has been in that state.
     since: Instant,
 }
 
-/// A service as a node that carries it sees it, for people.
+/// One service as seen by one node that carries it, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ServiceRow {
-    /// The service.
+    /// The name of the service.
     pub name: ObjectName,
-    /// What this node is to it.
+    /// The state of this node as a member of the service.
     pub state: ServiceState,
-    /// For how long it has been that.
+    /// For how long it has been in that state.
     pub since: Duration,
-    /// What its standbys do.
+    /// What its standbys do until they take over.
     pub kind: StandbyKind,
-    /// The greatest epoch in which somebody served, or was voted for, as far as this node knows; 0
+    /// The greatest epoch that had a primary, or in which this node voted, as far as it knows; 0
     /// for none.
     pub epoch: u64,
-    /// Who serves, where this node knows of anybody.
+    /// The primary, if this node knows of one.
     pub primary: Option<NodeName>,
-    /// All nodes that carry it, as this one was told.
+    /// All nodes that carry it, by this node's configuration.
     pub members: Vec<NodeName>,
-    /// Those of them that are not there with this service, as far as this node sees.
+    /// The members that this node cannot reach.
     pub missing_members: Vec<NodeName>,
-    /// This node serves, and too few others hold the state: the fault *service unreplicated* says
-    /// whom to look after.
+    /// This node serves, and too few others hold the state: the fault *service unreplicated* names
+    /// them and what to do.
     pub unreplicated: bool,
-    /// How long ago the replica has said so: it does when its role or a fault changes, and twice a
+    /// The age of this view. The replica updates it when its role or a fault changes, and twice a
     /// second.
     pub age: Duration,
 }
@@ -57,8 +57,8 @@ pub struct ServiceRow {
 /// The services of a node. Clones share them.
 #[derive(Clone)]
 pub(crate) struct Roster {
-    /// As many as the node carries.
-    services: Arc<Mutex<SortedMap<ObjectName, Entry>>>,
+    /// Bounded by the services that the node carries.
+    services: Arc<Mutex<SortedMap<ObjectName, CarriedEntry>>>,
     directory: DirectoryTable,
 }
 
@@ -67,32 +67,32 @@ impl Roster {
         Roster { services: Arc::default(), directory }
     }
 
-    fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, Entry>> {
+    fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, CarriedEntry>> {
         self.services.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// This node carries a service.
+    /// Adds a service that this node carries.
     pub(crate) fn enter(&self, name: ObjectName, config: &ReplicaConfig) {
         let role = Role::Standby { primary: None, in_step: false };
         let (members, kind) = (config.members.clone(), config.kind);
-        self.lock().insert(name, Entry { members, kind, role, shown: None });
+        self.lock().insert(name, CarriedEntry { members, kind, role, shown: None });
     }
 
-    /// This node's replica shows itself.
+    /// Stores the view of this node's replica.
     pub(crate) fn show(&self, name: &ObjectName, view: ServiceView, at: Instant) {
         if let Some(entry) = self.lock().get_mut(name) {
             let before = entry.shown.as_ref().filter(|shown| shown.view.state == view.state);
             let since = before.map_or(at, |shown| shown.since);
-            entry.shown = Some(Shown { view, at, since });
+            entry.shown = Some(ShownView { view, at, since });
         }
     }
 
-    /// The services of this node, as their replicas have shown themselves.
+    /// Returns the services of this node with their last views.
     pub(crate) fn rows(&self) -> Vec<ServiceRow> {
         let now = platform::now();
         let services = self.lock();
         let rows = services.iter().filter_map(|(name, entry)| {
-            let Shown { view, at, since } = entry.shown.as_ref()?;
+            let ShownView { view, at, since } = entry.shown.as_ref()?;
             Some(ServiceRow {
                 name: name.clone(),
                 state: view.state,
@@ -101,27 +101,27 @@ impl Roster {
                 epoch: view.epoch,
                 primary: view.primary.clone(),
                 members: entry.members.clone(),
-                missing_members: view.unheard.clone(),
-                unreplicated: view.unprotected,
+                missing_members: view.unreachable.clone(),
+                unreplicated: view.unreplicated,
                 age: now - *at,
             })
         });
         rows.collect()
     }
 
-    /// The role of this node's replica has changed.
+    /// Stores the role of this node's replica.
     pub(crate) fn note(&self, name: &ObjectName, role: Role) {
         if let Some(entry) = self.lock().get_mut(name) {
             entry.role = role;
         }
     }
 
-    /// The role of this node's replica, if it has one.
+    /// Returns the role of this node's replica, if it has one.
     pub(crate) fn role(&self, name: &ObjectName) -> Option<Role> {
         self.lock().get(name).map(|entry| entry.role.clone())
     }
 
-    /// Who serves, as far as this node's replica knows.
+    /// Returns the primary, as far as this node's replica knows.
     pub(crate) fn primary(&self, name: &ObjectName, own: &NodeName) -> Option<NodeName> {
         match &self.lock().get(name)?.role {
             Role::Primary { .. } => Some(own.clone()),
@@ -129,8 +129,8 @@ impl Roster {
         }
     }
 
-    /// The nodes that carry the service: as declared here, and as others say. What was declared
-    /// here may be wrong.
+    /// Returns the nodes that carry the service: those of this node's configuration, which may be
+    /// wrong, and those of the directory.
     pub(crate) fn members(&self, name: &ObjectName) -> Vec<NodeName> {
         let mut members =
             self.lock().get(name).map_or_else(Vec::new, |entry| entry.members.clone());
@@ -138,7 +138,7 @@ impl Roster {
         members
     }
 
-    /// The other nodes that have an object of the service's name, whatever was declared.
+    /// Returns the other nodes that have an object of the service's name, by the directory.
     pub(crate) fn carriers(&self, name: &ObjectName) -> Vec<NodeName> {
         self.directory.nodes_with(&DirectoryKey::Object(name.clone()))
     }

@@ -126,7 +126,7 @@ impl TestNode {
         blastema_doubles::advance(span).await;
     }
 
-    /// Lets everybody handle what they were sent, while the clock stands.
+    /// Lets all actors handle the messages that they were sent, while the clock stands.
     pub async fn settle(&self) {
         blastema_doubles::settle().await;
     }

@@ -192,7 +192,7 @@ impl<E: Event> Handle<E> for Actuator<E> {
 }
 
 /// A component of this name that owns the variable, which has this value until it is written. The
-/// test reads and writes it by [`Node::variable`], as everybody does.
+/// test reads and writes it by [`Node::variable`].
 pub fn owner<V: Variable>(name: &str, value: V) -> ChildSpec<Owner> {
     ChildSpec::new(name, || Owner).with_ports(|ports| {
         ports.variable(VariableSpec::new(value));

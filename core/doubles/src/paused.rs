@@ -1,4 +1,4 @@
-//! A clock that stands until everybody waits, and then jumps to the next thing due.
+//! A clock that stands until all tasks wait, and then jumps to the next instant that is due.
 
 use blastema_core::Instant;
 use std::cell::Cell;

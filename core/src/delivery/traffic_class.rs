@@ -36,7 +36,7 @@ const CONTROL: [&str; 5] = [
     "blastema/actor-message",
     "blastema/await-end",
     "blastema/command",
-    "blastema/service-terms",
+    "blastema/service-configuration",
     "blastema/who-serves",
 ];
 

@@ -1,20 +1,20 @@
-//! What has changed of a state, for standbys that have what it was before.
+//! The change from one state to the next, for standbys that have the earlier one.
 
 use crate::hash;
 use serde::{Deserialize, Serialize};
 
-/// From one state to the next.
+/// The change from one state to the next.
 ///
-/// Where only a part in the middle is another, that part travels: a counter in a long table,
-/// something appended, something cut out. It needs nothing of the component but that it saves the
-/// same as the same.
+/// If only a part in the middle differs, that part is sent: a counter in a long table, an appended
+/// item, a removed one. The component only has to save equal states as equal bytes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Change {
-    /// It is as it was; the sum is that of the state.
-    Same { sum: u64 },
-    /// So many bytes at the front and at the back stay, with this in between.
-    Middle { front: u32, back: u32, between: Vec<u8>, sum: u64 },
-    /// All of it is new.
+    /// The states are equal; the checksum is that of the state.
+    Same { checksum: u64 },
+    /// The bytes at the front and at the back stay, with other bytes between them. The checksum is
+    /// that of the later state.
+    Middle { front: u32, back: u32, between: Vec<u8>, checksum: u64 },
+    /// The whole state.
     Whole(Vec<u8>),
 }
 
@@ -22,43 +22,43 @@ impl Change {
     pub(super) fn between(before: Option<&[u8]>, after: &[u8]) -> Self {
         let Some(before) = before else { return Change::Whole(after.to_vec()) };
         if before == after {
-            return Change::Same { sum: sum(after) };
+            return Change::Same { checksum: checksum(after) };
         }
         let same = |(a, b): &(&u8, &u8)| a == b;
         let front = before.iter().zip(after).take_while(same).count();
-        // What stays at the front does not stay at the back as well.
+        // A byte that stays at the front is not counted at the back again.
         let shorter = before.len().min(after.len()) - front;
         let ends = before.iter().rev().zip(after.iter().rev());
         let back = ends.take(shorter).take_while(same).count();
         match (u32::try_from(front), u32::try_from(back)) {
             (Ok(front32), Ok(back32)) if front + back > 0 => {
                 let between = after[front..after.len() - back].to_vec();
-                Change::Middle { front: front32, back: back32, between, sum: sum(after) }
+                Change::Middle { front: front32, back: back32, between, checksum: checksum(after) }
             }
             _ => Change::Whole(after.to_vec()),
         }
     }
 
-    /// The state afterwards; `None` where this is no change of that state.
+    /// Returns the later state, or `None` if this is not a change of the earlier one.
     pub(super) fn apply(self, before: Option<&[u8]>) -> Option<Vec<u8>> {
         match self {
             Change::Whole(after) => Some(after),
-            Change::Same { sum: expected } => {
-                before.filter(|before| sum(before) == expected).map(<[u8]>::to_vec)
+            Change::Same { checksum: expected } => {
+                before.filter(|before| checksum(before) == expected).map(<[u8]>::to_vec)
             }
-            Change::Middle { front, back, between, sum: expected } => {
+            Change::Middle { front, back, between, checksum: expected } => {
                 let (front, back) = (usize::try_from(front).ok()?, usize::try_from(back).ok()?);
                 let before = before?;
                 let kept = before.len().checked_sub(back).filter(|end| front <= *end)?;
                 let after = [&before[..front], &between, &before[kept..]].concat();
-                (sum(&after) == expected).then_some(after)
+                (checksum(&after) == expected).then_some(after)
             }
         }
     }
 }
 
-/// Against a standby whose state, or terms, are not what they are taken for.
-pub(super) fn sum(state: &[u8]) -> u64 {
+/// Returns a checksum, by which a replica detects a state or configuration that it did not expect.
+pub(super) fn checksum(state: &[u8]) -> u64 {
     hash::of(state.iter().copied())
 }
 

@@ -1,73 +1,135 @@
-//! What the replicas of a service say to each other.
+//! The messages between the replicas of a service.
 
 use super::change::Change;
 use super::table::Table;
 use crate::{DeliveryError, MessageId};
 use serde::{Deserialize, Serialize};
 
-/// How far a replica has come: under which epoch its last entry was made, and the how manieth it
-/// was.
+/// A replica's position in the log: the epoch and the index of its last entry.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub(super) struct Position {
     pub(super) epoch: u64,
     pub(super) number: u64,
 }
 
-/// One request that was executed, and its reply.
+/// One executed request and its reply.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Served {
     pub(super) id: MessageId,
     pub(super) result: Result<Vec<u8>, DeliveryError>,
 }
 
-/// What a standby needs of a request that was executed.
+/// The part of an executed request that a standby needs to follow the primary.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) enum After {
-    /// A warm one: what has changed of the state.
+pub(super) enum EntryPayload {
+    /// For a warm standby: the change of the state.
     State(Change),
-    /// A hot one: the request.
+    /// For a hot standby: the request.
     Request(Vec<u8>),
-    /// It has failed: what kills one of them need not kill the others.
+    /// The request has failed. The standby does not execute it: a request that ended the component
+    /// of the primary must not end the component of a standby.
     Failed,
 }
 
-/// What a standby has.
+/// How much of the primary's log a standby has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) enum Standing {
-    /// All that the primary has told.
+pub(super) enum StandbyStatus {
+    /// All entries.
     InStep,
-    /// It was sent everything, and gets what comes after; its component has yet to take it over.
-    Coming,
-    /// Less: it needs everything.
+    /// All entries, and its component has yet to load the state.
+    Loading,
+    /// Not all entries: it needs a snapshot.
     Behind,
-    /// Nothing, and it can take nothing: its component rests.
-    Unable,
+    /// None, and it cannot load a snapshot: its component is stopped or isolated.
+    Inactive,
 }
 
-/// What one replica tells another.
+/// A message from one replica to another.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Message {
-    /// From the primary: it acts under this epoch, has come so far, and has answered so far.
-    /// And it reckons with these other terms.
-    Hello { epoch: u64, number: u64, position: Position, answered: Position, heard: Vec<u64> },
-    /// The standby votes for nobody else for a lease, has come so far, and knows callers to be
-    /// answered so far.
-    Promise { epoch: u64, number: u64, position: Position, answered: Position, standing: Standing },
-    /// The sender acts under no such epoch: this one holds.
-    Outdated { epoch: u64 },
-    /// The sender has voted in this epoch already: claim a greater one.
-    Voted { epoch: u64 },
-    /// A standby wants to be primary, and reckons with these other terms.
-    Claim { epoch: u64, position: Position, heard: Vec<u64> },
-    /// Somebody was told these other terms, with which the receiver has to reckon.
-    Rival { terms: Vec<u8> },
-    /// It may; whether the voter has what the claimant has, and how far it knows callers to be
-    /// answered.
-    Vote { epoch: u64, in_step: bool, answered: Position },
-    /// A request was executed; its caller has its answers below this number.
-    Entry { epoch: u64, position: Position, served: Served, settled: u64, after: After },
-    /// Everything, for a standby that is not in step.
-    Snapshot { epoch: u64, position: Position, state: Vec<u8>, table: Table },
-    /// The primary of this epoch serves no more: promises made to it are over.
-    Resigned { epoch: u64 },
+    Heartbeat(ReplicaHeartbeat),
+    LeasePromise(LeasePromise),
+    /// The epoch of the receiver's heartbeat is outdated: this is the current one.
+    Outdated {
+        epoch: u64,
+    },
+    /// The sender has already voted in this epoch: the receiver needs a greater one.
+    Voted {
+        epoch: u64,
+    },
+    VoteRequest(VoteRequest),
+    /// A configuration that a node has, and that the receiver must take into account.
+    OtherConfiguration(Vec<u8>),
+    Vote(Vote),
+    Entry(LogEntry),
+    Snapshot(Snapshot),
+    /// The primary of this epoch has resigned: lease promises to it are void.
+    Resigned {
+        epoch: u64,
+    },
+}
+
+/// The primary's periodic sign of life, which asks for a [`LeasePromise`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct ReplicaHeartbeat {
+    pub(super) epoch: u64,
+    /// The number of the heartbeat, from 1 in each epoch.
+    pub(super) number: u64,
+    pub(super) position: Position,
+    /// The last position whose reply the primary has sent.
+    pub(super) answered: Position,
+    /// The fingerprints of the other configurations that the primary takes into account.
+    pub(super) known_configurations: Vec<u64>,
+}
+
+/// A standby's promise to vote for no other replica for one lease.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct LeasePromise {
+    pub(super) epoch: u64,
+    /// The number of the heartbeat that it answers; 0 reports the position only, and promises
+    /// nothing.
+    pub(super) number: u64,
+    pub(super) position: Position,
+    /// The last position whose reply was sent, as far as the standby knows.
+    pub(super) answered: Position,
+    pub(super) status: StandbyStatus,
+}
+
+/// A candidate's request for a vote in a new epoch.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct VoteRequest {
+    pub(super) epoch: u64,
+    pub(super) position: Position,
+    /// The fingerprints of the other configurations that the candidate takes into account.
+    pub(super) known_configurations: Vec<u64>,
+}
+
+/// A vote for a candidate.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Vote {
+    pub(super) epoch: u64,
+    /// The voter has the entries that the candidate has.
+    pub(super) in_step: bool,
+    /// The last position whose reply was sent, as far as the voter knows.
+    pub(super) answered: Position,
+}
+
+/// One executed request, for standbys in step.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct LogEntry {
+    pub(super) epoch: u64,
+    pub(super) position: Position,
+    pub(super) served: Served,
+    /// The caller has received the replies to its requests below this number.
+    pub(super) settled: u64,
+    pub(super) payload: EntryPayload,
+}
+
+/// The state and the table of replies, for a standby that is behind.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Snapshot {
+    pub(super) epoch: u64,
+    pub(super) position: Position,
+    pub(super) state: Vec<u8>,
+    pub(super) table: Table,
 }

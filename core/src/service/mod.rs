@@ -3,57 +3,57 @@
 //! ```text
 //!            majority votes                lease over, or a greater epoch
 //!  Standby ─────────────────► Primary ──────────────────────────────────► Standby
-//!     │ promise over             │ hello, entry, snapshot
-//!     └─ claims an epoch         └─► standbys: promise, store or execute, confirm
+//!     │ promise over             │ heartbeat, entry, snapshot
+//!     └─ vote request            └─► standbys: promise, store or execute, confirm
 //! ```
 //!
-//! It is an election with leases, and a log of which only the end matters. The primary says hello;
-//! a standby that hears it promises to vote for nobody else for a lease and a margin for the
-//! clocks' drift. The primary acts for as long as a majority's promises last by its own clock,
-//! counted from when it *asked*, without the margin: it stops before anybody may follow. Each
-//! primary has an epoch of its own, and what an older one says is refused.
+//! The replicas elect a primary, which holds a lease (Gray and Cheriton 1989), and keep a log of
+//! which only the end matters. The primary sends heartbeats. A standby that receives one promises
+//! to vote for no other replica for a lease, and for a margin for the drift of clocks. The primary
+//! acts while a majority's promises last by its own clock, counted from when it sent the heartbeat,
+//! without the margin. It therefore stops before another replica may be elected. Each primary has
+//! its own epoch, and messages of earlier epochs are refused.
 //!
-//! A request is executed by the primary, and its reply held back until every standby that is in
-//! step has the request's identity, its reply, and the state (warm) or the request (hot), and a
-//! majority has them. A request that comes again is answered from that table. The election is won
-//! only by who has the newest entry of a majority: what was answered once stays done.
+//! The primary executes a request and holds the reply back. Every standby in step, and a majority,
+//! must first have the request's identity, its reply, and the state (warm) or the request (hot). A
+//! request that is sent again is answered from that table. Only a candidate with the newest entry
+//! of a majority is elected, so that an answered request is kept.
 //!
-//! With hot standbys, a component that begins a new life has no state, whatever its replica knows.
-//! Such a member resigns, votes for nobody who has come less far than it knows of, and does not
-//! stand for election before it was sent the state, or has waited for twenty leases in vain. So
-//! does one whose component takes nothing any more, whatever the standbys do.
+//! With hot standbys, a component that restarts has no state. Such a member resigns, and votes only
+//! for candidates that have at least the position that it knows of. It does not stand for election
+//! until it has received the state, or has waited for it for twenty leases. A member whose
+//! component is stopped or isolated behaves the same, with any kind of standbys.
 //!
-//! All of this holds among those who were told the same: the same nodes, kind, rule and hello. Who
-//! finds that another one was told otherwise serves only where too few are left to elect somebody
-//! by those other terms.
+//! All of this holds among nodes with equal configurations: the same nodes, kind, rule and
+//! heartbeat interval. A replica that knows of another configuration serves only while too few
+//! nodes with that one are left to elect a primary.
 //!
-//! The replicas keep their table in memory. A process that begins anew has forgotten it: that is
-//! one failure. What the machine promises, it promises for fewer than half of the nodes failing at
-//! a time.
+//! The replicas keep their table in memory. A process that restarts has lost it, which counts as
+//! one failure. The guarantees hold while fewer than half of the nodes fail at a time.
 
 mod change;
+mod configuration;
 mod message;
 mod replica;
 mod table;
-mod terms;
+mod types;
 mod view;
-mod vocabulary;
 
 pub use replica::{MESSAGE_MAX, QUEUE_MAX, Replica, STATE_MAX};
 pub use table::TABLE_MAX;
+pub use types::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
 pub use view::{ServiceState, ServiceView};
-pub use vocabulary::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
 
 use crate::NodeName;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::time::Duration;
 
-/// What standbys do while they stand by.
+/// What standbys do until they take over.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StandbyKind {
-    /// Nothing: whoever takes over begins with the state that it was built with. The outcome of
-    /// requests in flight is unknown.
+    /// They do nothing. The next primary starts with the state that its component was built with.
+    /// The outcome of requests in flight is unknown.
     Cold,
     /// They keep the primary's state and table, and load the state when they take over.
     #[default]
@@ -72,53 +72,55 @@ impl fmt::Display for StandbyKind {
     }
 }
 
-/// What happens where less than a majority of the declared nodes see each other.
+/// What happens in a part of the network with less than a majority of the declared nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum OnPartition {
-    /// There is no service there.
+    /// No node of that part serves.
     #[default]
     Stop,
-    /// There is one in every part: for what does no harm twice. When the parts meet again, what the
-    /// primary of the lower epoch did is forgotten.
+    /// One node of each part serves, for services that do no harm twice. When the parts meet again,
+    /// the effects of the primary with the lower epoch are lost.
     Continue,
 }
 
-/// The most nodes that carry one service: as many as one network has. Each hello is one message to
-/// each.
+/// The most nodes that carry one service: as many as one network has. Each heartbeat is one message
+/// to each of them.
 pub const MEMBERS_MAX: usize = 256;
-/// The shortest interval of hellos: shorter, timers and turns of a computer are longer than what
-/// they tell.
-pub const HELLO_MIN: Duration = Duration::from_millis(1);
-/// And the longest: whoever waits three of them for a service does not want standbys.
-pub const HELLO_MAX: Duration = Duration::from_secs(60 * 60);
+/// The shortest interval of heartbeats: a shorter one is less than the delay of timers and of the
+/// scheduler.
+pub const HEARTBEAT_MIN: Duration = Duration::from_millis(1);
+/// The longest interval of heartbeats: three of them are the time until a standby takes over.
+pub const HEARTBEAT_MAX: Duration = Duration::from_secs(60 * 60);
 
 /// A replica's settings.
 #[derive(Clone, Debug)]
 pub struct ReplicaConfig {
-    /// Which of the members we are.
+    /// The node of this replica, which is one of the members.
     pub own: NodeName,
-    /// All nodes that carry the service, at most [`MEMBERS_MAX`]; the one that should begin first.
+    /// All nodes that carry the service, at most [`MEMBERS_MAX`]. The earlier a node stands in the
+    /// list, the earlier it stands for election.
     pub members: Vec<NodeName>,
     /// What standbys do.
     pub kind: StandbyKind,
-    /// What to do without a majority.
+    /// What happens without a majority.
     pub on_partition: OnPartition,
-    /// Other services have to be there before this one takes over: [`ReplicaOutput::Inquire`].
+    /// The service depends on others, which need primaries before this replica stands for election:
+    /// [`ReplicaOutput::CheckDependencies`].
     pub depends: bool,
-    /// How often the primary says hello, from [`HELLO_MIN`] to [`HELLO_MAX`]. Shorter finds its
-    /// death sooner and costs more.
-    pub hello_interval: Duration,
+    /// How often the primary sends a heartbeat, from [`HEARTBEAT_MIN`] to [`HEARTBEAT_MAX`]. A
+    /// shorter interval detects its failure sooner and costs more messages.
+    pub heartbeat_interval: Duration,
 }
 
 impl ReplicaConfig {
-    /// How long a primary may act after a majority was last heard of: three hellos, of which two
-    /// may be lost.
+    /// Returns how long a primary may act after a majority's last promises: three heartbeats, of
+    /// which two may be lost.
     pub fn lease(&self) -> Duration {
-        self.hello_interval * 3
+        self.heartbeat_interval * 3
     }
 
-    /// What clocks may drift apart in one lease, and timers be late: a tenth, far above what quartz
-    /// does, so that a busy computer has some room too.
+    /// Returns the margin for the drift of clocks in one lease, and for late timers: a tenth, far
+    /// above the drift of quartz, so that a busy computer has some slack too.
     pub fn margin(&self) -> Duration {
         self.lease() / 10
     }

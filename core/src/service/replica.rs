@@ -1,131 +1,142 @@
 //! One replica of a service.
 
-mod accord;
+mod agreement;
 mod component;
-mod exposure;
+mod other_configurations;
 mod outage;
 mod primary;
-mod rivals;
 mod standby;
 #[cfg(test)]
 mod tests;
+mod under_replication;
 mod view;
 
 use super::change::Change;
-use super::message::{After, Message, Position, Served, Standing};
+use super::message::{
+    EntryPayload, LeasePromise, LogEntry, Message, Position, ReplicaHeartbeat, Served, Snapshot,
+    StandbyStatus, Vote, VoteRequest,
+};
 use super::table::Table;
-use super::vocabulary::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
+use super::types::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
 use super::{OnPartition, ReplicaConfig, StandbyKind};
 use crate::contract::codec;
 use crate::sorted::SortedMap;
 use crate::{DeliveryError, FaultKind, Instant, Machine, MessageId, NodeName};
-use accord::Accord;
+use agreement::ConfigAgreement;
 use bytes::Bytes;
 use component::Health;
 use outage::Outage;
-use primary::{Follower, Primary, Step};
+use primary::{CatchUp, Follower, Primary};
 use standby::Standby;
 use std::collections::VecDeque;
 
-/// Requests that may wait for one service. Beyond, callers are told to slow down.
+/// The most requests that may wait in one replica. Further ones are refused as full.
 pub const QUEUE_MAX: usize = 256;
-/// The most bytes of a component's state. Larger ones cannot be kept for the standbys.
+/// The most bytes of a component's state. A larger one is not kept for the standbys.
 pub const STATE_MAX: usize = 3 * 1024 * 1024;
-/// The most bytes of one message between replicas: a state, and the table.
+/// The most bytes of one message between replicas: a state and the table of replies.
 pub const MESSAGE_MAX: usize = 4 * 1024 * 1024;
 
-/// What the component is to do, one after the other.
+/// One job of the component. It has one at a time.
 #[derive(Clone, Debug)]
 enum Job {
-    /// Serve a request, for the first time.
+    /// Serve a request as primary.
     Serve { id: MessageId, settled: u64, until: Option<Instant>, request: Bytes },
-    /// Serve it again as the primary did.
+    /// Execute a request that the primary has served.
     Replay { request: Bytes },
-    /// Take over this state.
+    /// Load a state.
     Load { state: Bytes },
-    /// Give the state, for standbys that are not in step.
+    /// Save the state, for standbys that are behind.
     Save,
 }
 
-/// The machine of one service on one of its nodes.
+/// The sender of a message.
+#[derive(Clone, Copy, Debug)]
+struct ReplicaOrigin<'a> {
+    node: &'a NodeName,
+    /// The fingerprint of its configuration, if that differs in the list of members.
+    other_configuration: Option<u64>,
+}
+
+/// The state machine of one service on one of its nodes.
 #[derive(Debug)]
 pub struct Replica {
     config: ReplicaConfig,
     /// The state that the component was built with.
     initial: Bytes,
-    /// The greatest epoch in which somebody served, or in which we voted for another.
+    /// The greatest epoch that had a primary, or in which this replica voted for another one.
     epoch: u64,
-    /// The greatest epoch that we claimed: our vote in it is our own.
-    claimed: u64,
+    /// The greatest epoch in which this replica stood for election, or which it must not use.
+    used_epoch: u64,
     position: Position,
-    /// It was learned from another list, whose epochs and numbers may be those of our own, of
-    /// something else.
+    /// The position is that of a primary with another list, whose epochs and numbers are not
+    /// comparable with those of this one's.
     learned: bool,
-    /// How far callers are known to have been answered, by whoever served.
+    /// The last position whose reply was sent by any primary, as far as this replica knows.
     answered: Position,
-    /// When somebody was last heard to serve.
-    heard_at: Instant,
-    /// The newest state, where standbys are warm.
+    /// When this replica last knew of a primary.
+    primary_seen_at: Instant,
+    /// The newest state, if standbys are warm.
     state: Option<Bytes>,
     table: Table,
-    /// That the state cannot be kept for the standbys was told.
+    /// The fault that the state cannot be kept for the standbys is declared.
     state_refused: bool,
-    role: Acting,
-    /// As what it was last told of.
-    told: Role,
+    role: RoleState,
+    /// The role as it was reported last.
+    reported_role: Role,
     jobs: VecDeque<Job>,
-    /// As of the last input that told it.
+    /// The time of the last input that had one.
     now: Instant,
-    /// The component is busy with this.
-    working: Option<Job>,
-    /// Since it was given that, it began a new life: what comes of it is of no account.
-    void: bool,
+    /// The job that the component does now.
+    current_job: Option<Job>,
+    /// The component has restarted since it was given that job: the result does not count.
+    discard_result: bool,
     health: Health,
-    accord: Accord,
+    agreement: ConfigAgreement,
     outage: Outage,
-    /// What was said to be wrong here, and stands.
+    /// The declared faults with their details.
     faults: SortedMap<FaultKind, String>,
     refused: u64,
     outputs: VecDeque<ReplicaOutput>,
 }
 
 #[derive(Debug)]
-enum Acting {
+enum RoleState {
     Primary(Primary),
     Standby(Standby),
 }
 
 impl Replica {
-    /// A replica that stands by. It votes for nobody for a lease: it may have promised so in a life
-    /// that it does not remember. `initial` is the state of the component as it was built.
+    /// Returns a replica that stands by. For one lease it does not vote: it may have promised its
+    /// vote before it restarted. `initial` is the state that the component was built with.
     pub fn new(config: ReplicaConfig, initial: Bytes, now: Instant) -> Self {
-        let standby = Standby::beginning(&config, now);
+        let standby = Standby::starting(&config, now);
         let mut replica = Replica {
-            accord: Accord::new(&config),
+            agreement: ConfigAgreement::new(&config),
             config,
             initial,
             epoch: 0,
-            claimed: 0,
+            used_epoch: 0,
             position: Position::default(),
             learned: false,
             answered: Position::default(),
-            heard_at: now,
+            primary_seen_at: now,
             state: None,
             table: Table::default(),
             state_refused: false,
-            role: Acting::Standby(standby),
-            told: Role::Standby { primary: None, in_step: false },
+            role: RoleState::Standby(standby),
+            reported_role: Role::Standby { primary: None, in_step: false },
             jobs: VecDeque::new(),
             now,
-            working: None,
-            void: false,
-            health: Health::Whole,
-            outage: Outage::beginning(now),
+            current_job: None,
+            discard_result: false,
+            health: Health::Complete,
+            outage: Outage::starting(now),
             faults: SortedMap::new(),
             refused: 0,
             outputs: VecDeque::new(),
         };
-        // Cold standbys are given no state.
+        // Cold standbys keep no state.
         if replica.config.kind != StandbyKind::Cold
             && let Err(why) = within_bounds(Ok(replica.initial.clone()))
         {
@@ -134,62 +145,65 @@ impl Replica {
         replica
     }
 
-    /// What this replica is now.
+    /// Returns the role of this replica.
     pub fn role(&self) -> Role {
         match &self.role {
-            Acting::Primary(primary) => Role::Primary { epoch: primary.epoch },
-            Acting::Standby(standby) => {
+            RoleState::Primary(primary) => Role::Primary { epoch: primary.epoch },
+            RoleState::Standby(standby) => {
                 let kept = standby.role(self.epoch, self.config.kind);
                 match (kept, self.health) {
-                    (Role::Standby { primary, .. }, Health::Bare { .. } | Health::Gone { .. }) => {
-                        Role::Standby { primary, in_step: false }
-                    }
+                    (
+                        Role::Standby { primary, .. },
+                        Health::Stateless { .. } | Health::Inactive { .. },
+                    ) => Role::Standby { primary, in_step: false },
                     (role, _) => role,
                 }
             }
         }
     }
 
-    /// Messages that were not understood, not believed, or not kept for want of room.
+    /// Returns how many messages were refused: undecodable, of a node that may not send them, or
+    /// beyond the capacity.
     pub fn refused(&self) -> u64 {
         self.refused
     }
 
-    /// A message came from another node than it says.
+    /// Counts a message that names another sender than the node that it came from.
     pub fn handle_forged(&mut self) {
         self.refused += 1;
     }
 
-    /// The services that this one depends on are served: it may take over, if it still wants to.
+    /// The services that this one depends on have primaries: this replica may stand for election,
+    /// if it still has to.
     pub fn handle_ready(&mut self, now: Instant) {
-        let Acting::Standby(standby) = &mut self.role else { return };
-        if standby.inquiring {
-            standby.ready = true;
-            self.claim(now);
+        let RoleState::Standby(standby) = &mut self.role else { return };
+        if standby.checking_dependencies {
+            standby.dependencies_ready = true;
+            self.stand_for_election(now);
         }
     }
 
-    /// Somebody asks for the service.
+    /// Handles a caller's request.
     pub fn handle_request(&mut self, asked: ServiceRequest, now: Instant) {
         let ServiceRequest { caller, id, settled, until, request } = asked;
         self.handle_timeout(now);
-        if let Some(difference) = self.dispute() {
+        if let Some(difference) = self.mismatch() {
             let why = DeliveryError::ContractDiffers { difference: difference.to_owned() };
             return self.answer(caller, ServiceOutcome::Refused(why));
         }
         if self.table.is_settled(id) {
-            // It has wandered about while its caller was answered by another way: nobody waits.
+            // The request was delayed, and its caller has a reply by another path.
             return self.answer(caller, ServiceOutcome::Refused(DeliveryError::Expired));
         }
         let served = self.table.find(id).cloned();
         let primary = match &mut self.role {
-            Acting::Standby(standby) => {
+            RoleState::Standby(standby) => {
                 let elsewhere = ServiceOutcome::Elsewhere(standby.primary.clone());
                 return self.answer(caller, elsewhere);
             }
-            Acting::Primary(primary) => primary,
+            RoleState::Primary(primary) => primary,
         };
-        // The one who asks again is the one who waits.
+        // A caller that asks again waits for the newer request only.
         if let Some(waiting) = primary.waiting.get_mut(&id) {
             let before = std::mem::replace(waiting, caller);
             return self.answer(before, ServiceOutcome::Elsewhere(None));
@@ -205,12 +219,12 @@ impl Replica {
             None => {
                 primary.waiting.insert(id, caller);
                 self.jobs.push_back(Job::Serve { id, settled, until, request });
-                self.work();
+                self.start_next_job();
             }
         }
     }
 
-    /// The component has served what it was to execute.
+    /// Handles the component's result of [`ReplicaOutput::Execute`].
     pub fn handle_executed(
         &mut self,
         result: Result<Bytes, DeliveryError>,
@@ -218,43 +232,43 @@ impl Replica {
         now: Instant,
     ) {
         self.now = now;
-        let void = std::mem::take(&mut self.void);
-        if void && result.is_ok() && !matches!(state, Some(Err(_))) {
-            self.serve_again();
-            return self.work();
+        let discarded = std::mem::take(&mut self.discard_result);
+        if discarded && result.is_ok() && !matches!(state, Some(Err(_))) {
+            self.retry_job();
+            return self.start_next_job();
         }
         let (result, state) = self.kept(result, state);
-        match self.working.take() {
+        match self.current_job.take() {
             Some(Job::Serve { id, settled, request, .. }) => match (&mut self.role, result) {
                 (_, Err(DeliveryError::Stopped | DeliveryError::Isolated { .. })) => {
-                    self.handle_component_gone(now)
+                    self.handle_component_stopped(now)
                 }
-                (Acting::Standby(_), _) if void => {}
-                // It was begun while this replica served: it counts, should it serve again.
-                (Acting::Standby(_), result) => self.note_late(id, result, state),
-                // It did not get that far: the same request may come again.
+                (RoleState::Standby(_), _) if discarded => {}
+                // This replica was primary when the request began. If it is elected again, the result
+                // counts.
+                (RoleState::Standby(_), result) => self.note_late_result(id, result, state),
+                // The component has not begun the request: the caller may send it again.
                 (
-                    Acting::Primary(primary),
+                    RoleState::Primary(primary),
                     Err(why @ (DeliveryError::Restarting | DeliveryError::Full)),
                 ) => {
-                    let caller = primary.waiting.remove(&id);
-                    caller.into_iter().for_each(|caller| {
-                        self.answer(caller, ServiceOutcome::Refused(why.clone()));
-                    });
+                    if let Some(caller) = primary.waiting.remove(&id) {
+                        self.answer(caller, ServiceOutcome::Refused(why));
+                    }
                 }
-                (Acting::Primary(_), result) => {
-                    self.commit_later((id, settled), request, result, state, now);
+                (RoleState::Primary(_), result) => {
+                    self.commit_later(id, settled, request, result, state, now);
                 }
             },
-            Some(Job::Replay { .. }) => self.note_replayed(result, void, now),
+            Some(Job::Replay { .. }) => self.note_replayed(result, discarded, now),
             None => {}
-            Some(other) => self.working = Some(other),
+            Some(other) => self.current_job = Some(other),
         }
-        self.work();
+        self.start_next_job();
     }
 
-    /// What cannot be kept has not been done: the request fails, and the component is given back
-    /// the state that it had before.
+    /// Returns the result, and the state if it can be kept for the standbys. If it cannot, the
+    /// request fails, and the component loads the state that it had before.
     fn kept(
         &mut self,
         result: Result<Bytes, DeliveryError>,
@@ -276,119 +290,116 @@ impl Replica {
     }
 
     fn refuse_state(&mut self, why: &DeliveryError) {
-        // That a component dies is told by others.
+        // The end of a component is a fault by itself.
         let large = matches!(why, DeliveryError::TooLarge { .. });
         if large && !std::mem::replace(&mut self.state_refused, true) {
             let detail = format!(
-                "its state cannot be kept for its standbys, of which none can take over: {why}; let it \
-                 be smaller, or keep large things elsewhere"
+                "its state cannot be kept for its standbys, so none of them can take over: {why}; make it \
+                 smaller, or keep large data elsewhere"
             );
             let kind = FaultKind::CheckFailed;
             self.outputs.push_back(ReplicaOutput::Fault { kind, detail });
         }
     }
 
-    /// The component has given its state, or could not.
+    /// Handles the component's result of [`ReplicaOutput::Save`].
     pub fn handle_saved(&mut self, state: Result<Bytes, DeliveryError>, now: Instant) {
-        match self.working.take() {
+        match self.current_job.take() {
             Some(Job::Save) => {
-                let void = std::mem::take(&mut self.void);
+                let discarded = std::mem::take(&mut self.discard_result);
                 match within_bounds(state) {
-                    Ok(_) if void => {}
+                    Ok(_) if discarded => {}
                     Ok(state) => self.send_snapshots(&state, now),
                     Err(why) => self.refuse_state(&why),
                 }
             }
-            other => self.working = other,
+            other => self.current_job = other,
         }
-        self.work();
+        self.start_next_job();
     }
 
     fn last_state(&self) -> Bytes {
         self.state.clone().unwrap_or_else(|| self.initial.clone())
     }
 
-    /// The component has taken over a state, or could not.
+    /// The component has loaded a state.
     pub fn handle_loaded(&mut self) {
         self.end_load();
         self.confirm_state();
     }
 
     fn end_load(&mut self) {
-        match self.working.take() {
-            Some(Job::Load { .. }) => self.void = false,
-            other => self.working = other,
+        match self.current_job.take() {
+            Some(Job::Load { .. }) => self.discard_result = false,
+            other => self.current_job = other,
         }
-        self.work();
+        self.start_next_job();
     }
 
-    /// Another replica says something.
+    /// Handles a message of another replica.
     pub fn handle_message(&mut self, from: &NodeName, message: &[u8], now: Instant) {
-        let read = self.accord.read(message).filter(|_| *from != self.config.own);
-        let Some((message, signed)) = read else {
+        let read = self.agreement.read(message).filter(|_| *from != self.config.own);
+        let Some((message, fingerprint)) = read else {
             self.refused += 1;
             return;
         };
-        let agrees = self.accord.is_ours(signed);
+        let agrees = self.agreement.is_ours(fingerprint);
         if !agrees {
-            self.doubt(from, now);
+            self.recheck(from, now);
         }
-        let heard = match agrees {
+        let accepted = match agrees {
             true => self.config.members.contains(from),
-            false => self.accord.shares_state(from, signed),
+            false => self.agreement.shares_state(from, fingerprint),
         };
         let message = codec::decode_bounded::<Message, MESSAGE_MAX>(message);
-        match message.ok().filter(|_| heard) {
-            Some(message) if agrees => self.hear(from, message, now),
-            Some(message) => self.hear_of_other_list((from, signed), message, now),
+        match message.ok().filter(|_| accepted) {
+            Some(message) if agrees => self.dispatch(from, message, now),
+            Some(message) => {
+                let from = ReplicaOrigin { node: from, other_configuration: Some(fingerprint) };
+                self.handle_other_list(from, message, now);
+            }
             None => self.refused += 1,
         }
     }
 
-    fn hear(&mut self, from: &NodeName, message: Message, now: Instant) {
+    /// Handles a message of a member with the same configuration.
+    fn dispatch(&mut self, from: &NodeName, message: Message, now: Instant) {
         self.handle_timeout(now);
+        let origin = ReplicaOrigin { node: from, other_configuration: None };
         match message {
-            Message::Hello { epoch, number, position, answered, heard } => {
-                self.hear_hello(from, epoch, (number, position, answered), &heard, now);
-            }
-            Message::Promise { epoch, number, position, answered, standing } => {
-                self.hear_loss(epoch, answered);
-                self.hear_promise((from, false), epoch, number, (position, standing), now);
+            Message::Heartbeat(heartbeat) => self.handle_heartbeat(from, heartbeat, now),
+            Message::LeasePromise(promise) => {
+                self.detect_loss(promise.epoch, promise.answered);
+                self.handle_promise(origin, &promise, now);
             }
             Message::Outdated { epoch } => match &self.role {
-                Acting::Primary(primary) if epoch > primary.epoch => self.step_down(None, now),
-                Acting::Primary(_) => {}
-                Acting::Standby(_) => self.claimed = self.claimed.max(epoch),
+                RoleState::Primary(primary) if epoch > primary.epoch => self.step_down(None, now),
+                RoleState::Primary(_) => {}
+                RoleState::Standby(_) => self.used_epoch = self.used_epoch.max(epoch),
             },
-            // That somebody has claimed in vain deposes nobody.
-            Message::Voted { epoch } => self.claimed = self.claimed.max(epoch),
-            Message::Claim { epoch, position, heard } => {
-                self.hear_claim(from, epoch, position, heard, now);
+            // A failed candidacy of another replica deposes no primary.
+            Message::Voted { epoch } => self.used_epoch = self.used_epoch.max(epoch),
+            Message::VoteRequest(request) => self.handle_vote_request(from, request, now),
+            Message::OtherConfiguration(configuration) => {
+                self.handle_other_configuration(&configuration, now);
             }
-            Message::Rival { terms } => self.hear_rival(&terms, now),
-            Message::Vote { epoch, in_step, answered } => {
-                self.hear_vote(from, epoch, (in_step, answered), now);
-            }
-            Message::Entry { epoch, position, served, settled, after } => {
-                self.hear_entry((from, None), (epoch, position), served, settled, after);
-            }
-            Message::Snapshot { epoch, position, state, table } => {
-                self.hear_snapshot((from, None), (epoch, position), state, table);
-            }
-            Message::Resigned { epoch } => self.hear_resigned(from, epoch, now),
+            Message::Vote(vote) => self.handle_vote(from, vote, now),
+            Message::Entry(entry) => self.handle_entry(origin, entry),
+            Message::Snapshot(snapshot) => self.handle_snapshot(origin, snapshot),
+            Message::Resigned { epoch } => self.handle_resignation(from, epoch, now),
         }
     }
 
-    fn see(&mut self, epoch: u64) {
+    fn note_epoch(&mut self, epoch: u64) {
         self.epoch = self.epoch.max(epoch);
     }
 
     /// Gives the component the next job, if it has none.
-    fn work(&mut self) {
-        if self.working.is_some() {
+    fn start_next_job(&mut self) {
+        if self.current_job.is_some() {
             return;
         }
-        if let Health::Gone { .. } = self.health {
+        if let Health::Inactive { .. } = self.health {
             return self.jobs.clear();
         }
         let Some(job) = self.next_job() else { return };
@@ -403,10 +414,10 @@ impl Replica {
             Job::Load { state } => ReplicaOutput::Load { state: state.clone() },
             Job::Save => ReplicaOutput::Save,
         });
-        self.working = Some(job);
+        self.current_job = Some(job);
     }
 
-    /// What is not to be begun any more is answered, and left out.
+    /// Removes and returns the next job. Requests whose deadline has passed are refused.
     fn next_job(&mut self) -> Option<Job> {
         loop {
             let job = self.jobs.pop_front()?;
@@ -414,7 +425,7 @@ impl Replica {
             if self.now < *until {
                 return Some(job);
             }
-            if let Acting::Primary(primary) = &mut self.role
+            if let RoleState::Primary(primary) = &mut self.role
                 && let Some(caller) = primary.waiting.remove(id)
             {
                 self.answer(caller, ServiceOutcome::Refused(DeliveryError::DeadlinePassed));
@@ -422,18 +433,19 @@ impl Replica {
         }
     }
 
-    /// This replica serves no more.
+    /// Ends the role of primary.
     fn step_down(&mut self, primary: Option<NodeName>, now: Instant) {
-        let standby = Standby::following(&self.config, primary.clone(), now);
-        let Acting::Primary(past) = std::mem::replace(&mut self.role, Acting::Standby(standby))
+        let standby = Standby::new(&self.config, primary.clone(), now);
+        let RoleState::Primary(past) =
+            std::mem::replace(&mut self.role, RoleState::Standby(standby))
         else {
             return;
         };
-        // What it did and nobody has is void; who asks again gets it from whoever follows.
+        // Requests that no standby has are dropped: their callers send them to the next primary.
         self.jobs.retain(|job| !matches!(job, Job::Serve { .. } | Job::Save));
         for caller in past.callers() {
             let outcome = match self.config.kind {
-                // Nobody else knows of it.
+                // No other replica knows of the request.
                 StandbyKind::Cold => {
                     let reason = "the primary stopped while it served".into();
                     ServiceOutcome::Served(Err(DeliveryError::OutcomeUnknown { reason }))
@@ -442,18 +454,18 @@ impl Replica {
             };
             self.answer(caller, outcome);
         }
-        self.end_faults();
-        self.tell_role();
+        self.clear_faults();
+        self.report_role();
     }
 
-    /// Says what this replica has become, where that is something else.
-    fn tell_role(&mut self) {
+    /// Reports the role, if it has changed.
+    fn report_role(&mut self) {
         let role = self.role();
-        if role != self.told {
-            self.told = role.clone();
-            self.outputs.push_back(ReplicaOutput::Became(role));
+        if role != self.reported_role {
+            self.reported_role = role.clone();
+            self.outputs.push_back(ReplicaOutput::RoleChanged(role));
         }
-        self.note_served();
+        self.update_outage();
     }
 
     fn answer(&mut self, caller: u64, outcome: ServiceOutcome) {
@@ -461,21 +473,21 @@ impl Replica {
     }
 
     fn send(&mut self, to: &NodeName, message: &Message) {
-        let message = self.accord.sign(codec::encode_unbounded(message));
+        let message = self.agreement.sign(codec::encode_unbounded(message));
         self.outputs.push_back(ReplicaOutput::Send { to: to.clone(), message });
     }
 
-    fn tell_others(&mut self, message: &Message) {
-        let message = self.accord.sign(codec::encode_unbounded(message));
+    fn send_to_others(&mut self, message: &Message) {
+        let message = self.agreement.sign(codec::encode_unbounded(message));
         let members = self.config.members.iter().filter(|member| **member != self.config.own);
-        for to in members.cloned().chain(self.accord.unlisted()) {
+        for to in members.cloned().chain(self.agreement.unlisted()) {
             self.outputs.push_back(ReplicaOutput::Send { to, message: message.clone() });
         }
     }
 }
 
-/// A state that can be kept. One that did not even fit into the component's reply is too large like
-/// any other: what has made it so is undone.
+/// Returns the state, or an error if it is too large. A state that did not fit into the component's
+/// reply is too large as well.
 fn within_bounds(state: Result<Bytes, DeliveryError>) -> Result<Bytes, DeliveryError> {
     match state {
         Ok(state) if state.len() > STATE_MAX => Err(DeliveryError::TooLarge { limit: STATE_MAX }),
@@ -495,10 +507,10 @@ impl Machine for Replica {
 
     fn poll_timeout(&self) -> Option<Instant> {
         match &self.role {
-            Acting::Primary(primary) => Some(primary.due(&self.config, &self.accord)),
-            Acting::Standby(standby) => {
-                let told = self.outage.due(&self.config);
-                Some(told.map_or(standby.due(), |told| told.min(standby.due())))
+            RoleState::Primary(primary) => Some(primary.due(&self.config, &self.agreement)),
+            RoleState::Standby(standby) => {
+                let outage = self.outage.due(&self.config);
+                Some(outage.map_or(standby.due(), |due| due.min(standby.due())))
             }
         }
     }
@@ -506,17 +518,21 @@ impl Machine for Replica {
     fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
         match &self.role {
-            Acting::Primary(primary) if !primary.holds(&self.config, &self.accord, now) => {
+            RoleState::Primary(primary)
+                if !primary.has_lease(&self.config, &self.agreement, now) =>
+            {
                 self.step_down(None, now);
             }
-            Acting::Primary(primary) if now >= primary.hello_at => {
-                self.say_hello(now);
+            RoleState::Primary(primary) if now >= primary.heartbeat_at => {
+                self.send_heartbeat(now);
                 self.release(now);
             }
-            Acting::Standby(standby) if now >= standby.claim_at => self.claim(now),
-            Acting::Standby(standby) if now >= standby.due() => self.vote_late(now),
-            Acting::Primary(_) | Acting::Standby(_) => {}
+            RoleState::Standby(standby) if now >= standby.election_at => {
+                self.stand_for_election(now)
+            }
+            RoleState::Standby(standby) if now >= standby.due() => self.handle_pending_request(now),
+            RoleState::Primary(_) | RoleState::Standby(_) => {}
         }
-        self.judge_outage(now);
+        self.report_outage(now);
     }
 }

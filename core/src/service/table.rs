@@ -1,29 +1,30 @@
-//! What was served, for requests that come again.
+//! The replies of a service, for requests that are sent again.
 
 use super::message::Served;
 use crate::MessageId;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Replies that are kept for requests that come again: all that callers can have under way, several
-/// times over.
+/// The most replies that are kept: several times as many as callers can have in flight.
 pub const TABLE_MAX: usize = 1024;
-/// The most bytes of them, the newest apart: with the largest state they fit into one message.
+/// The most bytes of the replies, without the newest one. Together with the largest state they fit
+/// into one message.
 const TABLE_BYTES_MAX: usize = 768 * 1024;
-/// Callers that are known by what they have got; those beyond, the longest silent first, are
+/// The most callers whose received replies are known. Beyond, the caller that was silent longest is
 /// forgotten.
 const CALLERS_MAX: usize = 256;
-/// What an entry takes beside its reply, about.
+/// The approximate bytes of an entry beside its reply.
 const ENTRY: usize = 32;
 
-/// The replies of one service.
+/// The table of replies of one service.
 ///
-/// A caller says with each request below which of its numbers it has all its answers: those replies
-/// go, and what comes under such a number is late and not served any more.
+/// Each request carries the number below which its caller has received all replies. The table drops
+/// those replies, and a request below that number is late and is not served again.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Table {
     served: VecDeque<Served>,
-    /// Below which number each caller has its answers; what it said last is last.
+    /// The number below which each caller has received its replies. The caller that sent last is
+    /// last.
     settled: VecDeque<(u64, u64)>,
 }
 
@@ -32,13 +33,13 @@ impl Table {
         self.served.iter().rev().find(|served| served.id == id)
     }
 
-    /// It was answered, and its caller has the answer.
+    /// Returns whether the caller has received the reply to this request.
     pub(super) fn is_settled(&self, id: MessageId) -> bool {
         let settled = self.settled.iter().find(|(sender, _)| *sender == id.sender);
         settled.is_some_and(|(_, below)| id.sequence < *below)
     }
 
-    /// The caller has all its answers below this number.
+    /// The caller has received all replies below this number.
     pub(super) fn settle(&mut self, sender: u64, below: u64) {
         let known = self.settled.iter().position(|(known, _)| *known == sender);
         let before = known.and_then(|at| self.settled.remove(at)).map_or(0, |(_, below)| below);
@@ -67,7 +68,7 @@ impl Table {
         self.served.clear();
     }
 
-    /// A table that another replica has sent, no larger than ours would be.
+    /// Returns a table received from another replica, cut to this replica's bounds.
     pub(super) fn bounded(mut self) -> Self {
         let over = self.served.len().saturating_sub(TABLE_MAX);
         self.served.drain(..over);
@@ -102,7 +103,7 @@ mod tests {
         assert_eq!(table.served.len(), 3);
         let id = |sender, sequence| MessageId { sender, sequence };
         assert!(table.is_settled(id(1, 8)) && !table.is_settled(id(1, 9)));
-        assert!(!table.is_settled(id(2, 1)), "another caller has said nothing");
+        assert!(!table.is_settled(id(2, 1)), "another caller has received none");
         assert!(table.find(id(1, 9)).is_some() && table.find(id(1, 8)).is_none());
     }
 

@@ -1,28 +1,27 @@
-//! What a replica knows of its service, for people.
+//! A replica's view of its service, for display.
 
 use crate::NodeName;
 use std::fmt;
 
-/// What a node is to a service that it carries.
+/// The state of a node as a member of a service that it carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ServiceState {
     /// It serves.
     Primary,
-    /// It has what the primary has, and can take over.
+    /// It has the primary's state, and can take over.
     Standby,
-    /// It knows who serves, and has not, or not yet, what that one has.
+    /// It knows of a primary, and does not have its state, or not yet.
     Behind,
-    /// It knows who serves by another list of nodes, and learns from that one; it has no vote
-    /// there.
+    /// It knows of a primary that another list of nodes has elected, and receives its state; it has
+    /// no vote there.
     Learner,
     /// It knows of no node that serves. It votes, and stands for election when it is its turn.
     Candidate,
-    /// Nodes were told different things of the service, and by what this one was told no node may
-    /// serve.
+    /// Nodes have different configurations of the service, and no node with this one's
+    /// configuration may serve.
     Fenced,
-    /// Its component takes nothing: it was stopped or isolated, or the node is in the safe
-    /// state.
+    /// Its component is stopped or isolated, or the node is in the safe state.
     Resting,
 }
 
@@ -43,14 +42,14 @@ impl fmt::Display for ServiceState {
 /// What a replica knows of its service at one moment.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServiceView {
-    /// What its own node is.
+    /// The state of the replica's own node.
     pub state: ServiceState,
-    /// The greatest epoch in which somebody served, or was voted for; 0 while there was none.
+    /// The greatest epoch that had a primary, or in which the replica voted; 0 if there was none.
     pub epoch: u64,
-    /// Who serves, where that is known.
+    /// The node that serves, if one is known.
     pub primary: Option<NodeName>,
-    /// The members that were not there with this service when it was last looked.
-    pub unheard: Vec<NodeName>,
+    /// The members to which no path led at the last poll of the directory.
+    pub unreachable: Vec<NodeName>,
     /// It serves, and too few others hold its state.
-    pub unprotected: bool,
+    pub unreplicated: bool,
 }

@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 const MEMBERS: [&str; 3] = ["module1", "module2", "module3"];
 /// As often as the goals say: the primary's, and those of links.
 const HELLO: Duration = Duration::from_millis(10);
-/// How often it is looked whether everybody is in step: a fifth of what is waited for.
+/// How often the members are polled until all are in step: a fifth of the heartbeat interval.
 const PACE: Duration = Duration::from_millis(2);
 /// A killed process that is not replaced within this is no matter of load.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -127,7 +127,7 @@ pub(crate) fn child(arguments: &[String]) {
         let node = Node::builder(&format!("module{number}"))
             .network(ethernet(&addresses, usize::from(number)))
             .child(ChildSpec::new("witness", move || Witness(told.clone())))
-            .service(counter.standby(kind).hello_every(HELLO))
+            .service(counter.standby(kind).heartbeat_every(HELLO))
             .start()
             .await
             .expect("the node starts");

@@ -480,7 +480,7 @@ fn beside_the_state_of_a_service(
             let begin = || Atlas { colour: 0, painted: 0 };
             // What replicas say goes in order: a lease has to outlast the state on its way.
             let atlas = ServiceSpec::new("atlas", ["robot", "desk"], begin);
-            atlas.standby(StandbyKind::Warm).hello_every(300 * MS)
+            atlas.standby(StandbyKind::Warm).heartbeat_every(300 * MS)
         };
         let robot = Node::builder("robot")
             .keys(keys.of("robot"))

@@ -68,7 +68,7 @@ pub enum EndpointProblem {
         /// What may have been meant.
         example: String,
     },
-    /// The address is everybody's, so that no socket of our own can have it.
+    /// The address is the broadcast address, so that no socket can be bound to it.
     #[error(
         "`{found}` is the address of all on a network, and no computer's own: write 0.0.0.0 or one of \
          this computer's"
@@ -78,8 +78,7 @@ pub enum EndpointProblem {
         found: String,
     },
     /// The group belongs to the protocols of the network itself, and every computer there is in it
-    /// or may be (RFC 5771, RFC 4291). Those that begin with 239 are for everybody's own use (RFC
-    /// 2365).
+    /// or may be (RFC 5771, RFC 4291). Those that begin with 239 are for private use (RFC 2365).
     #[error(
         "`{found}` is a group of the network's own protocols: write one for your own use, as in \
          239.255.0.1 or ff15::1"

@@ -10,8 +10,8 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 #[cfg(feature = "tcp")]
 use std::time::Duration;
 
-/// Whether it is everybody's on a network. Which addresses are so on one network alone, such as
-/// 10.0.0.255, its interface alone knows.
+/// Whether it is the broadcast address of every network (RFC 919). Only the interface knows the
+/// broadcast address of one network, such as 10.0.0.255.
 pub(super) fn is_broadcast(ip: IpAddr) -> bool {
     ip == IpAddr::V4(Ipv4Addr::BROADCAST)
 }

@@ -9,7 +9,7 @@ use tempfile::NamedTempFile;
 
 /// The mode of a file that holds a secret.
 pub(super) const SECRET: u32 = 0o600;
-/// The mode of a file that everybody may read.
+/// The mode of a file that all users may read.
 pub(super) const PUBLIC: u32 = 0o644;
 /// Refuses to overwrite.
 pub(super) fn check_absent(path: &Path) -> Result<(), String> {

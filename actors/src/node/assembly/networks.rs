@@ -14,7 +14,7 @@ use crate::node::network::Cable;
 use crate::node::network::description::NetworkDescription;
 use crate::node::network_row::NetworkRow;
 use crate::platform::own_arbiter;
-use crate::service::{Carried, ReplicaBody, ServiceSpecError};
+use crate::service::{Carried, ReplicaActor, ServiceSpecError};
 use actix::prelude::*;
 use blastema_contract::monitor::{NodeReported, Register};
 use blastema_contract::notifier::AddPort;
@@ -137,14 +137,15 @@ impl NodeAssembly {
     ) -> Result<(), StartError> {
         let services: Vec<_> = services.into_iter().collect::<Result<_, _>>()?;
         for carried in services {
-            let name = carried.body.clone();
+            let name = carried.actor.clone();
             let roster = self.environment.services();
             roster.enter(carried.name.clone(), &carried.config);
             let place = self.networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
             let place = place.or(self.parts.chain.arbiter.as_ref());
-            let body = ReplicaBody::start(carried, &self.environment, &self.parts.guardian, place);
-            let body = body.map_err(SpecError::from)?;
-            self.enrolments.push(middleware(name, Some(body)));
+            let monitored =
+                ReplicaActor::start(carried, &self.environment, &self.parts.guardian, place);
+            let monitored = monitored.map_err(SpecError::from)?;
+            self.enrolments.push(middleware(name, Some(monitored)));
         }
         Ok(())
     }

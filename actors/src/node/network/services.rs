@@ -4,7 +4,7 @@ use crate::node::Node;
 use crate::node::error::StartError;
 use crate::service::{Carried, Role, ServiceRef, ServiceRow};
 use blastema_core::detection::dependencies::{DependencyError, circle};
-use blastema_core::service::{HELLO_MAX, HELLO_MIN, MEMBERS_MAX};
+use blastema_core::service::{HEARTBEAT_MAX, HEARTBEAT_MIN, MEMBERS_MAX};
 use blastema_core::sorted::SortedSet;
 use blastema_core::{NameError, ObjectName, Request};
 
@@ -48,11 +48,11 @@ pub(in crate::node) fn check_service(carried: &Carried) -> Result<(), StartError
             "{listed} nodes cannot carry it, {MEMBERS_MAX} at most: three or five outlive the \
              failure of one or two"
         )
-    } else if !(HELLO_MIN..=HELLO_MAX).contains(&config.hello_interval) {
+    } else if !(HEARTBEAT_MIN..=HEARTBEAT_MAX).contains(&config.heartbeat_interval) {
         format!(
-            "its primary cannot say hello every {:?}: give .hello_every(..) from {HELLO_MIN:?} to \
-             {HELLO_MAX:?}, such as 50 ms",
-            config.hello_interval
+            "its primary cannot send a heartbeat every {:?}: give .heartbeat_every(..) from \
+             {HEARTBEAT_MIN:?} to {HEARTBEAT_MAX:?}, such as 50 ms",
+            config.heartbeat_interval
         )
     } else {
         return Ok(());

@@ -64,7 +64,7 @@ pub(in crate::net) fn needs(contract: &str) -> BindingNeeds {
         // What nodes say of themselves; names that they claim are judged one by one.
         Some("actor-message") => BindingNeeds::Nothing,
         Some("serve" | "who-serves") => BindingNeeds::Right(Verb::Ask),
-        Some("replica" | "service-terms") => BindingNeeds::Right(Verb::Claim),
+        Some("replica" | "service-configuration") => BindingNeeds::Right(Verb::Claim),
         Some("key-status" | "order-isolation" | "order-component") => BindingNeeds::Operation,
         // What a replica says to the component of its own node.
         Some("save-state" | "load-state" | "role") => BindingNeeds::OwnNode,

@@ -133,7 +133,7 @@ impl Advertisement {
         ID_LENGTH + 8 + 2 + self.node.as_str().len() + 9 * self.edges.len() + signature
     }
 
-    /// Of two of one origin, everybody takes the greater, also of two that differ and have one id
+    /// Of two of one origin, every node takes the greater, also of two that differ and have one id
     /// (RFC 2328, 13.1).
     pub(crate) fn rank(&self) -> impl PartialOrd + use<'_> {
         (self.id, self.incarnation, &self.edges, self.signature)

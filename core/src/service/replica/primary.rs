@@ -1,60 +1,60 @@
-//! What a replica does while it serves.
+//! A replica that serves: heartbeats, followers and replies.
 
 use super::*;
 
-/// Hellos whose promises may still come.
-const HELLOS_KEPT: usize = 16;
+/// The most heartbeats that are kept until lease promises answer them.
+const HEARTBEATS_KEPT: usize = 16;
 
-/// A replica that serves.
+/// The state of a replica that serves.
 #[derive(Debug)]
 pub(super) struct Primary {
     pub(super) epoch: u64,
-    pub(super) hello_at: Instant,
-    number: u64,
-    /// When which hello was said.
-    said: VecDeque<(u64, Instant)>,
+    pub(super) heartbeat_at: Instant,
+    heartbeat_number: u64,
+    /// The heartbeats, by number, and when each was sent.
+    sent_heartbeats: VecDeque<(u64, Instant)>,
     pub(super) standbys: SortedMap<NodeName, Follower>,
-    /// Who waits for which request, and where it stands.
+    /// The caller that waits for each request.
     pub(super) waiting: SortedMap<MessageId, u64>,
-    /// Replies that are held back, in order.
-    held: VecDeque<(Position, MessageId, Instant)>,
-    began: Instant,
-    /// How far everything was answered.
+    /// The requests whose replies are held back, in order: the position, and since when.
+    held_replies: VecDeque<(Position, MessageId, Instant)>,
+    elected_at: Instant,
+    /// The last position whose reply was sent.
     pub(super) released: Position,
-    /// With what it began.
+    /// The position at which it was elected.
     pub(super) base: Position,
-    /// Since when too few others hold what this one holds.
-    pub(super) alone_since: Option<Instant>,
+    /// Since when too few standbys are in step.
+    pub(super) under_replicated_since: Option<Instant>,
 }
 
 /// What the primary knows of a standby.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Follower {
-    /// When the newest hello was said that it has promised after.
+    /// When the newest heartbeat was sent that it has answered by a lease promise.
     pub(super) promised: Instant,
-    pub(super) step: Step,
+    pub(super) catch_up: CatchUp,
     position: Position,
-    /// It was told another list: it follows, and its promise counts for nothing.
-    pub(super) learns: bool,
+    /// It is a learner: its list of members differs, and its promise does not count.
+    pub(super) is_learner: bool,
 }
 
-/// Whether a standby has what the primary has.
+/// How far a standby has caught up with the primary's log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Step {
+pub(super) enum CatchUp {
     /// It needs a snapshot.
     Behind,
-    /// One was sent then, and everything since.
-    Sent(Instant),
-    /// It has it, and gets everything since.
-    Abreast,
-    /// It can take nothing.
-    Unable,
+    /// A snapshot was sent at this time, and every entry since.
+    SnapshotSent(Instant),
+    /// It has all entries, and is sent the next ones.
+    InStep,
+    /// Its component is stopped or isolated.
+    Inactive,
 }
 
 impl Follower {
-    /// One that has nothing yet.
-    fn behind(promised: Instant, learns: bool) -> Self {
-        Follower { promised, step: Step::Behind, position: Position::default(), learns }
+    /// A follower that has no entries yet.
+    fn behind(promised: Instant, is_learner: bool) -> Self {
+        Follower { promised, catch_up: CatchUp::Behind, position: Position::default(), is_learner }
     }
 }
 
@@ -62,65 +62,75 @@ impl Primary {
     fn new(epoch: u64, released: Position, now: Instant) -> Self {
         Primary {
             epoch,
-            hello_at: now,
-            number: 0,
-            said: VecDeque::new(),
+            heartbeat_at: now,
+            heartbeat_number: 0,
+            sent_heartbeats: VecDeque::new(),
             standbys: SortedMap::new(),
             waiting: SortedMap::new(),
-            held: VecDeque::new(),
-            began: now,
+            held_replies: VecDeque::new(),
+            elected_at: now,
             released,
             base: released,
-            alone_since: None,
+            under_replicated_since: None,
         }
     }
 
-    /// Until when a majority has promised to vote for nobody else.
+    /// Returns until when a majority has promised to vote for no other replica.
     fn lease_until(&self, config: &ReplicaConfig) -> Option<Instant> {
         let needed = config.majority() - 1;
         if needed == 0 || config.on_partition == OnPartition::Continue {
             return None;
         }
-        let voters = self.standbys.values().filter(|follower| !follower.learns);
+        let voters = self.standbys.values().filter(|follower| !follower.is_learner);
         let promised = voters.map(|follower| follower.promised);
-        // Those who voted have promised so, since before we began.
+        // A vote is a promise as well, from the time of the request.
         let mut promised: Vec<_> =
-            promised.chain(std::iter::repeat_n(self.began, needed)).collect();
+            promised.chain(std::iter::repeat_n(self.elected_at, needed)).collect();
         promised.sort_unstable_by(|a, b| b.cmp(a));
         promised.get(needed - 1).map(|at| *at + config.lease())
     }
 
-    pub(super) fn holds(&self, config: &ReplicaConfig, accord: &Accord, now: Instant) -> bool {
+    /// Returns whether a majority's promises hold, and exclude a primary of each other
+    /// configuration.
+    pub(super) fn has_lease(
+        &self,
+        config: &ReplicaConfig,
+        agreement: &ConfigAgreement,
+        now: Instant,
+    ) -> bool {
         let supports = |node: &NodeName| {
             let follower = self.standbys.get(node);
             *node == config.own
                 || follower
-                    .is_some_and(|known| !known.learns && now < known.promised + config.lease())
+                    .is_some_and(|known| !known.is_learner && now < known.promised + config.lease())
         };
         self.lease_until(config).is_none_or(|until| now < until)
-            && (accord.is_undisputed() || accord.allows(supports, now))
+            && (agreement.is_unanimous() || agreement.permits(supports, now))
     }
 
-    pub(super) fn due(&self, config: &ReplicaConfig, accord: &Accord) -> Instant {
-        let until =
-            self.lease_until(config).map_or(self.hello_at, |until| until.min(self.hello_at));
-        if accord.is_undisputed() {
+    /// Returns when the next heartbeat is due, or a promise ends that the lease needs.
+    pub(super) fn due(&self, config: &ReplicaConfig, agreement: &ConfigAgreement) -> Instant {
+        let until = self
+            .lease_until(config)
+            .map_or(self.heartbeat_at, |until| until.min(self.heartbeat_at));
+        if agreement.is_unanimous() {
             return until;
         }
-        // Each single promise may be needed.
-        let last_hello = self.said.back().map_or(self.began, |(_, at)| *at);
+        // Another configuration may be excluded by one promise alone.
+        let last_sent = self.sent_heartbeats.back().map_or(self.elected_at, |(_, at)| *at);
         let ends = self.standbys.values().map(|known| known.promised + config.lease());
-        ends.filter(|end| *end > last_hello).fold(until, Instant::min)
+        ends.filter(|end| *end > last_sent).fold(until, Instant::min)
     }
 
+    /// Returns the callers that wait.
     pub(super) fn callers(self) -> impl Iterator<Item = u64> {
         self.waiting.into_values()
     }
 }
 
 impl Replica {
-    /// A majority wants this replica to serve; it was asked at `asked`. Whoever voted may have what
-    /// it has.
+    /// Starts to serve. The votes were requested at `asked`; each voter comes with whether it
+    /// has this replica's entries.
     pub(super) fn take_over(
         &mut self,
         epoch: u64,
@@ -128,19 +138,19 @@ impl Replica {
         voters: impl IntoIterator<Item = (NodeName, bool)>,
         now: Instant,
     ) {
-        let lost = self.begin_without(epoch);
+        let lost = self.start_without_lost_state(epoch);
         let mut primary = Primary::new(epoch, self.position, asked);
         let (position, learned) = (self.position, self.learned);
         primary.standbys.extend(voters.into_iter().map(|(node, in_step)| {
             let mut follower = Follower::behind(asked, false);
             if in_step && !lost && !learned {
-                (follower.step, follower.position) = (Step::Abreast, position);
+                (follower.catch_up, follower.position) = (CatchUp::InStep, position);
             }
             (node, follower)
         }));
-        self.role = Acting::Primary(primary);
-        self.see(epoch);
-        self.tell_role();
+        self.role = RoleState::Primary(primary);
+        self.note_epoch(epoch);
+        self.report_role();
         match self.config.kind {
             StandbyKind::Cold => {
                 self.table.clear();
@@ -151,181 +161,190 @@ impl Replica {
                 self.jobs.push_back(Job::Load { state });
             }
             StandbyKind::Hot => {
-                // It has executed everything already, or is about to; or else nobody has.
-                if let Health::Bare { .. } = self.health {
+                // The component has executed all requests, or they are among its jobs. A component
+                // without the state starts as it was built.
+                if let Health::Stateless { .. } = self.health {
                     self.jobs.push_back(Job::Load { state: self.initial.clone() });
                 }
             }
         }
-        self.health = Health::Whole;
-        self.work();
-        self.say_hello(now);
+        self.health = Health::Complete;
+        self.start_next_job();
+        self.send_heartbeat(now);
     }
 
-    pub(super) fn say_hello(&mut self, now: Instant) {
-        let Acting::Primary(primary) = &mut self.role else { return };
-        primary.number += 1;
-        primary.hello_at = now + self.config.hello_interval;
-        primary.said.push_back((primary.number, now));
-        if primary.said.len() > HELLOS_KEPT {
-            primary.said.pop_front();
+    pub(super) fn send_heartbeat(&mut self, now: Instant) {
+        let RoleState::Primary(primary) = &mut self.role else { return };
+        primary.heartbeat_number += 1;
+        primary.heartbeat_at = now + self.config.heartbeat_interval;
+        primary.sent_heartbeats.push_back((primary.heartbeat_number, now));
+        if primary.sent_heartbeats.len() > HEARTBEATS_KEPT {
+            primary.sent_heartbeats.pop_front();
         }
-        let (epoch, number, position) = (primary.epoch, primary.number, self.position);
+        let (epoch, number, position) = (primary.epoch, primary.heartbeat_number, self.position);
         let answered = self.answered;
-        let heard = self.accord.reckons_with(now);
-        let hello = Message::Hello { epoch, number, position, answered, heard };
-        self.tell_others(&hello);
+        let known_configurations = self.agreement.relevant_fingerprints(now);
+        let heartbeat =
+            ReplicaHeartbeat { epoch, number, position, answered, known_configurations };
+        self.send_to_others(&Message::Heartbeat(heartbeat));
     }
 
-    pub(super) fn hear_promise(
+    pub(super) fn handle_promise(
         &mut self,
-        (from, learns): (&NodeName, bool),
-        epoch: u64,
-        number: u64,
-        (position, standing): (Position, Standing),
+        from: ReplicaOrigin<'_>,
+        promise: &LeasePromise,
         now: Instant,
     ) {
+        let LeasePromise { epoch, number, position, status, .. } = *promise;
+        let (from, is_learner) = (from.node, from.other_configuration.is_some());
         let lease = self.config.lease();
-        let comparable = self.tells_by_position() && !learns && !self.learned;
+        let comparable = self.comparable_by_position() && !is_learner && !self.learned;
         let nothing_missing = comparable && position == self.position;
-        let Acting::Primary(primary) = &mut self.role else { return };
+        let RoleState::Primary(primary) = &mut self.role else { return };
         if epoch != primary.epoch {
             return;
         }
-        let said = primary.said.iter().find(|(said, _)| *said == number).map(|(_, at)| *at);
-        // In a life that was told otherwise it has forgotten all.
-        if primary.standbys.get(from).is_some_and(|known| known.learns != learns) {
+        let heartbeat = primary.sent_heartbeats.iter().find(|(sent, _)| *sent == number);
+        let sent_at = heartbeat.map(|(_, at)| *at);
+        // A standby with another configuration has restarted, and has no entries.
+        if primary.standbys.get(from).is_some_and(|known| known.is_learner != is_learner) {
             primary.standbys.remove(from);
         }
-        // Somebody without a promise is no follower yet.
-        let Some(promised) = said.or(primary.standbys.get(from).map(|known| known.promised)) else {
-            return;
-        };
-        let fresh = Follower::behind(promised, learns);
+        // A standby becomes a follower by its first promise.
+        let before = primary.standbys.get(from).map(|known| known.promised);
+        let Some(promised) = sent_at.or(before) else { return };
+        let fresh = Follower::behind(promised, is_learner);
         let follower = primary.standbys.entry(from.clone()).or_insert(fresh);
         follower.promised = follower.promised.max(promised);
-        follower.step = match (follower.step, standing) {
-            (_, Standing::Unable) => Step::Unable,
-            (Step::Behind | Step::Unable, Standing::InStep) if nothing_missing => {
+        follower.catch_up = match (follower.catch_up, status) {
+            (_, StandbyStatus::Inactive) => CatchUp::Inactive,
+            (CatchUp::Behind | CatchUp::Inactive, StandbyStatus::InStep) if nothing_missing => {
                 follower.position = position;
-                Step::Abreast
+                CatchUp::InStep
             }
-            // While it was behind, entries were not sent to it.
-            (Step::Behind | Step::Unable, _) => Step::Behind,
-            (Step::Sent(_) | Step::Abreast, Standing::Coming) => Step::Sent(now),
-            (Step::Sent(at), Standing::Behind) if now - at > lease => Step::Behind,
-            (Step::Sent(at), Standing::Behind) => Step::Sent(at),
-            // It has begun anew: what it once confirmed, it has forgotten.
-            (Step::Abreast, Standing::Behind) => Step::Behind,
-            (Step::Sent(_) | Step::Abreast, Standing::InStep) => {
+            // While it was behind, it was sent no entries.
+            (CatchUp::Behind | CatchUp::Inactive, _) => CatchUp::Behind,
+            (CatchUp::SnapshotSent(_) | CatchUp::InStep, StandbyStatus::Loading) => {
+                CatchUp::SnapshotSent(now)
+            }
+            (CatchUp::SnapshotSent(at), StandbyStatus::Behind) if now - at > lease => {
+                CatchUp::Behind
+            }
+            (CatchUp::SnapshotSent(at), StandbyStatus::Behind) => CatchUp::SnapshotSent(at),
+            // It has restarted, and no longer has the entries that it confirmed.
+            (CatchUp::InStep, StandbyStatus::Behind) => CatchUp::Behind,
+            (CatchUp::SnapshotSent(_) | CatchUp::InStep, StandbyStatus::InStep) => {
                 follower.position = follower.position.max(position);
-                Step::Abreast
+                CatchUp::InStep
             }
         };
-        // An entry went astray with its session.
+        // An entry was lost with its session.
         let waits = |(needed, _, at): &(Position, MessageId, Instant)| {
             follower.position < *needed && now - *at > lease
         };
-        if follower.step == Step::Abreast && primary.held.front().is_some_and(waits) {
-            follower.step = Step::Behind;
+        if follower.catch_up == CatchUp::InStep && primary.held_replies.front().is_some_and(waits) {
+            follower.catch_up = CatchUp::Behind;
         }
-        if follower.step == Step::Behind && self.config.kind != StandbyKind::Cold {
-            let mut jobs = self.jobs.iter().chain(&self.working);
+        if follower.catch_up == CatchUp::Behind && self.config.kind != StandbyKind::Cold {
+            let mut jobs = self.jobs.iter().chain(&self.current_job);
             if !jobs.any(|job| matches!(job, Job::Save)) {
                 self.jobs.push_back(Job::Save);
             }
         }
-        self.work();
+        self.start_next_job();
         self.release(now);
     }
 
-    /// The component's state as it is now, for everybody who is behind.
+    /// Sends the component's state to all followers that are behind.
     pub(super) fn send_snapshots(&mut self, state: &Bytes, now: Instant) {
-        let Acting::Primary(primary) = &mut self.role else { return };
+        let RoleState::Primary(primary) = &mut self.role else { return };
         let (epoch, position) = (primary.epoch, self.position);
-        let mut late = Vec::new();
+        let mut recipients = Vec::new();
         for (node, follower) in &mut primary.standbys {
-            if follower.step == Step::Behind {
-                // What comes after reaches it after: sessions keep the order.
-                follower.step = Step::Sent(now);
+            if follower.catch_up == CatchUp::Behind {
+                // Later entries arrive later: sessions keep the order.
+                follower.catch_up = CatchUp::SnapshotSent(now);
                 follower.position = Position::default();
-                late.push(node.clone());
+                recipients.push(node.clone());
             }
         }
-        // What comes after is told as changes of the last state that was kept.
+        // Later entries are changes of the last state that was kept.
         let kept = self.state.as_ref().filter(|_| self.config.kind == StandbyKind::Warm);
         let (state, table) = (kept.unwrap_or(state).to_vec(), self.table.clone());
-        let snapshot = Message::Snapshot { epoch, position, state, table };
-        late.iter().for_each(|node| self.send(node, &snapshot));
+        let snapshot = Message::Snapshot(Snapshot { epoch, position, state, table });
+        recipients.iter().for_each(|node| self.send(node, &snapshot));
     }
 
-    /// A request has been executed: whoever is in step has to know before its caller does.
+    /// Appends an executed request to the log, and holds its reply back until the followers in step
+    /// have it.
     pub(super) fn commit_later(
         &mut self,
-        (id, settled): (MessageId, u64),
+        id: MessageId,
+        settled: u64,
         request: Bytes,
         result: Result<Bytes, DeliveryError>,
         state: Option<Bytes>,
         now: Instant,
     ) {
-        let Acting::Primary(primary) = &mut self.role else { return };
+        let RoleState::Primary(primary) = &mut self.role else { return };
         let epoch = primary.epoch;
         if self.config.kind != StandbyKind::Cold {
             self.position = Position { epoch, number: self.position.number + 1 };
             self.learned = false;
         }
         let position = self.position;
-        primary.held.push_back((position, id, now));
-        let follows = |step: Step| matches!(step, Step::Sent(_) | Step::Abreast);
-        let told = primary.standbys.iter().filter(|(_, follower)| follows(follower.step));
-        let told: Vec<_> = told.map(|(node, _)| node.clone()).collect();
-        let died = result.is_err();
+        primary.held_replies.push_back((position, id, now));
+        let followers = primary.standbys.iter().filter(|(_, follower)| {
+            matches!(follower.catch_up, CatchUp::SnapshotSent(_) | CatchUp::InStep)
+        });
+        let recipients: Vec<_> = followers.map(|(node, _)| node.clone()).collect();
+        let failed = result.is_err();
         let served = Served { id, result: result.map(Vec::from) };
         self.table.settle(id.sender, settled);
         self.table.note(served.clone());
         if self.config.kind != StandbyKind::Cold {
-            let after = match (self.config.kind, state) {
+            let payload = match (self.config.kind, state) {
                 (StandbyKind::Warm, Some(state)) => {
                     let change = Change::between(self.state.as_deref(), &state);
                     self.state = Some(state);
-                    After::State(change)
+                    EntryPayload::State(change)
                 }
-                _ if died => After::Failed,
-                (StandbyKind::Warm, None) => After::Failed,
-                _ => After::Request(request.into()),
+                (StandbyKind::Hot, _) if !failed => EntryPayload::Request(request.into()),
+                _ => EntryPayload::Failed,
             };
-            let entry = Message::Entry { epoch, position, served, settled, after };
-            told.iter().for_each(|node| self.send(node, &entry));
+            let entry = LogEntry { epoch, position, served, settled, payload };
+            let entry = Message::Entry(entry);
+            recipients.iter().for_each(|node| self.send(node, &entry));
         }
         self.release(now);
     }
 
-    /// Lets go of the replies that every standby in step, and a majority, knows of; or all that
-    /// can.
+    /// Sends the replies that all standbys in step, and a majority, have; or all replies while too
+    /// few standbys can be in step.
     pub(super) fn release(&mut self, now: Instant) {
-        self.expect_no_silent(now);
-        let exposed = self.judge_exposure(now);
+        self.mark_silent_followers(now);
+        let under_replicated = self.check_replication(now);
         let config = &self.config;
-        let Acting::Primary(primary) = &mut self.role else { return };
-        if !primary.holds(config, &self.accord, now) {
+        let RoleState::Primary(primary) = &mut self.role else { return };
+        if !primary.has_lease(config, &self.agreement, now) {
             return;
         }
         let mut answers = Vec::new();
-        while let Some((position, id, _)) = primary.held.front().copied() {
+        while let Some((position, id, _)) = primary.held_replies.front().copied() {
             if config.kind != StandbyKind::Cold {
                 let followers = primary.standbys.values();
-                let in_step = followers.filter(|follower| follower.step == Step::Abreast);
+                let in_step = followers.filter(|follower| follower.catch_up == CatchUp::InStep);
                 let knows = |follower: &&Follower| follower.position >= position;
                 let all = in_step.clone().all(|follower| knows(&follower));
-                let known = in_step.filter(|follower| !follower.learns).filter(knows).count();
-                let enough = exposed
+                let known = in_step.filter(|follower| !follower.is_learner).filter(knows).count();
+                let enough = under_replicated
                     || config.on_partition == OnPartition::Continue
                     || known + 1 >= config.majority();
                 if !all || !enough {
                     break;
                 }
             }
-            primary.held.pop_front();
+            primary.held_replies.pop_front();
             primary.released = position;
             self.answered = self.answered.max(position);
             answers.extend(primary.waiting.remove(&id).map(|caller| (caller, id)));
@@ -333,18 +352,20 @@ impl Replica {
         for (caller, id) in answers {
             let outcome = match self.table.find(id) {
                 Some(served) => ServiceOutcome::Served(served.result.clone().map(Bytes::from)),
-                // Its caller has given it up meanwhile.
+                // The caller has abandoned the request.
                 None => ServiceOutcome::Refused(DeliveryError::Expired),
             };
             self.answer(caller, outcome);
         }
     }
-    /// Whoever has been silent for a lease keeps nobody waiting, and has to come into step anew.
-    fn expect_no_silent(&mut self, now: Instant) {
-        let Acting::Primary(primary) = &mut self.role else { return };
+
+    /// Removes followers that have been silent for a lease from those in step. Replies do not wait
+    /// for them.
+    fn mark_silent_followers(&mut self, now: Instant) {
+        let RoleState::Primary(primary) = &mut self.role else { return };
         for follower in primary.standbys.values_mut() {
-            if !follower.is_heard(&self.config, now) {
-                follower.step = Step::Behind;
+            if !follower.is_live(&self.config, now) {
+                follower.catch_up = CatchUp::Behind;
             }
         }
     }

@@ -1,361 +1,345 @@
-//! What a replica does while another one serves, or nobody does.
+//! A replica that stands by: lease promises, votes and elections.
 
 use super::*;
 use std::time::Duration;
 
-/// A replica that stands by.
+/// The state of a replica that stands by.
 #[derive(Debug)]
 pub(super) struct Standby {
-    /// Who serves, as far as is known.
+    /// The node of the primary, if one is known.
     pub(super) primary: Option<NodeName>,
-    /// By which other list that one serves; `None` where it is our own.
-    list: Option<u64>,
-    /// We vote for nobody else before.
+    /// The fingerprint of the primary's configuration, if that is not this replica's own.
+    other_configuration: Option<u64>,
+    /// Until then this replica votes for no other one.
     promised_until: Instant,
-    /// When we want to serve ourselves, unless somebody else is heard of.
-    pub(super) claim_at: Instant,
-    /// Under which epoch the last snapshot came: since then nothing is missing.
+    /// When this replica stands for election, unless it receives a heartbeat before.
+    pub(super) election_at: Instant,
+    /// The epoch in which it was brought into step. It has all entries of that epoch since.
     in_step: Option<u64>,
-    /// What it has is everything up to its position.
-    whole: bool,
-    claiming: Option<Claiming>,
-    /// It would claim, and has asked whether others are there.
-    pub(super) inquiring: bool,
-    /// They are; good for one claim.
-    pub(super) ready: bool,
-    /// Somebody claims while our promise still lasts: it is answered when that is over.
-    asked: Option<(NodeName, u64, Position, Vec<u64>)>,
+    /// It has all entries up to its position.
+    complete: bool,
+    candidacy: Option<Candidacy>,
+    /// It is due to stand for election, and waits for the services that it depends on.
+    pub(super) checking_dependencies: bool,
+    /// Those services have primaries, which counts for one election.
+    pub(super) dependencies_ready: bool,
+    /// A vote request that came while a promise holds. It is handled when the promise ends.
+    pending_request: Option<(NodeName, VoteRequest)>,
 }
 
-/// An epoch that was claimed.
+/// An epoch in which this replica stands for election.
 #[derive(Debug)]
-struct Claiming {
+struct Candidacy {
     epoch: u64,
-    asked: Instant,
-    /// How far we had come then.
+    requested_at: Instant,
+    /// This replica's position at that time.
     position: Position,
-    /// And whether they have what we have.
+    /// The voters, and whether each has this replica's entries.
     votes: SortedMap<NodeName, bool>,
 }
 
 impl Standby {
-    fn waiting(config: &ReplicaConfig, primary: Option<NodeName>, now: Instant) -> Self {
+    /// A replica that has served, or has restarted. Other replicas may lack its last entries.
+    pub(super) fn new(config: &ReplicaConfig, primary: Option<NodeName>, now: Instant) -> Self {
         let promised_until = now + config.lease() + config.margin();
         Standby {
-            claim_at: promised_until + turn(config, primary.as_ref()),
+            election_at: promised_until + election_delay(config, primary.as_ref()),
             primary,
-            list: None,
+            other_configuration: None,
             promised_until,
             in_step: None,
-            whole: false,
-            claiming: None,
-            inquiring: false,
-            ready: false,
-            asked: None,
+            complete: false,
+            candidacy: None,
+            checking_dependencies: false,
+            dependencies_ready: false,
+            pending_request: None,
         }
     }
 
-    /// When there is something to do.
+    /// A replica at its start, which has all zero entries.
+    pub(super) fn starting(config: &ReplicaConfig, now: Instant) -> Self {
+        Standby { complete: true, ..Standby::new(config, None, now) }
+    }
+
+    /// Returns the next time at which there is something to do.
     pub(super) fn due(&self) -> Instant {
-        match self.asked {
-            Some(_) => self.claim_at.min(self.promised_until),
-            None => self.claim_at,
+        match self.pending_request {
+            Some(_) => self.election_at.min(self.promised_until),
+            None => self.election_at,
         }
     }
 
-    pub(super) fn beginning(config: &ReplicaConfig, now: Instant) -> Self {
-        Standby { whole: true, ..Standby::waiting(config, None, now) }
-    }
-
-    /// As what it stands by, while this epoch is the greatest that is known.
+    /// Returns the role, where `epoch` is the greatest one that is known.
     pub(super) fn role(&self, epoch: u64, kind: StandbyKind) -> Role {
         let primary = self.primary.clone();
-        // A cold one has nothing to know.
-        let knows = kind == StandbyKind::Cold || self.in_step == Some(epoch);
-        Role::Standby { in_step: knows && primary.is_some(), primary }
+        // A cold standby keeps no state, so it lacks none.
+        let in_step = kind == StandbyKind::Cold || self.in_step == Some(epoch);
+        Role::Standby { in_step: in_step && primary.is_some(), primary }
     }
 
-    /// Whoever serves was told another list.
-    pub(super) fn learns(&self) -> bool {
-        self.primary.is_some() && self.list.is_some()
+    /// Returns whether this replica follows a primary that has another list.
+    pub(super) fn is_learner(&self) -> bool {
+        self.primary.is_some() && self.other_configuration.is_some()
     }
 
-    /// Whom we promised to vote for, serves no more.
+    /// Ends the lease promise, as its receiver serves no more.
     pub(super) fn release_promise(&mut self, now: Instant) {
         self.promised_until = self.promised_until.min(now);
     }
 
-    /// Nobody is waited for that could not serve meanwhile.
-    pub(super) fn hurry(&mut self, config: &ReplicaConfig, now: Instant) {
-        let turn = turn(config, self.primary.as_ref());
-        self.claim_at = self.claim_at.min(self.promised_until.max(now) + turn);
+    /// Stands for election as soon as the promise has ended and it is this replica's turn.
+    pub(super) fn advance_election(&mut self, config: &ReplicaConfig, now: Instant) {
+        let delay = election_delay(config, self.primary.as_ref());
+        self.election_at = self.election_at.min(self.promised_until.max(now) + delay);
     }
 
-    /// Votes for what it has do not count any more.
-    pub(super) fn claim_no_more(&mut self) {
-        self.claiming = None;
+    /// Ends the candidacy: votes for it do not count any more.
+    pub(super) fn withdraw(&mut self) {
+        self.candidacy = None;
     }
 
-    /// What this replica has is not what the primary has.
+    /// This replica lacks entries of the primary.
     pub(super) fn fall_behind(&mut self) {
         self.in_step = None;
-        self.whole = false;
-    }
-
-    /// What it did last as primary, nobody else may have.
-    pub(super) fn following(
-        config: &ReplicaConfig,
-        primary: Option<NodeName>,
-        now: Instant,
-    ) -> Self {
-        Standby::waiting(config, primary, now)
+        self.complete = false;
     }
 }
 
-/// Those before us in the order of the members have their turn first, but for the one that has
-/// gone.
-fn turn(config: &ReplicaConfig, gone: Option<&NodeName>) -> Duration {
+/// Returns the delay before this replica stands for election: half a heartbeat interval for each
+/// member before it in the list, without the one that is gone.
+fn election_delay(config: &ReplicaConfig, gone: Option<&NodeName>) -> Duration {
     let others = config.members.iter().filter(|member| Some(*member) != gone);
     let before = others.take_while(|member| **member != config.own).count();
-    config.hello_interval / 2 * u32::try_from(before).unwrap_or(u32::MAX)
+    config.heartbeat_interval / 2 * u32::try_from(before).unwrap_or(u32::MAX)
 }
 
 impl Replica {
-    pub(super) fn hear_hello(
+    pub(super) fn handle_heartbeat(
         &mut self,
         from: &NodeName,
-        epoch: u64,
-        (number, position, answered): (u64, Position, Position),
-        heard: &[u64],
+        heartbeat: ReplicaHeartbeat,
         now: Instant,
     ) {
-        if epoch < self.epoch {
+        if heartbeat.epoch < self.epoch {
             return self.send(from, &Message::Outdated { epoch: self.epoch });
         }
-        if let Acting::Primary(primary) = &self.role {
-            // Two may serve under one epoch only where each half of a network goes on by itself.
-            if (primary.epoch, from) > (epoch, &self.config.own) {
+        if let RoleState::Primary(primary) = &self.role {
+            // Two replicas serve in one epoch only with `OnPartition::Continue`.
+            if (primary.epoch, from) > (heartbeat.epoch, &self.config.own) {
                 return;
             }
             self.step_down(Some(from.clone()), now);
         }
-        if !self.is_reckoned_with(from, heard) {
+        if !self.knows_all_configurations(from, &heartbeat.known_configurations) {
             return;
         }
-        self.follow((from, None), epoch, (number, position, answered), now);
-        if let Acting::Standby(standby) = &mut self.role {
+        let from = ReplicaOrigin { node: from, other_configuration: None };
+        self.follow(from, &heartbeat, now);
+        if let RoleState::Standby(standby) = &mut self.role {
             standby.promised_until = now + self.config.lease() + self.config.margin();
         }
     }
 
-    /// This one serves, by whichever list.
-    fn follow(
-        &mut self,
-        (from, list): (&NodeName, Option<u64>),
-        epoch: u64,
-        (number, position, answered): (u64, Position, Position),
-        now: Instant,
-    ) {
-        self.see(epoch);
+    /// Follows the primary that sent this heartbeat, and answers it.
+    fn follow(&mut self, from: ReplicaOrigin<'_>, heartbeat: &ReplicaHeartbeat, now: Instant) {
+        let ReplicaHeartbeat { epoch, number, position, answered, .. } = *heartbeat;
+        self.note_epoch(epoch);
         self.answered = self.answered.max(answered);
-        self.wait_for_state(now);
-        let (telling, own, loading) = (self.tells_by_position(), self.position, self.is_loading());
-        let comparable = telling && list.is_none() && !self.learned;
-        let Acting::Standby(standby) = &mut self.role else { return };
-        if standby.list != list {
-            // Each list counts its own epochs.
-            (standby.list, standby.in_step) = (list, None);
+        self.note_primary_seen(now);
+        let (own, loading) = (self.position, self.is_loading());
+        let has_log = self.comparable_by_position();
+        let comparable = has_log && from.other_configuration.is_none() && !self.learned;
+        let RoleState::Standby(standby) = &mut self.role else { return };
+        if standby.other_configuration != from.other_configuration {
+            // Each list of members has its own epochs.
+            (standby.other_configuration, standby.in_step) = (from.other_configuration, None);
         }
-        if comparable && standby.whole && position == own {
+        if comparable && standby.complete && position == own {
             standby.in_step = Some(epoch);
-        } else if telling && position > own {
-            // What makes the difference was sent before, to others.
+        } else if has_log && position > own {
+            // The missing entries were sent to others only.
             standby.in_step = None;
         }
-        standby.primary = Some(from.clone());
-        (standby.claiming, standby.asked, standby.inquiring) = (None, None, false);
-        let patience = self.config.lease() + self.config.margin();
-        standby.claim_at = now + patience + turn(&self.config, Some(from));
-        let standing = match (self.config.kind, self.health) {
-            (StandbyKind::Cold, _) => Standing::InStep,
-            (StandbyKind::Hot, Health::Gone { .. }) => Standing::Unable,
-            _ if standby.in_step != Some(epoch) => Standing::Behind,
-            _ if loading => Standing::Coming,
-            _ => Standing::InStep,
+        standby.primary = Some(from.node.clone());
+        (standby.candidacy, standby.pending_request) = (None, None);
+        standby.checking_dependencies = false;
+        let timeout = self.config.lease() + self.config.margin();
+        standby.election_at = now + timeout + election_delay(&self.config, Some(from.node));
+        let status = match (self.config.kind, self.health) {
+            (StandbyKind::Cold, _) => StandbyStatus::InStep,
+            (StandbyKind::Hot, Health::Inactive { .. }) => StandbyStatus::Inactive,
+            _ if standby.in_step != Some(epoch) => StandbyStatus::Behind,
+            _ if loading => StandbyStatus::Loading,
+            _ => StandbyStatus::InStep,
         };
         let (position, answered) = (self.position, self.answered);
-        self.send(from, &Message::Promise { epoch, number, position, answered, standing });
-        self.tell_role();
+        let promise = LeasePromise { epoch, number, position, answered, status };
+        self.send(from.node, &Message::LeasePromise(promise));
+        self.report_role();
     }
 
-    /// A node that was told another list, and nothing else otherwise, says something. While a list
-    /// is changed, what was done by the old one is known by the new one, too: whoever serves is
-    /// followed, without a promise.
-    pub(super) fn hear_of_other_list(
+    /// Handles a message of a node whose configuration differs in the list alone. Such a node can
+    /// be followed without a promise, so that a new list continues with the state of the old one.
+    pub(super) fn handle_other_list(
         &mut self,
-        (from, list): (&NodeName, u64),
+        from: ReplicaOrigin<'_>,
         message: Message,
         now: Instant,
     ) {
         self.handle_timeout(now);
-        let list = Some(list);
         let followed = match &self.role {
-            Acting::Standby(standby) => standby.primary.as_ref() == Some(from),
-            Acting::Primary(_) => false,
+            RoleState::Standby(standby) => standby.primary.as_ref() == Some(from.node),
+            RoleState::Primary(_) => false,
         };
         match message {
-            Message::Hello { epoch, number, position, answered, .. } => {
-                if let Acting::Standby(standby) = &self.role
-                    && epoch >= self.epoch
-                    // One of our own list goes first.
+            Message::Heartbeat(heartbeat) => {
+                if let RoleState::Standby(standby) = &self.role
+                    && heartbeat.epoch >= self.epoch
+                    // A primary of this replica's own list goes first.
                     && (followed || standby.primary.is_none())
                 {
-                    self.follow((from, list), epoch, (number, position, answered), now);
+                    self.follow(from, &heartbeat, now);
                 }
             }
-            Message::Promise { epoch, number, position, answered, standing } => {
-                self.hear_answered(answered, now);
-                self.hear_promise((from, true), epoch, number, (position, standing), now);
+            Message::LeasePromise(promise) => {
+                self.note_answered(promise.answered, now);
+                self.handle_promise(from, &promise, now);
             }
-            Message::Entry { epoch, position, served, settled, after } if followed => {
-                self.hear_entry((from, list), (epoch, position), served, settled, after);
-            }
-            Message::Snapshot { epoch, position, state, table } if followed => {
-                self.hear_snapshot((from, list), (epoch, position), state, table);
-            }
+            Message::Entry(entry) if followed => self.handle_entry(from, entry),
+            Message::Snapshot(snapshot) if followed => self.handle_snapshot(from, snapshot),
             Message::Resigned { epoch } if followed && epoch == self.epoch => {
-                // What we have promised, we have promised to others.
-                self.follow_nobody(now);
+                // The lease promise of this replica was made to a primary of its own list.
+                self.follow_none(now);
             }
             _ => {}
         }
     }
 
-    /// Nobody serves: this replica offers to.
-    pub(super) fn claim(&mut self, now: Instant) {
-        let again = self.config.hello_interval + turn(&self.config, None);
-        let barred = self.barred_until(now);
-        let Acting::Standby(standby) = &mut self.role else { return };
-        standby.claim_at = now + again;
+    /// Stands for election in a new epoch, unless this replica is not eligible.
+    pub(super) fn stand_for_election(&mut self, now: Instant) {
+        let again = self.config.heartbeat_interval + election_delay(&self.config, None);
+        let ineligible = self.ineligible_until(now);
+        let RoleState::Standby(standby) = &mut self.role else { return };
+        standby.election_at = now + again;
         standby.primary = None;
-        if self.accord.is_hopeless()
-            || !self.accord.allows(|node| self.accord.may_support(node), now)
+        if self.agreement.is_fenced()
+            || !self.agreement.permits(|node| self.agreement.may_support(node), now)
         {
-            standby.inquiring = false;
-            return self.tell_role();
+            standby.checking_dependencies = false;
+            return self.report_role();
         }
-        if let Some(until) = barred {
-            standby.claim_at = until;
-            return self.tell_role();
+        if let Some(until) = ineligible {
+            standby.election_at = until;
+            return self.report_role();
         }
-        if self.config.depends && !std::mem::take(&mut standby.ready) {
-            if !std::mem::replace(&mut standby.inquiring, true) {
-                self.outputs.push_back(ReplicaOutput::Inquire);
+        if self.config.depends && !std::mem::take(&mut standby.dependencies_ready) {
+            if !std::mem::replace(&mut standby.checking_dependencies, true) {
+                self.outputs.push_back(ReplicaOutput::CheckDependencies);
             }
-            return self.tell_role();
+            return self.report_role();
         }
-        standby.inquiring = false;
-        if let Some(before) = &standby.claiming {
+        standby.checking_dependencies = false;
+        if let Some(before) = &standby.candidacy {
             let others = self.config.members.iter().filter(|member| **member != self.config.own);
             let unwilling = others.filter(|member| !before.votes.contains_key(*member));
-            self.outage.note_vote(unwilling.cloned().collect());
+            self.outage.note_failed_election(unwilling.cloned().collect());
         }
-        self.tell_role();
-        let epoch = self.epoch.max(self.claimed).saturating_add(1);
-        self.claimed = epoch;
+        self.report_role();
+        let epoch = self.epoch.max(self.used_epoch).saturating_add(1);
+        self.used_epoch = epoch;
         let position = self.position;
-        let Acting::Standby(standby) = &mut self.role else { return };
-        standby.claiming = Some(Claiming { epoch, asked: now, position, votes: SortedMap::new() });
+        let RoleState::Standby(standby) = &mut self.role else { return };
+        let votes = SortedMap::new();
+        standby.candidacy = Some(Candidacy { epoch, requested_at: now, position, votes });
         if self.config.majority() == 1 || self.config.on_partition == OnPartition::Continue {
-            if self.accord.allows(|node| *node == self.config.own, now) {
+            if self.agreement.permits(|node| *node == self.config.own, now) {
                 self.take_over(epoch, now, [], now);
             }
             return;
         }
-        let heard = self.accord.reckons_with(now);
-        self.tell_others(&Message::Claim { epoch, position, heard });
+        let known_configurations = self.agreement.relevant_fingerprints(now);
+        let request = VoteRequest { epoch, position, known_configurations };
+        self.send_to_others(&Message::VoteRequest(request));
     }
 
-    pub(super) fn hear_claim(
+    pub(super) fn handle_vote_request(
         &mut self,
         from: &NodeName,
-        epoch: u64,
-        position: Position,
-        heard: Vec<u64>,
+        request: VoteRequest,
         now: Instant,
     ) {
-        if let Acting::Primary(_) = self.role {
-            // It has not heard our hellos, but will.
+        if let RoleState::Primary(_) = self.role {
+            // The candidate has not received a heartbeat yet, and will.
             return;
         }
-        let voted = self.epoch.max(self.claimed);
+        let VoteRequest { epoch, position, .. } = request;
+        let voted = self.epoch.max(self.used_epoch);
         if epoch <= voted {
             return self.send(from, &Message::Voted { epoch: voted });
         }
-        let barred = self.barred_until(now);
-        let (floor, learned) = (self.floor(now), self.learned);
-        let Acting::Standby(standby) = &mut self.role else { return };
-        if position < floor {
-            if barred.is_some() {
-                // Somebody else may know of more, and has it.
-                self.claimed = self.claimed.max(epoch);
+        let ineligible = self.ineligible_until(now);
+        let (required, learned) = (self.required_position(now), self.learned);
+        let RoleState::Standby(standby) = &mut self.role else { return };
+        if position < required {
+            self.used_epoch = self.used_epoch.max(epoch);
+            if ineligible.is_some() {
+                // Another member may have the entries that the candidate lacks.
                 return;
             }
-            // We know of more: it is our turn.
-            standby.claim_at = standby.claim_at.min(standby.promised_until.max(now));
-            self.claimed = self.claimed.max(epoch);
+            // This replica has them, and stands for election itself.
+            standby.election_at = standby.election_at.min(standby.promised_until.max(now));
             return self.handle_timeout(now);
         }
         if now < standby.promised_until {
-            standby.asked = Some((from.clone(), epoch, position, heard));
+            standby.pending_request = Some((from.clone(), request));
             return;
         }
-        if !self.is_reckoned_with(from, &heard) {
+        if !self.knows_all_configurations(from, &request.known_configurations) {
             return;
         }
-        let Acting::Standby(standby) = &mut self.role else { return };
-        // A vote is a promise as well.
-        (standby.claiming, standby.asked) = (None, None);
+        let RoleState::Standby(standby) = &mut self.role else { return };
+        // A vote is a lease promise as well.
+        (standby.candidacy, standby.pending_request) = (None, None);
         standby.promised_until = now + self.config.lease() + self.config.margin();
-        standby.claim_at = standby.promised_until + turn(&self.config, None);
-        let in_step = standby.whole && !learned && position == self.position;
+        standby.election_at = standby.promised_until + election_delay(&self.config, None);
+        let in_step = standby.complete && !learned && position == self.position;
         if in_step {
             standby.in_step = Some(epoch);
         }
-        self.see(epoch);
+        self.note_epoch(epoch);
         let answered = self.answered;
-        self.send(from, &Message::Vote { epoch, in_step, answered });
+        self.send(from, &Message::Vote(Vote { epoch, in_step, answered }));
     }
 
-    /// The primary serves no more, and says so.
-    pub(super) fn hear_resigned(&mut self, from: &NodeName, epoch: u64, now: Instant) {
-        let Acting::Standby(standby) = &mut self.role else { return };
-        // Since then, a promise may have been made to somebody else.
+    /// The primary has resigned.
+    pub(super) fn handle_resignation(&mut self, from: &NodeName, epoch: u64, now: Instant) {
+        let RoleState::Standby(standby) = &mut self.role else { return };
+        // In a later epoch the promise may have been made to another replica.
         if epoch != self.epoch || standby.primary.as_ref() != Some(from) {
             return;
         }
         standby.release_promise(now);
-        self.follow_nobody(now);
+        self.follow_none(now);
     }
 
-    fn follow_nobody(&mut self, now: Instant) {
-        let Acting::Standby(standby) = &mut self.role else { return };
-        standby.hurry(&self.config, now);
+    fn follow_none(&mut self, now: Instant) {
+        let RoleState::Standby(standby) = &mut self.role else { return };
+        standby.advance_election(&self.config, now);
         standby.primary = None;
-        self.tell_role();
+        self.report_role();
         self.handle_timeout(now);
     }
 
-    /// Our promise is over, and somebody claims.
-    pub(super) fn vote_late(&mut self, now: Instant) {
-        let Acting::Standby(standby) = &mut self.role else { return };
-        if let Some((from, epoch, position, heard)) = standby.asked.take() {
-            self.hear_claim(&from, epoch, position, heard, now);
+    /// Handles the vote request that came while a promise held.
+    pub(super) fn handle_pending_request(&mut self, now: Instant) {
+        let RoleState::Standby(standby) = &mut self.role else { return };
+        if let Some((from, request)) = standby.pending_request.take() {
+            self.handle_vote_request(&from, request, now);
         }
     }
 
-    /// What was begun as primary has been served; nobody else knows of it.
-    pub(super) fn note_late(
+    /// Stores the result of a request that was begun as primary. No other replica has it.
+    pub(super) fn note_late_result(
         &mut self,
         id: MessageId,
         result: Result<Bytes, DeliveryError>,
@@ -369,98 +353,87 @@ impl Replica {
         self.table.note(Served { id, result: result.map(Vec::from) });
     }
 
-    /// Whether two replicas at one position have the same. Where each half of a network goes on by
-    /// itself, two may have come to one position by different ways.
-    pub(super) fn tells_by_position(&self) -> bool {
+    /// Returns whether two replicas at one position have the same entries. With
+    /// `OnPartition::Continue`, they may have reached it with different ones.
+    pub(super) fn comparable_by_position(&self) -> bool {
         self.config.on_partition == OnPartition::Stop && self.config.kind != StandbyKind::Cold
     }
 
-    pub(super) fn hear_vote(
-        &mut self,
-        from: &NodeName,
-        epoch: u64,
-        (in_step, answered): (bool, Position),
-        now: Instant,
-    ) {
-        self.answered = self.answered.max(answered);
-        let in_step = in_step && self.tells_by_position();
-        let Acting::Standby(standby) = &mut self.role else { return };
-        let Some(claiming) = &mut standby.claiming else { return };
-        if claiming.epoch != epoch || now - claiming.asked >= self.config.lease() {
+    pub(super) fn handle_vote(&mut self, from: &NodeName, vote: Vote, now: Instant) {
+        self.answered = self.answered.max(vote.answered);
+        let in_step = vote.in_step && self.comparable_by_position();
+        let RoleState::Standby(standby) = &mut self.role else { return };
+        let Some(candidacy) = &mut standby.candidacy else { return };
+        if candidacy.epoch != vote.epoch || now - candidacy.requested_at >= self.config.lease() {
             return;
         }
-        claiming.votes.insert(from.clone(), in_step);
-        let votes = &claiming.votes;
+        candidacy.votes.insert(from.clone(), in_step);
+        let votes = &candidacy.votes;
         let supports = |node: &NodeName| *node == self.config.own || votes.contains_key(node);
-        if votes.len() + 1 >= self.config.majority() && self.accord.allows(supports, now) {
-            let (asked, votes) = (claiming.asked, std::mem::take(&mut claiming.votes));
-            // Those who voted have what we had then.
-            let still = claiming.position == self.position;
-            let voters = votes.into_iter().map(|(node, in_step)| (node, still && in_step));
-            self.take_over(epoch, asked, voters, now);
+        if votes.len() + 1 >= self.config.majority() && self.agreement.permits(supports, now) {
+            let requested_at = candidacy.requested_at;
+            let votes = std::mem::take(&mut candidacy.votes);
+            // The voters compared their positions with the one at the request.
+            let unchanged = candidacy.position == self.position;
+            let voters = votes.into_iter().map(|(node, in_step)| (node, unchanged && in_step));
+            self.take_over(vote.epoch, requested_at, voters, now);
         }
     }
 
-    pub(super) fn hear_entry(
-        &mut self,
-        (from, list): (&NodeName, Option<u64>),
-        (epoch, position): (u64, Position),
-        served: Served,
-        settled: u64,
-        after: After,
-    ) {
-        let Acting::Standby(standby) = &mut self.role else { return };
-        if epoch < self.epoch || standby.in_step != Some(epoch) || standby.list != list {
+    pub(super) fn handle_entry(&mut self, from: ReplicaOrigin<'_>, entry: LogEntry) {
+        let LogEntry { epoch, position, served, settled, payload } = entry;
+        let RoleState::Standby(standby) = &mut self.role else { return };
+        if epoch < self.epoch
+            || standby.in_step != Some(epoch)
+            || standby.other_configuration != from.other_configuration
+        {
             return;
         }
         if position.number != self.position.number.saturating_add(1) {
             standby.fall_behind();
-            return self.tell_role();
+            return self.report_role();
         }
-        match after {
-            After::State(change) => match change.apply(self.state.as_deref()) {
+        match payload {
+            EntryPayload::State(change) => match change.apply(self.state.as_deref()) {
                 Some(state) => self.state = Some(state.into()),
-                // What it has is not what the primary takes it for.
+                // The state is not the one that the primary made the change for.
                 None => {
                     standby.fall_behind();
-                    return self.tell_role();
+                    return self.report_role();
                 }
             },
-            After::Request(request) => self.jobs.push_back(Job::Replay { request: request.into() }),
-            After::Failed => {}
+            EntryPayload::Request(request) => {
+                self.jobs.push_back(Job::Replay { request: request.into() });
+            }
+            EntryPayload::Failed => {}
         }
         self.position = position;
         self.table.settle(served.id.sender, settled);
         self.table.note(served);
-        self.work();
-        self.confirm(from, epoch);
+        self.start_next_job();
+        self.confirm(from.node, epoch);
     }
 
-    pub(super) fn hear_snapshot(
-        &mut self,
-        (from, list): (&NodeName, Option<u64>),
-        (epoch, position): (u64, Position),
-        state: Vec<u8>,
-        table: Table,
-    ) {
-        let unable =
-            self.config.kind == StandbyKind::Hot && matches!(self.health, Health::Gone { .. });
-        let Acting::Standby(standby) = &mut self.role else { return };
-        if epoch < self.epoch || unable {
+    pub(super) fn handle_snapshot(&mut self, from: ReplicaOrigin<'_>, snapshot: Snapshot) {
+        let Snapshot { epoch, position, state, table } = snapshot;
+        let inactive =
+            self.config.kind == StandbyKind::Hot && matches!(self.health, Health::Inactive { .. });
+        let RoleState::Standby(standby) = &mut self.role else { return };
+        if epoch < self.epoch || inactive {
             return;
         }
-        (standby.list, standby.in_step) = (list, Some(epoch));
-        standby.whole = true;
-        self.learned = list.is_some();
-        if let Health::Bare { .. } = self.health {
-            self.health = Health::Whole;
+        (standby.other_configuration, standby.in_step) = (from.other_configuration, Some(epoch));
+        standby.complete = true;
+        self.learned = from.other_configuration.is_some();
+        if let Health::Stateless { .. } = self.health {
+            self.health = Health::Complete;
         }
-        self.see(epoch);
+        self.note_epoch(epoch);
         self.position = position;
         self.table = table.bounded();
-        // What is being served since before is in none of this.
-        if let Some(Job::Serve { request, .. }) = &self.working {
-            self.working = Some(Job::Replay { request: request.clone() });
+        // The snapshot does not contain the request that the component executes now.
+        if let Some(Job::Serve { request, .. }) = &self.current_job {
+            self.current_job = Some(Job::Replay { request: request.clone() });
         }
         match self.config.kind {
             StandbyKind::Hot => {
@@ -469,20 +442,20 @@ impl Replica {
             }
             StandbyKind::Warm | StandbyKind::Cold => self.state = Some(state.into()),
         }
-        self.work();
-        self.confirm(from, epoch);
-        self.tell_role();
+        self.start_next_job();
+        self.confirm(from.node, epoch);
+        self.report_role();
     }
 
-    /// A hot component has yet to take over what its replica was sent.
+    /// Returns whether a hot component has yet to load the state that this replica has received.
     fn is_loading(&self) -> bool {
-        let mut jobs = self.jobs.iter().chain(&self.working);
+        let mut jobs = self.jobs.iter().chain(&self.current_job);
         self.config.kind == StandbyKind::Hot && jobs.any(|job| matches!(job, Job::Load { .. }))
     }
 
-    /// The component has what this replica has.
+    /// Confirms to the primary that the component has loaded the state.
     pub(super) fn confirm_state(&mut self) {
-        if let Acting::Standby(standby) = &self.role
+        if let RoleState::Standby(standby) = &self.role
             && let (Some(primary), Some(epoch)) = (standby.primary.clone(), standby.in_step)
             && self.config.kind == StandbyKind::Hot
         {
@@ -490,13 +463,13 @@ impl Replica {
         }
     }
 
-    /// Tells the primary how far we have come; this is no promise.
+    /// Sends this replica's position to the primary, without a promise.
     fn confirm(&mut self, primary: &NodeName, epoch: u64) {
         if self.is_loading() {
             return;
         }
-        let (position, answered, standing) = (self.position, self.answered, Standing::InStep);
-        let message = Message::Promise { epoch, number: 0, position, answered, standing };
-        self.send(primary, &message);
+        let (position, answered, status) = (self.position, self.answered, StandbyStatus::InStep);
+        let confirmation = LeasePromise { epoch, number: 0, position, answered, status };
+        self.send(primary, &Message::LeasePromise(confirmation));
     }
 }

@@ -1,22 +1,22 @@
 //! A robot of replicas over a network that delays, is cut, and whose nodes die and return: one
 //! seed, one run. Each component counts: a request adds one, the reply is the sum.
 
-mod accord;
+mod agreement;
 mod component;
 mod election;
-mod exposure;
 mod lists;
+mod other_configurations;
 mod outage;
 mod requests;
-mod rivals;
+mod under_replication;
 
 use super::*;
 use crate::random::Random;
 use crate::sorted::SortedSet;
 use std::time::Duration;
 
-const HELLO: Duration = Duration::from_millis(10);
-/// Whatever is to be done is done on the next of these.
+const HEARTBEAT: Duration = Duration::from_millis(10);
+/// The resolution of the simulation: all events happen at multiples of this.
 const STEP: Duration = Duration::from_micros(100);
 
 fn node(index: usize) -> NodeName {
@@ -27,7 +27,7 @@ fn index(node: &NodeName) -> usize {
     node.as_str()["module".len()..].parse().unwrap()
 }
 
-/// The first step that is not before this.
+/// Returns the first step that is not before this time.
 fn on_step(at: Instant) -> Instant {
     let step = u64::try_from(STEP.as_nanos()).unwrap();
     Instant::from_nanos(at.as_nanos().div_ceil(step) * step)
@@ -42,15 +42,15 @@ fn is_snapshot(message: &[u8]) -> bool {
     matches!(read, Ok(Message::Snapshot { .. }))
 }
 
-/// A component, as its body would drive it: each job takes a moment.
+/// A replica and its component, as the actor drives them: each job takes a moment.
 struct Member {
     replica: Replica,
     sum: u64,
-    /// When the job at hand is done, and which it is.
+    /// The current job, and when it is done.
     busy: Option<(Instant, ReplicaOutput)>,
-    /// It wants to know whether others are there.
+    /// It waits for the services that it depends on.
     inquires: bool,
-    /// This node's clock runs so much faster, in thousandths.
+    /// How much faster this node's clock runs, in thousandths.
     drift: u64,
 }
 
@@ -72,34 +72,33 @@ struct Robot {
     members: Vec<Option<Member>>,
     /// On which side of a cut each node is.
     sides: Vec<u8>,
-    /// Processes that get no time, and what waits for them.
+    /// Processes that are stopped, and the messages that wait for them.
     stopped: Vec<bool>,
     stalled: Vec<(usize, usize, Bytes)>,
     wire: SortedMap<(Instant, u64), (usize, usize, Bytes)>,
-    /// Messages that wait for a cut to be mended, as sessions keep them; `None` where they are
-    /// lost.
+    /// Messages that wait for the end of a cut, as sessions keep them; `None` if they are lost.
     dammed: Option<Vec<(usize, usize, Bytes)>>,
     /// Sessions keep the order.
     last: SortedMap<(usize, usize), Instant>,
     count: u64,
     callers: Vec<Caller>,
-    /// Under which epochs somebody served.
+    /// The primary of each epoch.
     epochs: SortedMap<u64, usize>,
     overlaps: u64,
-    /// From when on the services are there that this one depends on, if it does.
+    /// When the services have primaries that this one depends on, if it does.
     served_ms: Option<u64>,
-    /// What each member was told, where that is not the same for all.
-    told: SortedMap<usize, ReplicaConfig>,
-    /// What members have said about each other's terms.
-    disputes: SortedMap<usize, String>,
-    /// What is wrong of the service, on which member.
+    /// The configuration of each member, where they are not all equal.
+    configurations: SortedMap<usize, ReplicaConfig>,
+    /// The configuration mismatch that each member has declared.
+    mismatches: SortedMap<usize, String>,
+    /// The declared faults of each member.
     faults: SortedMap<(usize, FaultKind), String>,
-    /// How often it was said that state was lost.
+    /// How often a member declared that state was lost.
     losses: u64,
-    /// How many states were sent, and who is sent none.
+    /// How many snapshots were sent, and the member that receives none.
     snapshots: u64,
     withheld: Option<usize>,
-    /// Whose component takes no state over.
+    /// The member whose component cannot load a state.
     unloadable: Option<usize>,
 }
 
@@ -123,8 +122,8 @@ impl Robot {
             epochs: SortedMap::new(),
             overlaps: 0,
             served_ms: None,
-            told: SortedMap::new(),
-            disputes: SortedMap::new(),
+            configurations: SortedMap::new(),
+            mismatches: SortedMap::new(),
             faults: SortedMap::new(),
             losses: 0,
             snapshots: 0,
@@ -142,12 +141,13 @@ impl Robot {
             kind: self.kind,
             on_partition: self.on_partition,
             depends: self.served_ms.is_some(),
-            hello_interval: HELLO,
+            heartbeat_interval: HEARTBEAT,
         }
     }
 
     fn start(&mut self, member: usize) {
-        let config = self.told.get(&member).cloned().unwrap_or_else(|| self.config(member));
+        let config =
+            self.configurations.get(&member).cloned().unwrap_or_else(|| self.config(member));
         // A twentieth at most: half of the margin on either side.
         let drift = (self.random.unit() * 45.0) as u64;
         let initial = Bytes::copy_from_slice(&0u64.to_le_bytes());
@@ -173,37 +173,39 @@ impl Robot {
             let member = member.as_ref()?;
             let now = self.clock(member.drift);
             match &member.replica.role {
-                Acting::Primary(primary) => {
-                    primary.holds(&member.replica.config, &member.replica.accord, now).then_some(())
-                }
-                Acting::Standby(_) => None,
+                RoleState::Primary(primary) => primary
+                    .has_lease(&member.replica.config, &member.replica.agreement, now)
+                    .then_some(()),
+                RoleState::Standby(_) => None,
             }
         };
         (0..self.size).filter(|member| serves(&self.members[*member]).is_some()).collect()
     }
 
-    fn settle(&mut self, member: usize) {
+    fn drain(&mut self, member: usize) {
         loop {
             let Some(own) = self.members[member].as_mut() else { return };
             let Some(output) = own.replica.poll_output() else { return };
             match output {
                 ReplicaOutput::Send { to, message } => self.carry(member, index(&to), message),
-                ReplicaOutput::Became(Role::Primary { epoch }) => {
+                ReplicaOutput::RoleChanged(Role::Primary { epoch }) => {
                     let before = self.epochs.insert(epoch, member);
-                    if self.on_partition == OnPartition::Stop && self.told.is_empty() {
+                    if self.on_partition == OnPartition::Stop && self.configurations.is_empty() {
                         assert!(before.is_none(), "two primaries under epoch {epoch}");
                     }
                 }
-                ReplicaOutput::Became(Role::Standby { .. }) => {}
-                ReplicaOutput::Inquire => own.inquires = true,
+                ReplicaOutput::RoleChanged(Role::Standby { .. }) => {}
+                ReplicaOutput::CheckDependencies => own.inquires = true,
                 ReplicaOutput::Compare { with } => self.compare(member, index(&with)),
-                ReplicaOutput::Disputed { detail } => drop(self.disputes.insert(member, detail)),
-                ReplicaOutput::Agreed => drop(self.disputes.remove(&member)),
+                ReplicaOutput::ConfigMismatch { detail } => {
+                    drop(self.mismatches.insert(member, detail))
+                }
+                ReplicaOutput::MismatchCleared => drop(self.mismatches.remove(&member)),
                 ReplicaOutput::Fault { kind, detail } => {
                     self.losses += u64::from(kind == FaultKind::StateLost);
                     self.faults.insert((member, kind), detail);
                 }
-                ReplicaOutput::Mended { kind } => drop(self.faults.remove(&(member, kind))),
+                ReplicaOutput::FaultCleared { kind } => drop(self.faults.remove(&(member, kind))),
                 ReplicaOutput::Answer { caller, outcome } => {
                     let caller = &mut self.callers[caller as usize];
                     if let ServiceOutcome::Refused(why) = outcome {
@@ -269,7 +271,7 @@ impl Robot {
             }
             other => panic!("no job: {other:?}"),
         }
-        self.settle(member);
+        self.drain(member);
     }
 
     fn ask(&mut self) -> usize {
@@ -279,7 +281,7 @@ impl Robot {
         self.callers.len() - 1
     }
 
-    /// Callers ask everybody, which is more than real ones do.
+    /// Callers ask all members, which is more than real ones do.
     fn repeat(&mut self) {
         for caller in 0..self.callers.len() {
             if self.callers[caller].answer.is_some() || self.callers[caller].again > self.now {
@@ -287,7 +289,7 @@ impl Robot {
             }
             self.callers[caller].again = self.now + Duration::from_millis(5);
             let id = self.callers[caller].id;
-            // All before the first that waits have their answers.
+            // All requests before the first one that waits have their answers.
             let waits = |caller: &Caller| caller.answer.is_none();
             let settled = self.callers.iter().position(waits).unwrap_or(self.callers.len()) as u64;
             for member in 0..self.size {
@@ -298,15 +300,15 @@ impl Robot {
                 let now = Instant::from_nanos(self.now.as_nanos() / 1000 * (1000 + own.drift));
                 let asked = ServiceRequest { settled, ..request(caller as u64, id) };
                 own.replica.handle_request(asked, now);
-                self.settle(member);
+                self.drain(member);
             }
         }
     }
 
-    /// In steps of a tenth of a millisecond; those in which nothing is to be done are left out.
+    /// Advances in steps of a tenth of a millisecond, without those in which nothing happens.
     fn advance(&mut self, span: Duration) {
         let end = self.now + span;
-        // Who was cut off, and from whom, changes between two calls only.
+        // The sides of a cut change between two calls only.
         for (from, to, message) in self.dammed.as_mut().map(std::mem::take).unwrap_or_default() {
             self.carry(from, to, message);
         }
@@ -323,7 +325,7 @@ impl Robot {
                 if let Some(own) = self.members[to].as_mut() {
                     let now = Instant::from_nanos(self.now.as_nanos() / 1000 * (1000 + own.drift));
                     own.replica.handle_message(&node(from), &message, now);
-                    self.settle(to);
+                    self.drain(to);
                 }
             }
             for member in (0..self.size).filter(|member| !self.stopped[*member]).collect::<Vec<_>>()
@@ -337,7 +339,7 @@ impl Robot {
                     if served && std::mem::take(&mut own.inquires) {
                         own.replica.handle_ready(now);
                     }
-                    self.settle(member);
+                    self.drain(member);
                 }
             }
             self.repeat();
@@ -345,7 +347,7 @@ impl Robot {
         }
     }
 
-    /// When there is something to do next.
+    /// Returns the time of the next event.
     fn next_event(&self) -> Option<Instant> {
         let wire = self.wire.keys().map(|(at, _)| *at).next();
         let waiting = self.callers.iter().filter(|caller| caller.answer.is_none());
@@ -354,7 +356,7 @@ impl Robot {
         let members = running.filter_map(|(member, _)| {
             let member = member.as_ref()?;
             let timeout = member.replica.poll_timeout().map(|due| {
-                // The first moment at which this node's clock has come so far.
+                // The first time at which this node's clock has reached that.
                 Instant::from_nanos(due.as_nanos().div_ceil(1000 + member.drift) * 1000)
             });
             let done = member.busy.as_ref().map(|(at, _)| *at);
@@ -368,7 +370,7 @@ impl Robot {
         self.advance(Duration::from_millis(millis));
     }
 
-    /// How long the caller waited.
+    /// Returns how long the caller waited.
     fn waited(&self, caller: usize) -> Duration {
         let caller = &self.callers[caller];
         caller.answered.expect("it was answered") - caller.asked

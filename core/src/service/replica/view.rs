@@ -1,36 +1,36 @@
-//! What a replica shows of itself.
+//! The view of a replica, for display.
 
 use super::super::view::{ServiceState, ServiceView};
 use super::*;
 
 impl Replica {
-    /// What this replica knows of its service now.
+    /// Returns what this replica knows of its service now.
     pub fn view(&self) -> ServiceView {
         let primary = match &self.role {
-            Acting::Primary(_) => Some(self.config.own.clone()),
-            Acting::Standby(standby) => standby.primary.clone(),
+            RoleState::Primary(_) => Some(self.config.own.clone()),
+            RoleState::Standby(standby) => standby.primary.clone(),
         };
-        let unheard = |member: &&NodeName| {
-            **member != self.config.own && !self.accord.reached.contains(*member)
+        let unreachable = |member: &&NodeName| {
+            **member != self.config.own && !self.agreement.reachable.contains(*member)
         };
         ServiceView {
             state: self.state_shown(),
             epoch: self.epoch,
             primary,
-            unheard: self.config.members.iter().filter(unheard).cloned().collect(),
-            unprotected: self.faults.contains_key(&FaultKind::Unreplicated),
+            unreachable: self.config.members.iter().filter(unreachable).cloned().collect(),
+            unreplicated: self.faults.contains_key(&FaultKind::Unreplicated),
         }
     }
 
     fn state_shown(&self) -> ServiceState {
-        let Acting::Standby(standby) = &self.role else { return ServiceState::Primary };
+        let RoleState::Standby(standby) = &self.role else { return ServiceState::Primary };
         match (self.health, self.role()) {
-            (Health::Gone { .. }, _) => ServiceState::Resting,
-            (_, Role::Standby { primary: None, .. }) if self.accord.is_hopeless() => {
+            (Health::Inactive { .. }, _) => ServiceState::Resting,
+            (_, Role::Standby { primary: None, .. }) if self.agreement.is_fenced() => {
                 ServiceState::Fenced
             }
             (_, Role::Standby { primary: None, .. }) => ServiceState::Candidate,
-            _ if standby.learns() => ServiceState::Learner,
+            _ if standby.is_learner() => ServiceState::Learner,
             (_, Role::Standby { in_step: true, .. }) => ServiceState::Standby,
             _ => ServiceState::Behind,
         }

@@ -239,10 +239,13 @@ mod a_rule_can_fail {
     const CORE: &str = "[package]\nname = \"blastema-core\"\n[dependencies]\n";
 
     #[test]
-    fn vague_subjects_are_counted_in_sources_and_pages() {
-        let texts = [("README.md", "Who asks is told; nobody waits.".repeat(99))];
-        let texts = texts.each_ref().map(|(path, text)| (*path, text.as_str()));
-        check(pages::subjects, &texts, &[("README.md", 1)]);
+    fn when_a_source_or_a_page_leaves_open_who_acts() {
+        let texts = [
+            ("README.md", "The caller waits.\nNobody asks."),
+            ("core/src/lib.rs", "fn nobody_asks() {}\n// Whoever asks, waits."),
+            ("core/data.txt", "nobody"),
+        ];
+        check(pages::subjects, &texts, &[("README.md", 2), ("core/src/lib.rs", 2)]);
     }
 
     #[test]

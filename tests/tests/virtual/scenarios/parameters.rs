@@ -111,7 +111,7 @@ async fn parameters_have_their_defaults_unless_the_configuration_says_otherwise(
         grips: vec![],
         grip: Grip::Soft,
     };
-    assert_eq!(*seen.lock().unwrap(), [expected.clone()]);
+    assert_eq!(seen.lock().unwrap().as_slice(), std::slice::from_ref(&expected));
 
     let (builder, seen) = arm();
     let folder = tempfile::tempdir().unwrap();

@@ -46,7 +46,8 @@ pub(crate) enum Deed {
     Await(u64),
     /// The same, and says so before.
     AwaitAsAnnounced(u64),
-    /// Keeps the thread until the test lets it go; then it tells this puppet so, and everybody.
+    /// Keeps the thread until the test releases it; then it publishes and sends a note to this
+    /// puppet.
     Block(String),
     /// Declares a fault of this code.
     Declare(String),

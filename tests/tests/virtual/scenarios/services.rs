@@ -8,12 +8,12 @@ use blastema::{
 use blastema_testkit::{TestNode, now};
 use std::time::Duration;
 
+mod configurations;
 mod epochs;
-mod exposure;
 mod outage;
 mod shown;
 mod states;
-mod terms;
+mod under_replication;
 
 const MS: Duration = Duration::from_millis(1);
 const MEMBERS: [&str; 3] = ["module1", "module2", "module3"];
@@ -60,7 +60,7 @@ impl Stateful for Counter {
 }
 
 fn counter(kind: StandbyKind) -> ServiceSpec<Counter> {
-    ServiceSpec::new("counter", MEMBERS, Counter::default).standby(kind).hello_every(10 * MS)
+    ServiceSpec::new("counter", MEMBERS, Counter::default).standby(kind).heartbeat_every(10 * MS)
 }
 
 /// Every node has a link of its own to every other.
@@ -76,7 +76,7 @@ fn node(own: &str, medium: &MemoryMedium) -> NodeBuilder {
 
 struct Robot {
     medium: MemoryMedium,
-    /// One that carries nothing, and asks.
+    /// A node that carries no service, and sends requests.
     asker: TestNode,
     members: Vec<TestNode>,
 }
@@ -131,7 +131,7 @@ async fn standing(node: &TestNode, kind: &FaultKind) -> Option<Fault> {
 }
 
 #[blastema_testkit::test]
-async fn whoever_asks_a_service_need_not_know_who_serves() {
+async fn a_caller_of_a_service_need_not_know_its_primary() {
     let robot = Robot::start(StandbyKind::Warm).await;
     assert_eq!(robot.serving().len(), 1);
 
@@ -173,7 +173,7 @@ async fn a_standby_answers_soon_after_the_primarys_cable_is_cut_and_forgets_noth
 }
 
 #[blastema_testkit::test]
-async fn a_node_that_begins_anew_comes_into_step_and_can_take_over() {
+async fn a_restarted_node_comes_into_step_and_can_take_over() {
     let mut robot = Robot::start(StandbyKind::Hot).await;
     assert_eq!(robot.add(5).await, Ok(5));
     robot.members[0].shutdown().await;
@@ -195,7 +195,7 @@ async fn a_node_that_begins_anew_comes_into_step_and_can_take_over() {
 }
 
 #[blastema_testkit::test]
-async fn what_fails_is_told_once_and_the_state_outlives_the_component() {
+async fn a_failure_is_reported_once_and_the_state_outlives_the_component() {
     for kind in [StandbyKind::Warm, StandbyKind::Hot] {
         let robot = Robot::start(kind).await;
         assert_eq!(robot.add(5).await, Ok(5));
@@ -291,12 +291,12 @@ async fn with_cold_standbys_the_next_begins_afresh() {
 }
 
 #[blastema_testkit::test]
-async fn half_a_robot_serves_only_if_it_was_told_to() {
+async fn half_a_robot_serves_only_if_it_is_configured_to() {
     for (on_partition, expected) in [(OnPartition::Stop, 0), (OnPartition::Continue, 2)] {
         let both = ["module1", "module2"];
         let spec = move || {
             let spec = ServiceSpec::new("counter", both, Counter::default);
-            spec.on_partition(on_partition).hello_every(10 * MS)
+            spec.on_partition(on_partition).heartbeat_every(10 * MS)
         };
         let medium = MemoryMedium::default();
         let one = TestNode::start(node("module1", &medium).service(spec())).await;
@@ -324,7 +324,7 @@ async fn a_service_follows_those_that_it_depends_on() {
     for own in MEMBERS {
         let map = ServiceSpec::new("map", MEMBERS, Counter::default);
         // Its standbys take their time.
-        let map = map.hello_every(100 * MS);
+        let map = map.heartbeat_every(100 * MS);
         let counter = counter(StandbyKind::Warm).depends_on(["map"]);
         members.push(TestNode::start(node(own, &medium).service(counter).service(map)).await);
     }
@@ -349,12 +349,12 @@ async fn a_service_of_other_nodes_is_waited_for_before_a_standby_takes_over() {
     // counter's nodes carries no map.
     let map = || {
         let map = ServiceSpec::new("map", ["module1", "module0", "module2"], Counter::default);
-        map.hello_every(100 * MS)
+        map.heartbeat_every(100 * MS)
     };
     let counter = || {
         let members = ["module1", "module3", "module2"];
         let counter = ServiceSpec::new("counter", members, Counter::default);
-        counter.hello_every(10 * MS).depends_on(["map"])
+        counter.heartbeat_every(10 * MS).depends_on(["map"])
     };
     let medium = MemoryMedium::default();
     let mut nodes = vec![
@@ -405,11 +405,15 @@ async fn a_service_that_is_described_wrongly_is_refused_at_the_start() {
     let refused = TestNode::try_start(Node::builder("module1").service(twice)).await;
     let Err(StartError::Service { reason, .. }) = refused else { panic!("it stands there twice") };
     assert!(reason.contains("twice"), "{reason}");
-    for hello in [Duration::ZERO, Duration::from_micros(999), Duration::from_secs(3601)] {
-        let spec = ServiceSpec::new("counter", ["module1"], Counter::default).hello_every(hello);
+    for interval in [Duration::ZERO, Duration::from_micros(999), Duration::from_secs(3601)] {
+        let spec =
+            ServiceSpec::new("counter", ["module1"], Counter::default).heartbeat_every(interval);
         let refused = TestNode::try_start(Node::builder("module1").service(spec)).await;
-        let Err(StartError::Service { reason, .. }) = refused else { panic!("every {hello:?}") };
-        assert!(reason.contains("from 1ms to 3600s") && reason.contains("hello_every"), "{reason}");
+        let Err(StartError::Service { reason, .. }) = refused else { panic!("every {interval:?}") };
+        assert!(
+            reason.contains("from 1ms to 3600s") && reason.contains("heartbeat_every"),
+            "{reason}"
+        );
     }
     let names: Vec<_> = (1..=257).map(|n| format!("module{n}")).collect();
     let all = ServiceSpec::new("counter", names.iter().map(String::as_str), Counter::default);

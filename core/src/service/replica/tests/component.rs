@@ -1,31 +1,31 @@
-//! Components that die, stop and come back while their nodes live.
+//! Components that end, stop and resume while their nodes run.
 
 use super::*;
 
 impl Robot {
-    /// The component begins a new life; what it was given before is done by that one.
+    /// Restarts the component. The new incarnation does the current job.
     pub(super) fn lose(&mut self, member: usize) {
         let now = self.clock(self.members[member].as_ref().unwrap().drift);
         let own = self.members[member].as_mut().unwrap();
         own.sum = 0;
         own.replica.handle_component_died(now);
-        self.settle(member);
+        self.drain(member);
     }
 
-    /// The component takes nothing any more, or does again.
+    /// Stops or resumes the component.
     pub(super) fn rest(&mut self, member: usize, rests: bool) {
         let now = self.clock(self.members[member].as_ref().unwrap().drift);
         let own = self.members[member].as_mut().unwrap();
         if rests {
-            own.replica.handle_component_gone(now);
-        } else if let Health::Gone { .. } = own.replica.health {
+            own.replica.handle_component_stopped(now);
+        } else if let Health::Inactive { .. } = own.replica.health {
             own.sum = 0;
-            own.replica.handle_component_back(now);
+            own.replica.handle_component_resumed(now);
         }
-        self.settle(member);
+        self.drain(member);
     }
 
-    /// These processes get no time for so long.
+    /// Stops these processes for so long.
     pub(super) fn stop_for(&mut self, members: &[usize], span: Duration) {
         members.iter().for_each(|member| self.stopped[*member] = true);
         self.advance(span);
@@ -69,8 +69,12 @@ fn a_hot_primary_whose_component_died_leaves_the_service_to_a_standby_at_once() 
     assert_ne!(robot.primaries(), [0]);
     assert_eq!(robot.answers()[3], Some(4));
     assert_eq!(robot.members[0].as_ref().unwrap().sum, 4, "it is in step again");
-    let lease = HELLO * 3;
-    assert!(robot.waited(caller) < lease, "nobody waits for a lease: {:?}", robot.waited(caller));
+    let lease = HEARTBEAT * 3;
+    assert!(
+        robot.waited(caller) < lease,
+        "no caller waits for a lease: {:?}",
+        robot.waited(caller)
+    );
 }
 
 #[test]
@@ -83,7 +87,7 @@ fn a_member_without_the_state_is_not_elected_while_those_who_have_it_stand_still
         robot.advance(Duration::from_micros(200 * moment));
         robot.lose(0);
 
-        // Some shorter, some longer than their promises last.
+        // The stops are shorter or longer than their promises.
         robot.stop_for(&[1, 2], Duration::from_millis(moment * 5));
         robot.advance_ms(200);
         robot.ask_some(2);
@@ -169,7 +173,7 @@ fn whichever_component_dies_while_it_works_nothing_is_answered_twice_or_forgotte
 }
 
 #[test]
-fn where_nobody_has_the_state_any_more_the_service_begins_anew_after_a_while() {
+fn where_no_member_has_the_state_the_service_starts_again_after_a_while() {
     let mut robot = Robot::new(6, 3, StandbyKind::Hot, OnPartition::Stop);
     robot.advance_ms(100);
     robot.ask_some(3);
@@ -177,7 +181,7 @@ fn where_nobody_has_the_state_any_more_the_service_begins_anew_after_a_while() {
     (0..3).for_each(|member| robot.lose(member));
 
     robot.advance_ms(500);
-    assert_eq!(robot.primaries(), [], "somebody might have it");
+    assert_eq!(robot.primaries(), [], "a member might have the state");
     robot.advance_ms(500);
     assert_eq!(robot.primaries().len(), 1);
     robot.ask();
@@ -220,7 +224,7 @@ fn a_primary_whose_component_rests_resigns_at_once_and_is_no_candidate_until_it_
         let behind = Role::Standby { primary: Some(node(follower[0])), in_step: false };
         assert_eq!(robot.role(0), behind, "{kind:?}");
 
-        // It still votes; the last one with a component serves.
+        // The stopped member still votes; the last one with a component serves.
         robot.kill(follower[0]);
         robot.advance_ms(100);
         assert_eq!(robot.primaries(), [3 - follower[0]], "{kind:?}");
@@ -241,7 +245,7 @@ fn a_primary_whose_component_rests_resigns_at_once_and_is_no_candidate_until_it_
 }
 
 #[test]
-fn who_resigned_long_ago_or_never_served_releases_nobody() {
+fn a_resignation_of_an_earlier_epoch_or_of_a_standby_releases_no_promise() {
     let mut robot = Robot::new(8, 3, StandbyKind::Warm, OnPartition::Stop);
     robot.advance_ms(100);
     let past = Message::Resigned { epoch: 0 };
@@ -279,7 +283,7 @@ fn a_warm_service_goes_on_where_it_was_however_long_all_of_its_members_rested() 
 }
 
 #[test]
-fn the_only_member_of_a_warm_service_gives_its_next_life_the_last_state() {
+fn the_only_member_of_a_warm_service_loads_the_last_state_into_its_restarted_component() {
     let mut robot = Robot::new(4, 1, StandbyKind::Warm, OnPartition::Stop);
     robot.advance_ms(100);
     robot.ask_some(3);
@@ -288,5 +292,5 @@ fn the_only_member_of_a_warm_service_gives_its_next_life_the_last_state() {
     robot.ask_some(1);
     robot.advance_ms(500);
 
-    robot.assert_nothing_is_lost("in its second life");
+    robot.assert_nothing_is_lost("after the restart");
 }

@@ -1,4 +1,4 @@
-//! Who serves while nodes come, go, and are cut off; and what becomes of requests meanwhile.
+//! Elections while nodes start, end and are cut off, and the requests meanwhile.
 
 use super::*;
 
@@ -45,7 +45,7 @@ fn a_request_in_flight_completes_once_when_the_primary_is_killed() {
 }
 
 #[test]
-fn whoever_takes_over_answers_after_one_round_trip_where_the_others_have_what_it_has() {
+fn the_next_primary_answers_after_one_round_trip_if_the_others_have_its_state() {
     for kind in [StandbyKind::Warm, StandbyKind::Hot] {
         let mut robot = Robot::new(4, 3, kind, OnPartition::Stop);
         robot.advance_ms(100);
@@ -60,7 +60,7 @@ fn whoever_takes_over_answers_after_one_round_trip_where_the_others_have_what_it
         let caller = robot.ask();
         robot.advance_ms(20);
 
-        // Two ways of at most 1.7 ms, and the component's 0.3 ms, twice for a state to be loaded.
+        // Two paths of at most 1.7 ms, and the component's 0.3 ms, twice for a state to be loaded.
         assert!(robot.waited(caller) <= Duration::from_millis(5), "{:?}", robot.waited(caller));
         let follower = robot.primaries()[0];
         let standby = robot.members[3 - follower].as_ref().unwrap().replica.role();
@@ -69,7 +69,7 @@ fn whoever_takes_over_answers_after_one_round_trip_where_the_others_have_what_it
 }
 
 #[test]
-fn nobody_takes_over_before_the_services_that_it_depends_on() {
+fn no_standby_takes_over_before_the_services_that_it_depends_on() {
     let mut robot = Robot::new(2, 3, StandbyKind::Warm, OnPartition::Stop);
     robot.served_ms = Some(robot.now.as_nanos() / 1_000_000 + 150);
     (0..3).for_each(|member| robot.start(member));
@@ -108,7 +108,7 @@ fn the_return_of_a_node_does_not_take_the_service_back() {
         let second = if kind == StandbyKind::Cold { 1 } else { 2 };
         assert_eq!(robot.answers(), [Some(1), Some(second)]);
 
-        // It is in step again: the next one to go leaves everything to it, or to the third.
+        // It is in step again: after the next failure, it or the third member serves.
         robot.kill(follower[0]);
         robot.advance_ms(100);
         robot.ask();
@@ -119,7 +119,7 @@ fn the_return_of_a_node_does_not_take_the_service_back() {
 }
 
 #[test]
-fn a_primary_without_a_majority_stops_before_anybody_follows() {
+fn a_primary_without_a_majority_stops_before_the_next_one_serves() {
     for seed in 0..40 {
         let mut robot = Robot::new(seed, 3, StandbyKind::Warm, OnPartition::Stop);
         robot.advance_ms(100 + seed);
@@ -136,7 +136,7 @@ fn a_primary_without_a_majority_stops_before_anybody_follows() {
 }
 
 #[test]
-fn in_two_halves_nobody_serves_or_both_do_as_it_was_said() {
+fn in_two_halves_no_node_serves_or_one_of_each_as_configured() {
     let mut robot = Robot::new(5, 2, StandbyKind::Warm, OnPartition::Stop);
     robot.advance_ms(200);
     assert_eq!(robot.primaries(), [0]);

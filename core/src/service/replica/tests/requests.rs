@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn who_is_no_member_and_what_is_no_message_is_refused() {
+fn messages_of_strangers_and_undecodable_ones_are_refused() {
     let mut robot = Robot::new(1, 3, StandbyKind::Warm, OnPartition::Stop);
     let own = robot.members[0].as_mut().unwrap();
     own.replica.handle_message(&NodeName::new("stranger").unwrap(), b"\0\0", robot.now);
@@ -57,8 +57,8 @@ fn a_request_whose_deadline_passed_while_it_waited_is_not_begun() {
     assert_eq!(outputs.iter().filter(begun).count(), 1, "the third, and not the second");
 }
 
-/// A warm primary alone with its followers' messages, after it has served one request with this
-/// state.
+/// Returns the lengths of the entries that a warm primary sends after requests with these states,
+/// and its other outputs.
 fn entries_of(states: &[Vec<u8>]) -> (Vec<usize>, Vec<ReplicaOutput>) {
     let mut robot = Robot::new(3, 3, StandbyKind::Warm, OnPartition::Stop);
     robot.advance_ms(100);
@@ -98,7 +98,7 @@ fn only_what_has_changed_of_a_state_is_shipped() {
 }
 
 #[test]
-fn a_request_that_makes_the_state_too_large_fails_and_is_undone_and_the_fault_told_once() {
+fn a_request_that_makes_the_state_too_large_fails_and_is_undone_and_the_fault_is_declared_once() {
     let large = vec![1; STATE_MAX + 1];
     let (lengths, others) = entries_of(&[vec![1; 8], large.clone(), large, vec![1; 9]]);
 
@@ -122,7 +122,7 @@ fn replies_are_kept_until_their_callers_have_them_and_no_longer() {
             });
             assert!(kept.count() <= 4, "{kind:?}");
         }
-        // One that has wandered about is not served again.
+        // A delayed copy is not served again.
         let late = MessageId { sender: 1, sequence: 3 };
         let now = robot.clock(robot.members[0].as_ref().unwrap().drift);
         let own = robot.members[0].as_mut().unwrap();

@@ -1,8 +1,8 @@
-//! Callers that were answered under an epoch, and lives that know nothing of it.
+//! Callers that were answered in an epoch, and restarted nodes that do not know it.
 
 use super::*;
 
-/// A robot whose service has had two primaries, and who asks it.
+/// A robot whose service has had two primaries, and a caller.
 async fn in_its_second_epoch() -> (Robot, blastema::ServiceRef<Add>) {
     let robot = Robot::start(StandbyKind::Warm).await;
     let first = robot.primary();
@@ -16,7 +16,7 @@ async fn in_its_second_epoch() -> (Robot, blastema::ServiceRef<Add>) {
 }
 
 #[blastema_testkit::test]
-async fn whoever_was_answered_is_not_answered_by_a_new_life_that_was_told_otherwise() {
+async fn a_caller_does_not_accept_a_restarted_node_with_another_configuration_and_a_lower_epoch() {
     if !blastema_doubles::long() {
         return;
     }
@@ -24,18 +24,18 @@ async fn whoever_was_answered_is_not_answered_by_a_new_life_that_was_told_otherw
         let (mut robot, counter) = in_its_second_epoch().await;
         assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.kind), Ok(1));
         let own = MEMBERS[robot.primary()];
-        // Without a word.
+        // The node ends without leaving.
         drop(robot.members.remove(robot.primary()));
         let list = if rule == OnPartition::Stop { vec![own] } else { MEMBERS.to_vec() };
         let wrong = ServiceSpec::new("counter", list, Counter::default).on_partition(rule);
-        let wrong = node(own, &robot.medium).service(wrong.hello_every(10 * MS));
+        let wrong = node(own, &robot.medium).service(wrong.heartbeat_every(10 * MS));
         let wrong = TestNode::start(wrong).await;
         assert!(robot.asker.connected(own, 2000 * MS).await);
         while wrong.service_role("counter") != Some(Role::Primary { epoch: 1 }) {
             robot.asker.advance(MS).await;
         }
 
-        // Those who know better are out of sight for a moment.
+        // The nodes that know the epoch are out of sight for a moment.
         for other in &robot.members {
             other.cable("ethernet").expect("a cable").cut(Direction::Both, false);
         }
@@ -63,7 +63,7 @@ async fn whoever_was_answered_is_not_answered_by_a_new_life_that_was_told_otherw
 }
 
 #[blastema_testkit::test]
-async fn whoever_was_answered_follows_a_service_that_begins_again_as_a_whole() {
+async fn a_caller_accepts_a_service_whose_nodes_have_all_restarted() {
     let (mut robot, counter) = in_its_second_epoch().await;
     assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.kind), Ok(1));
     robot.members.clear();

@@ -7,7 +7,8 @@ async fn outage(node: &TestNode) -> Option<String> {
 }
 
 #[blastema_testkit::test]
-async fn nodes_without_a_majority_say_that_nobody_serves_and_who_is_missing_until_somebody_does() {
+async fn nodes_without_a_majority_declare_an_outage_with_the_missing_nodes_until_there_is_a_primary()
+ {
     let robot = Robot::start(StandbyKind::Warm).await;
     let first = robot.primary();
     robot.cut(first);
@@ -15,17 +16,20 @@ async fn nodes_without_a_majority_say_that_nobody_serves_and_who_is_missing_unti
     for member in (0..3).filter(|member| *member != first) {
         assert_eq!(outage(&robot.members[member]).await, None, "a takeover is none");
     }
-    let told = standing(&robot.members[first], &FaultKind::ServiceUnavailable).await;
-    let told = told.expect("a node that is cut off sees no primary");
-    assert_eq!(told.location.to_string(), format!("{}:counter/replica/body", MEMBERS[first]));
-    assert!(told.detail.contains("service counter: nobody is known here"), "{}", told.detail);
+    let fault = standing(&robot.members[first], &FaultKind::ServiceUnavailable).await;
+    let fault = fault.expect("a node that is cut off sees no primary");
+    assert_eq!(fault.location.to_string(), format!("{}:counter/replica/body", MEMBERS[first]));
+    assert!(fault.detail.contains("service counter: no primary is known here"), "{}", fault.detail);
 
     (0..3).for_each(|member| robot.cut(member));
     robot.asker.advance(3000 * MS).await;
     for (member, own) in robot.members.iter().enumerate() {
-        let told = outage(own).await.expect("there is no majority");
+        let fault = outage(own).await.expect("there is no majority");
         let away: Vec<_> = (0..3).filter(|other| *other != member).map(|n| MEMBERS[n]).collect();
-        assert!(told.contains(&format!("not heard: {} (start them", away.join(", "))), "{told}");
+        assert!(
+            fault.contains(&format!("not reachable: {} (start them", away.join(", "))),
+            "{fault}"
+        );
     }
 
     (0..3).for_each(|member| robot.mend(member));
@@ -37,7 +41,7 @@ async fn nodes_without_a_majority_say_that_nobody_serves_and_who_is_missing_unti
 }
 
 #[blastema_testkit::test]
-async fn a_service_whose_components_were_all_stopped_says_so_on_each_node() {
+async fn a_service_whose_components_are_all_stopped_declares_so_on_each_node() {
     let robot = Robot::start(StandbyKind::Hot).await;
     for own in &robot.members {
         own.remove_child("counter/replica").await.unwrap();
@@ -45,7 +49,7 @@ async fn a_service_whose_components_were_all_stopped_says_so_on_each_node() {
     robot.asker.advance(3000 * MS).await;
 
     for own in &robot.members {
-        let told = outage(own).await.expect("no replica can serve");
-        assert!(told.contains("its component here takes nothing"), "{told}");
+        let fault = outage(own).await.expect("no replica can serve");
+        assert!(fault.contains("its component here accepts no jobs"), "{fault}");
     }
 }

@@ -1,4 +1,4 @@
-//! Services as their nodes show them.
+//! The views of services.
 
 use super::*;
 use blastema::{ServiceRow, ServiceState};
@@ -14,7 +14,7 @@ fn missing(node: &TestNode) -> Vec<String> {
 }
 
 #[blastema_testkit::test]
-async fn each_node_shows_what_it_is_to_a_service_who_serves_and_who_is_not_there() {
+async fn each_node_shows_its_state_the_primary_and_the_missing_members_of_a_service() {
     let robot = Robot::start(StandbyKind::Hot).await;
     let first = robot.primary();
     let others: Vec<_> = (0..3).filter(|member| *member != first).collect();
@@ -51,7 +51,7 @@ async fn each_node_shows_what_it_is_to_a_service_who_serves_and_who_is_not_there
 }
 
 #[blastema_testkit::test]
-async fn nodes_that_were_told_different_things_are_shown_as_fenced() {
+async fn nodes_with_different_configurations_are_shown_as_fenced() {
     let medium = MemoryMedium::default();
     let both = || ServiceSpec::new("counter", ["module1", "module2"], Counter::default);
     let nodes = [

@@ -64,7 +64,7 @@ async fn a_request_that_makes_a_state_too_large_is_not_taken_however_far_it_goes
 }
 
 #[blastema_testkit::test]
-async fn a_service_whose_first_state_is_too_large_has_a_fault_before_anybody_asks() {
+async fn a_service_whose_first_state_is_too_large_has_a_fault_before_the_first_request() {
     for (bytes, expected) in [(3_000_000, false), (3_500_000, true), (4_500_000, true)] {
         let node = keeper(bytes).await;
         node.advance(1000 * MS).await;

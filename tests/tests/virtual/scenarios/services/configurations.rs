@@ -1,19 +1,19 @@
-//! Nodes that were told different things of one service.
+//! Nodes with different configurations of one service.
 
 use super::*;
 
 const LOOK: Duration = Duration::from_millis(1200);
 
 async fn start(own: &str, medium: &MemoryMedium, spec: ServiceSpec<Counter>) -> TestNode {
-    TestNode::start(node(own, medium).service(spec.hello_every(10 * MS))).await
+    TestNode::start(node(own, medium).service(spec.heartbeat_every(10 * MS))).await
 }
 
 fn on(members: &'static [&'static str]) -> ServiceSpec<Counter> {
     ServiceSpec::new("counter", members.iter().copied(), Counter::default)
 }
 
-/// What this node's record says now of members that were told otherwise.
-async fn dispute(node: &TestNode) -> Option<String> {
+/// Returns the detail of this node's open fault of a configuration mismatch.
+async fn mismatch(node: &TestNode) -> Option<String> {
     let record = node.faults().await;
     let standing =
         record.entries.iter().filter(|entry| entry.status() == blastema::FaultStatus::Open);
@@ -27,7 +27,7 @@ fn serving(nodes: &[TestNode]) -> usize {
     nodes.iter().filter(serves).count()
 }
 
-/// Which of them serve.
+/// Returns the names of the nodes that serve.
 fn who(nodes: &[TestNode]) -> Vec<&str> {
     let serves =
         |node: &&TestNode| matches!(node.service_role("counter"), Some(Role::Primary { .. }));
@@ -35,7 +35,7 @@ fn who(nodes: &[TestNode]) -> Vec<&str> {
 }
 
 #[blastema_testkit::test]
-async fn of_nodes_that_list_other_members_one_at_most_serves_and_each_says_what_to_write() {
+async fn of_nodes_with_different_lists_at_most_one_serves_and_each_declares_what_to_write() {
     let cases: [([&'static [&'static str]; 3], &[&str]); 4] = [
         ([&["module1"], &MEMBERS, &MEMBERS], &["module2", "module3"]),
         ([&["module1"], &["module2"], &["module3"]], &MEMBERS),
@@ -56,9 +56,13 @@ async fn of_nodes_that_list_other_members_one_at_most_serves_and_each_says_what_
 
         nodes[0].advance(LOOK).await;
         for node in &nodes {
-            let said = dispute(node).await.unwrap_or_else(|| panic!("{lists:?}: {}", node.name()));
-            assert!(said.contains("service counter") && said.contains("its nodes are"), "{said}");
-            assert!(said.contains("write the same list, such as"), "{said}");
+            let detail =
+                mismatch(node).await.unwrap_or_else(|| panic!("{lists:?}: {}", node.name()));
+            assert!(
+                detail.contains("service counter") && detail.contains("its nodes are"),
+                "{detail}"
+            );
+            assert!(detail.contains("write the same list, such as"), "{detail}");
         }
         for _ in 0..50 {
             nodes[0].advance(100 * MS).await;
@@ -70,7 +74,8 @@ async fn of_nodes_that_list_other_members_one_at_most_serves_and_each_says_what_
 }
 
 #[blastema_testkit::test]
-async fn whoever_asks_a_disputed_service_is_told_at_the_deadline_why_and_what_to_write() {
+async fn a_caller_of_a_service_with_different_configurations_learns_at_the_deadline_what_to_write()
+{
     let medium = MemoryMedium::default();
     let asker = TestNode::start(node("module0", &medium)).await;
     let _nodes = [
@@ -83,13 +88,13 @@ async fn whoever_asks_a_disputed_service_is_told_at_the_deadline_why_and_what_to
     let asked_at = now();
     let refused = counter.ask_within(Add(1), 1000 * MS).await.unwrap_err();
     let waited = now() - asked_at;
-    assert!(waited >= 1000 * MS && waited < 1100 * MS, "it might have ended: {waited:?}");
+    assert!(waited >= 1000 * MS && waited < 1100 * MS, "the mismatch might have ended: {waited:?}");
     let DeliveryError::ContractDiffers { difference } = &refused.kind else { panic!("{refused}") };
     assert!(difference.contains("its standbys are"), "{difference}");
     assert!(difference.contains("StandbyKind::Hot"), "{difference}");
 }
 
-/// What those mean who were given another version.
+/// Another version of the contract.
 #[derive(Clone, Debug, Request)]
 #[contract(name = "counter/add", reply = u64)]
 struct AddParts {
@@ -97,7 +102,7 @@ struct AddParts {
 }
 
 #[blastema_testkit::test]
-async fn whoever_means_another_contract_than_the_service_is_told_at_once() {
+async fn a_caller_with_another_contract_is_refused_at_once() {
     let robot = Robot::start(StandbyKind::Warm).await;
     let counter = robot.asker.service::<AddParts>("counter").unwrap();
     let asked_at = now();
@@ -109,10 +114,10 @@ async fn whoever_means_another_contract_than_the_service_is_told_at_once() {
 }
 
 #[blastema_testkit::test]
-async fn whoever_asks_while_nodes_are_at_odds_is_answered_when_they_agree() {
+async fn a_request_sent_while_configurations_differ_is_answered_when_they_agree() {
     let medium = MemoryMedium::default();
     let asker = TestNode::start(node("module0", &medium)).await;
-    let slow = on(&MEMBERS).hello_every(20 * MS);
+    let slow = on(&MEMBERS).heartbeat_every(20 * MS);
     let wrong = TestNode::start(node("module1", &medium).service(slow)).await;
     let nodes = [
         start("module2", &medium, on(&MEMBERS)).await,
@@ -134,7 +139,7 @@ async fn whoever_asks_while_nodes_are_at_odds_is_answered_when_they_agree() {
 }
 
 #[blastema_testkit::test]
-async fn where_somebody_may_have_begun_a_dispute_that_lasts_leaves_the_outcome_unknown() {
+async fn where_a_node_may_have_begun_a_mismatch_that_lasts_leaves_the_outcome_unknown() {
     let mut robot = Robot::start(StandbyKind::Warm).await;
     let counter = robot.asker.service::<Add>("counter").unwrap();
     assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.kind), Ok(1));
@@ -142,18 +147,18 @@ async fn where_somebody_may_have_begun_a_dispute_that_lasts_leaves_the_outcome_u
     robot.cut(first);
     for member in (0..3).filter(|member| *member != first) {
         robot.members[member].shutdown().await;
-        let hello = MS * (20 + u32::try_from(member).unwrap());
-        let spec = on(&MEMBERS).hello_every(hello);
+        let interval = MS * (20 + u32::try_from(member).unwrap());
+        let spec = on(&MEMBERS).heartbeat_every(interval);
         let again = node(MEMBERS[member], &robot.medium).service(spec);
         robot.members[member] = TestNode::start(again).await;
     }
     robot.asker.advance(3000 * MS).await;
 
-    // It asks whom it knows, and cannot know what became of it there.
+    // The caller asks the node that it knows, and cannot know the outcome there.
     let failed = counter.ask_within(Add(1), 1000 * MS).await.unwrap_err();
 
     let DeliveryError::OutcomeUnknown { reason } = &failed.kind else { panic!("{failed}") };
-    assert!(reason.contains("its primary says hello every"), "{reason}");
+    assert!(reason.contains("its primary sends a heartbeat every"), "{reason}");
 }
 
 async fn add(node: &TestNode) -> Result<u64, DeliveryError> {
@@ -162,8 +167,7 @@ async fn add(node: &TestNode) -> Result<u64, DeliveryError> {
 }
 
 #[blastema_testkit::test]
-async fn a_service_goes_on_beside_a_node_that_was_told_otherwise_and_takes_it_in_when_it_is_right()
-{
+async fn a_service_goes_on_beside_a_wrong_node_and_takes_it_in_when_it_is_right() {
     let medium = MemoryMedium::default();
     let wrong = start("module1", &medium, on(&["module1"])).await;
     let mut nodes = vec![
@@ -173,7 +177,7 @@ async fn a_service_goes_on_beside_a_node_that_was_told_otherwise_and_takes_it_in
     wrong.advance(3000 * MS).await;
     assert_eq!(serving(&nodes), 1);
     assert_eq!(serving(std::slice::from_ref(&wrong)), 0);
-    // Also of those who ask from there.
+    // Callers on the wrong node are served as well.
     assert_eq!(add(&wrong).await, Ok(1));
     wrong.shutdown().await;
 
@@ -181,14 +185,14 @@ async fn a_service_goes_on_beside_a_node_that_was_told_otherwise_and_takes_it_in
     nodes[0].advance(3000 * MS).await;
 
     for node in &nodes {
-        assert_eq!(dispute(node).await, None, "{}", node.name());
+        assert_eq!(mismatch(node).await, None, "{}", node.name());
     }
     assert_eq!(serving(&nodes), 1);
     assert_eq!(add(&nodes[0]).await, Ok(2));
 }
 
 #[blastema_testkit::test]
-async fn a_node_that_was_told_otherwise_and_died_or_was_cut_off_keeps_nobody_from_serving() {
+async fn a_wrong_node_that_died_or_was_cut_off_prevents_no_election() {
     if !blastema_doubles::long() {
         return;
     }
@@ -204,17 +208,17 @@ async fn a_node_that_was_told_otherwise_and_died_or_was_cut_off_keeps_nobody_fro
         dead.advance(2000 * MS).await;
         dead.cable("ethernet").unwrap().cut(Direction::Both, false);
         dead.advance(2000 * MS).await;
-        assert_eq!(serving(std::slice::from_ref(&dead)), 0, "{wrong:?}: it keeps back");
+        assert_eq!(serving(std::slice::from_ref(&dead)), 0, "{wrong:?}: it defers");
         assert_eq!(serving(&nodes), 1, "{wrong:?}");
         assert_eq!(add(&nodes[0]).await, Ok(1), "{wrong:?}");
 
-        // Without a word.
+        // The node ends without leaving.
         drop(dead);
         nodes[0].advance(2000 * MS).await;
         assert_eq!(serving(&nodes), 1, "{wrong:?}");
         assert_eq!(add(&nodes[0]).await, Ok(2), "{wrong:?}");
-        let said = dispute(&nodes[0]).await.expect("it is told until it is right");
-        assert!(said.contains("those who agree go on"), "{said}");
+        let detail = mismatch(&nodes[0]).await.expect("it is declared until it is right");
+        assert!(detail.contains("the nodes that agree go on"), "{detail}");
     }
 }
 
@@ -244,17 +248,17 @@ async fn while_a_list_is_changed_node_by_node_the_service_goes_on_and_forgets_no
             nodes.push(start(own, &medium, on(after)).await);
             for _ in 0..15 {
                 nodes[0].advance(100 * MS).await;
-                assert!(serving(&nodes) <= 1, "{own} begins: {:?}", who(&nodes));
+                assert!(serving(&nodes) <= 1, "{own} starts: {:?}", who(&nodes));
             }
-            assert_eq!(serving(&nodes), 1, "{own} was told {after:?}");
+            assert_eq!(serving(&nodes), 1, "{own} has {after:?}");
             sum += 1;
-            assert_eq!(add(&nodes[0]).await, Ok(sum), "{own} was told {after:?}");
+            assert_eq!(add(&nodes[0]).await, Ok(sum), "{own} has {after:?}");
         }
     }
 }
 
 #[blastema_testkit::test]
-async fn whoever_asks_while_a_list_is_changed_by_killing_node_after_node_is_answered_once() {
+async fn requests_sent_while_a_list_is_changed_by_killing_node_after_node_are_answered_once() {
     if !blastema_doubles::long() {
         return;
     }
@@ -270,7 +274,7 @@ async fn whoever_asks_while_a_list_is_changed_by_killing_node_after_node_is_answ
     let mut sum = 0;
     for own in MEMBERS.iter().rev() {
         let at = nodes.iter().position(|node| node.name().as_str() == *own).expect("it is there");
-        // Without a word.
+        // The node ends without leaving.
         drop(nodes.remove(at));
         let change = async {
             nodes.push(start(own, &medium, on(&MEMBERS)).await);
@@ -286,16 +290,17 @@ async fn whoever_asks_while_a_list_is_changed_by_killing_node_after_node_is_answ
         };
         let (answers, ()) = tokio::join!(ask, change);
         let expected: Vec<_> = (sum + 1..=sum + 10).map(Ok).collect();
-        assert_eq!(answers, expected, "{own} was told another list");
+        assert_eq!(answers, expected, "{own} has another list");
         sum += 10;
     }
 }
 
 #[blastema_testkit::test]
-async fn what_keeps_a_service_from_being_served_is_over_a_second_after_it_has_left_in_order() {
+async fn a_service_has_a_primary_a_second_after_the_node_that_prevented_it_has_left_in_order() {
     let medium = MemoryMedium::default();
-    let hello = |every| ServiceSpec::new("counter", MEMBERS, Counter::default).hello_every(every);
-    let start = async |own, every| TestNode::start(node(own, &medium).service(hello(every))).await;
+    let spec =
+        |every| ServiceSpec::new("counter", MEMBERS, Counter::default).heartbeat_every(every);
+    let start = async |own, every| TestNode::start(node(own, &medium).service(spec(every))).await;
     let wrong = start("module1", 20 * MS).await;
     let nodes = vec![start("module2", 10 * MS).await, start("module3", 10 * MS).await];
     wrong.advance(4000 * MS).await;
@@ -305,7 +310,7 @@ async fn what_keeps_a_service_from_being_served_is_over_a_second_after_it_has_le
     nodes[0].advance(1000 * MS).await;
 
     assert_eq!(serving(&nodes), 1);
-    assert_eq!(dispute(&nodes[0]).await, None);
+    assert_eq!(mismatch(&nodes[0]).await, None);
 }
 
 #[blastema_testkit::test]
@@ -323,17 +328,17 @@ async fn a_listed_node_that_does_not_carry_the_service_is_named_while_the_others
 
     assert_eq!(serving(&nodes), 1);
     for node in &nodes {
-        let said = dispute(node).await.expect("redundancy is missing");
-        assert!(said.contains("without this service: module3"), "{said}");
+        let detail = mismatch(node).await.expect("redundancy is missing");
+        assert!(detail.contains("without this service: module3"), "{detail}");
     }
     without.shutdown().await;
     let _with = start("module3", &medium, on(&MEMBERS)).await;
     nodes[0].advance(3000 * MS).await;
-    assert_eq!((dispute(&nodes[0]).await, dispute(&nodes[1]).await), (None, None));
+    assert_eq!((mismatch(&nodes[0]).await, mismatch(&nodes[1]).await), (None, None));
 }
 
 #[blastema_testkit::test]
-async fn an_object_that_only_has_the_services_name_disputes_nothing() {
+async fn an_object_that_only_has_the_services_name_is_no_mismatch() {
     let medium = MemoryMedium::default();
     let other = ChildSpec::new("counter", Counter::default);
     let other = TestNode::start(node("module3", &medium).child(other)).await;
@@ -345,6 +350,6 @@ async fn an_object_that_only_has_the_services_name_disputes_nothing() {
 
     assert_eq!(serving(&nodes), 1);
     for node in nodes.iter().chain([&other]) {
-        assert_eq!(dispute(node).await, None);
+        assert_eq!(mismatch(node).await, None);
     }
 }

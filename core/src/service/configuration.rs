@@ -1,37 +1,38 @@
-//! What all who carry a service must have been told alike.
+//! The part of a service's configuration that must be equal on all nodes that carry it.
 
-use super::change::sum;
-use super::{HELLO_MAX, HELLO_MIN, OnPartition, ReplicaConfig, StandbyKind};
+use super::change::checksum;
+use super::{HEARTBEAT_MAX, HEARTBEAT_MIN, OnPartition, ReplicaConfig, StandbyKind};
 use crate::NodeName;
 use crate::contract::codec;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Write};
 use std::time::Duration;
 
-/// The most bytes of terms: a service on a thousand nodes with names of the greatest length.
-pub(super) const TERMS_MAX: usize = 48 * 1024;
+/// The most bytes of a configuration: a service on a thousand nodes with names of the greatest
+/// length.
+pub(super) const CONFIGURATION_BYTES_MAX: usize = 48 * 1024;
 
 /// The most nodes of a list that are shown: as many as a person compares at a glance, and few
 /// enough for a fault's text.
 const SHOWN: usize = 8;
 
-/// On what the safety of an election rests. Members who count majorities of other lists, or leases
-/// of other lengths, may each elect somebody.
+/// The settings that the safety of an election depends on. Members that count majorities of
+/// different lists, or leases of different lengths, can elect two primaries.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Terms {
+pub(super) struct ServiceConfiguration {
     members: Vec<NodeName>,
     kind: StandbyKind,
     on_partition: OnPartition,
-    hello_interval: Duration,
+    heartbeat_interval: Duration,
 }
 
-impl Terms {
+impl ServiceConfiguration {
     pub(super) fn of(config: &ReplicaConfig) -> Self {
-        let ReplicaConfig { members, kind, on_partition, hello_interval, .. } = config.clone();
-        Terms { members, kind, on_partition, hello_interval }
+        let ReplicaConfig { members, kind, on_partition, heartbeat_interval, .. } = config.clone();
+        ServiceConfiguration { members, kind, on_partition, heartbeat_interval }
     }
 
-    pub(super) fn list(&self, node: &NodeName) -> bool {
+    pub(super) fn lists(&self, node: &NodeName) -> bool {
         self.members.contains(node)
     }
 
@@ -39,7 +40,7 @@ impl Terms {
         &self.members
     }
 
-    /// How many of its nodes make one of them a primary.
+    /// Returns how many of its nodes are needed to elect a primary.
     pub(super) fn quorum(&self) -> usize {
         match self.on_partition {
             OnPartition::Stop => self.members.len() / 2 + 1,
@@ -47,51 +48,60 @@ impl Terms {
         }
     }
 
-    /// After so long nobody counts on a promise any more, whatever the clocks did.
-    pub(super) fn promise(&self) -> Duration {
-        let lease = self.hello_interval.saturating_mul(3);
+    /// Returns for how long a lease promise may count: a lease and the margin for the clocks' drift.
+    pub(super) fn promise_duration(&self) -> Duration {
+        let lease = self.heartbeat_interval.saturating_mul(3);
         lease.saturating_add(lease / 10)
     }
 
-    /// Whether each part of a divided network goes on by itself, as both were told.
-    pub(super) fn divide(&self, theirs: &Terms) -> bool {
+    /// Returns whether each part of a divided network has a primary by both configurations.
+    pub(super) fn both_continue(&self, theirs: &ServiceConfiguration) -> bool {
         self.on_partition == OnPartition::Continue && theirs.on_partition == OnPartition::Continue
     }
 
-    /// Whether what is done by the one can be followed by the others: only their lists differ, and
-    /// not in all. Or else they are two services that have one name by mistake.
-    pub(super) fn shares_state(&self, theirs: &Terms) -> bool {
-        let strict = |terms: &Terms| terms.on_partition == OnPartition::Stop;
+    /// Returns whether a replica with one configuration can follow a primary with the other: only
+    /// their lists differ, and overlap. Otherwise these are two services with one name by mistake.
+    pub(super) fn shares_state(&self, theirs: &ServiceConfiguration) -> bool {
+        let stops = |config: &ServiceConfiguration| config.on_partition == OnPartition::Stop;
         self.kind == theirs.kind
             && self.kind != StandbyKind::Cold
-            && self.hello_interval == theirs.hello_interval
-            && strict(self)
-            && strict(theirs)
-            && self.members.iter().any(|node| theirs.list(node))
+            && self.heartbeat_interval == theirs.heartbeat_interval
+            && stops(self)
+            && stops(theirs)
+            && self.members.iter().any(|node| theirs.lists(node))
     }
 
-    /// Which of two, each of which knows of the other, may rely on that the other keeps back.
-    pub(super) fn leads(&self, theirs: &Terms) -> bool {
-        let rank = |terms: &Terms| {
-            let strict = terms.on_partition == OnPartition::Stop;
-            (strict, terms.members.len(), terms.fingerprint())
+    /// Returns whether this configuration leads: nodes with the other one defer to its primary.
+    pub(super) fn leads(&self, theirs: &ServiceConfiguration) -> bool {
+        let rank = |config: &ServiceConfiguration| {
+            let stops = config.on_partition == OnPartition::Stop;
+            (stops, config.members.len(), config.fingerprint())
         };
         rank(self) > rank(theirs)
     }
 
-    /// Whether nobody serves by the others' terms while all of these keep from it.
+    /// Returns whether the other configuration has no primary while the nodes for which
+    /// `unavailable` holds elect none by it.
     pub(super) fn excludes(
         &self,
-        theirs: &Terms,
-        mut keeps: impl FnMut(&NodeName) -> bool,
+        theirs: &ServiceConfiguration,
+        unavailable: impl Fn(&NodeName) -> bool,
     ) -> bool {
-        // Whoever begins anew waits for what it may have promised before, as long as its new terms
-        // say: where that was longer by the old ones, it may be counted by two.
-        if self.hello_interval != theirs.hello_interval {
-            return false;
-        }
-        let free = theirs.members.iter().filter(|node| !keeps(node)).count();
-        free < theirs.quorum()
+        let count = theirs.members.iter().filter(|node| unavailable(node)).count();
+        self.excludes_without(theirs, count)
+    }
+
+    /// Returns whether the other configuration has no primary while so many of its nodes elect none
+    /// by it.
+    pub(super) fn excludes_without(
+        &self,
+        theirs: &ServiceConfiguration,
+        unavailable: usize,
+    ) -> bool {
+        // A restarted node waits until its earlier promises have ended, by the lease of its new
+        // configuration. If the lease of its earlier one was longer, two primaries may count it.
+        self.heartbeat_interval == theirs.heartbeat_interval
+            && theirs.members.len() - unavailable < theirs.quorum()
     }
 
     pub(super) fn encode(&self) -> Vec<u8> {
@@ -99,22 +109,23 @@ impl Terms {
     }
 
     pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
-        let terms = codec::decode_bounded::<Terms, TERMS_MAX>(bytes).ok();
-        terms.filter(|terms| (HELLO_MIN..=HELLO_MAX).contains(&terms.hello_interval))
+        let decoded = codec::decode_bounded::<Self, CONFIGURATION_BYTES_MAX>(bytes).ok();
+        let bounds = HEARTBEAT_MIN..=HEARTBEAT_MAX;
+        decoded.filter(|configuration| bounds.contains(&configuration.heartbeat_interval))
     }
 
-    /// The same for the same terms, on every node.
+    /// Returns a checksum that is the same for equal configurations on every node.
     pub(super) fn fingerprint(&self) -> u64 {
-        sum(&self.encode())
+        checksum(&self.encode())
     }
 
-    /// What `node` was told otherwise, and what is to be written; empty where it is the same.
-    pub(super) fn difference(&self, node: &NodeName, theirs: &Terms) -> String {
+    /// Returns how the configuration of `node` differs, and what to write; empty if they are equal.
+    pub(super) fn difference(&self, node: &NodeName, theirs: &ServiceConfiguration) -> String {
         let mut text = String::new();
         let mut differ =
             |what: &str, here: &dyn fmt::Debug, there: &dyn fmt::Debug, write: &str| {
                 let separator = if text.is_empty() { "" } else { "; " };
-                // Into a string, nothing fails.
+                // Writing into a string cannot fail.
                 let _ = write!(
                     text,
                     "{separator}{what} {here:?} here and {there:?} on {node}: write {write} on both"
@@ -122,7 +133,7 @@ impl Terms {
             };
         if self.members != theirs.members {
             let (one, other) = (&self.members, &theirs.members);
-            // Of long lists, from where they part.
+            // Long lists are shown from their first difference.
             let from = one.iter().zip(other).take_while(|(one, other)| one == other).count();
             let (here, there) = (Quoted::from(one, from), Quoted::from(other, from));
             let union = self.union(theirs);
@@ -139,15 +150,20 @@ impl Terms {
             let write = format!(".on_partition(OnPartition::{here:?}) or (OnPartition::{there:?})");
             differ("without a majority its rule is", &here, &there, &write);
         }
-        if self.hello_interval != theirs.hello_interval {
-            let (here, there) = (self.hello_interval, theirs.hello_interval);
-            differ("its primary says hello every", &here, &there, "the same .hello_every(..)");
+        if self.heartbeat_interval != theirs.heartbeat_interval {
+            let (here, there) = (self.heartbeat_interval, theirs.heartbeat_interval);
+            differ(
+                "its primary sends a heartbeat every",
+                &here,
+                &there,
+                "the same .heartbeat_every(..)",
+            );
         }
         text
     }
 
-    /// The members of both, in the order of the longer list.
-    fn union(&self, theirs: &Terms) -> Vec<NodeName> {
+    /// Returns the members of both lists, in the order of the longer one.
+    fn union(&self, theirs: &ServiceConfiguration) -> Vec<NodeName> {
         let (long, short) = match self.members.len() >= theirs.members.len() {
             true => (&self.members, &theirs.members),
             false => (&theirs.members, &self.members),
@@ -157,7 +173,7 @@ impl Terms {
     }
 }
 
-/// Names as they are written in a program; of many, these and how many more.
+/// Displays names as they are written in a program; of a long list, a part and how many more.
 struct Quoted<'a> {
     before: usize,
     shown: &'a [NodeName],
@@ -190,32 +206,35 @@ impl fmt::Debug for Quoted<'_> {
 mod tests {
     use super::*;
 
-    fn terms(members: &[&str]) -> Terms {
-        Terms {
+    fn configuration(members: &[&str]) -> ServiceConfiguration {
+        ServiceConfiguration {
             members: members.iter().map(|name| NodeName::new(name).unwrap()).collect(),
             kind: StandbyKind::Warm,
             on_partition: OnPartition::Stop,
-            hello_interval: Duration::from_millis(50),
+            heartbeat_interval: Duration::from_millis(50),
         }
     }
 
     #[test]
-    fn terms_that_differ_say_in_what_and_what_is_to_be_written() {
+    fn the_difference_of_two_configurations_is_shown_with_what_to_write() {
         let n2 = NodeName::new("n2").unwrap();
-        let (ours, theirs) = (terms(&["n1"]), terms(&["n2", "n1", "n3"]));
+        let (ours, theirs) = (configuration(&["n1"]), configuration(&["n2", "n1", "n3"]));
         assert_eq!(
             ours.difference(&n2, &theirs),
             "its nodes are [\"n1\"] here and [\"n2\", \"n1\", \"n3\"] on n2: write the same list, such as \
              [\"n2\", \"n1\", \"n3\"], on both"
         );
-        let hot = Terms { kind: StandbyKind::Hot, ..theirs.clone() };
+        let hot = ServiceConfiguration { kind: StandbyKind::Hot, ..theirs.clone() };
         assert_eq!(
             theirs.difference(&n2, &hot),
             "its standbys are Warm here and Hot on n2: write .standby(StandbyKind::Warm) or \
              (StandbyKind::Hot) on both"
         );
-        let both =
-            Terms { on_partition: OnPartition::Continue, hello_interval: Duration::ZERO, ..hot };
+        let both = ServiceConfiguration {
+            on_partition: OnPartition::Continue,
+            heartbeat_interval: Duration::ZERO,
+            ..hot
+        };
         let text = ours.difference(&n2, &both);
         assert_eq!(text.matches("; ").count(), 3, "{text}");
         assert!(text.contains("every 50ms here and 0ns on n2"), "{text}");
@@ -228,24 +247,24 @@ mod tests {
         let without: Vec<_> = ours.iter().copied().filter(|name| *name != "n500").collect();
         let n2 = NodeName::new("n2").unwrap();
 
-        let text = terms(&ours).difference(&n2, &terms(&without));
+        let text = configuration(&ours).difference(&n2, &configuration(&without));
 
         assert!(text.contains("[500 more, \"n500\", \"n501\","), "{text}");
         assert!(text.contains("\"n507\", 492 more] here and [500 more, \"n501\","), "{text}");
         assert!(text.len() < 512, "{text}");
-        let text = terms(&ours[..10]).difference(&n2, &terms(&ours));
+        let text = configuration(&ours[..10]).difference(&n2, &configuration(&ours));
         assert!(text.contains("[2 more, \"n2\",") && text.contains("[10 more, \"n10\","), "{text}");
     }
 
     #[test]
-    fn the_same_terms_have_no_difference_and_one_fingerprint() {
-        let (one, other) = (terms(&["n1", "n2"]), terms(&["n2", "n1"]));
+    fn equal_configurations_have_no_difference_and_one_fingerprint() {
+        let (one, other) = (configuration(&["n1", "n2"]), configuration(&["n2", "n1"]));
         assert_eq!(one.difference(&one.members[0], &one.clone()), "");
-        assert_eq!(one.fingerprint(), terms(&["n1", "n2"]).fingerprint());
-        // Whose turn is first depends on the order.
+        assert_eq!(one.fingerprint(), configuration(&["n1", "n2"]).fingerprint());
+        // The order of elections depends on the order of the list.
         assert_ne!(one.fingerprint(), other.fingerprint());
         assert!(one.difference(&one.members[1], &other).contains("such as [\"n1\", \"n2\"],"));
-        assert_eq!(Terms::decode(&one.encode()), Some(one));
-        assert_eq!(Terms::decode(&[1, 2, 3]), None);
+        assert_eq!(ServiceConfiguration::decode(&one.encode()), Some(one));
+        assert_eq!(ServiceConfiguration::decode(&[1, 2, 3]), None);
     }
 }

@@ -1,4 +1,4 @@
-//! Primaries of whose state nobody else holds a copy.
+//! Primaries whose state no other member holds.
 
 use super::*;
 
@@ -7,14 +7,14 @@ impl Robot {
         self.faults.get(&(member, kind)).map(String::as_str)
     }
 
-    /// Who has such a fault.
+    /// Returns the members that have such a fault.
     fn with(&self, kind: &FaultKind) -> Vec<usize> {
         self.faults.keys().filter(|(_, known)| known == kind).map(|(member, _)| *member).collect()
     }
 }
 
 #[test]
-fn a_hot_service_whose_standbys_all_rest_goes_on_and_says_that_a_failure_now_loses_its_state() {
+fn a_hot_service_whose_standbys_all_rest_goes_on_and_declares_that_a_failure_loses_its_state() {
     let mut robot = Robot::new(4, 3, StandbyKind::Hot, OnPartition::Stop);
     robot.advance_ms(100);
     robot.ask_some(3);
@@ -26,9 +26,9 @@ fn a_hot_service_whose_standbys_all_rest_goes_on_and_says_that_a_failure_now_los
     robot.rest(2, true);
     robot.advance_ms(100);
 
-    let told = robot.fault(0, FaultKind::Unreplicated).expect("it is told");
-    assert!(told.contains("no standby holds its state"), "{told}");
-    assert!(told.contains("module1, module2") && told.contains("bring"), "{told}");
+    let detail = robot.fault(0, FaultKind::Unreplicated).expect("it is declared");
+    assert!(detail.contains("no standby holds its state"), "{detail}");
+    assert!(detail.contains("module1, module2") && detail.contains("bring"), "{detail}");
     assert_eq!(robot.with(&FaultKind::Unreplicated), [0]);
     let asked = robot.ask();
     robot.advance_ms(20);
@@ -45,7 +45,7 @@ fn a_hot_service_whose_standbys_all_rest_goes_on_and_says_that_a_failure_now_los
 }
 
 #[test]
-fn a_service_that_begins_anew_because_nobody_is_left_who_held_its_state_says_so() {
+fn a_service_that_starts_again_as_no_member_holds_its_state_declares_so() {
     for returns in [[1, 2], [2, 0], [0, 1]] {
         let mut robot = Robot::new(4, 3, StandbyKind::Hot, OnPartition::Stop);
         robot.advance_ms(100);
@@ -66,13 +66,16 @@ fn a_service_that_begins_anew_because_nobody_is_left_who_held_its_state_says_so(
         let primary = robot.primaries();
         assert_eq!(primary.len(), 1, "{returns:?}");
         assert_eq!(robot.with(&FaultKind::StateLost), primary, "{returns:?}");
-        let told = robot.fault(primary[0], FaultKind::StateLost).unwrap();
-        assert!(told.contains("begins anew") && told.contains("was lost"), "{told}");
+        let detail = robot.fault(primary[0], FaultKind::StateLost).unwrap();
+        assert!(
+            detail.contains("starts again with the state") && detail.contains("was lost"),
+            "{detail}"
+        );
         let asked = robot.ask();
         robot.advance_ms(50);
         assert_eq!(robot.callers[asked].answer, Some(1));
 
-        // Whoever follows has what this one has: nothing more is lost.
+        // The next primary has the same state: nothing more is lost.
         robot.kill(primary[0]);
         robot.faults.clear();
         robot.start(primary[0]);
@@ -82,7 +85,7 @@ fn a_service_that_begins_anew_because_nobody_is_left_who_held_its_state_says_so(
 }
 
 #[test]
-fn that_the_state_is_lost_stands_while_the_one_serves_who_began_without_it() {
+fn the_fault_of_a_lost_state_stands_while_the_primary_that_started_without_it_serves() {
     let mut robot = Robot::new(6, 3, StandbyKind::Hot, OnPartition::Stop);
     robot.advance_ms(100);
     robot.ask_some(3);
@@ -100,7 +103,7 @@ fn that_the_state_is_lost_stands_while_the_one_serves_who_began_without_it() {
 }
 
 #[test]
-fn the_only_member_whose_hot_component_died_says_that_its_state_is_lost() {
+fn the_only_member_whose_hot_component_died_declares_that_its_state_is_lost() {
     let mut robot = Robot::new(6, 1, StandbyKind::Hot, OnPartition::Stop);
     robot.advance_ms(100);
     robot.lose(0);
@@ -114,7 +117,8 @@ fn the_only_member_whose_hot_component_died_says_that_its_state_is_lost() {
 }
 
 #[test]
-fn a_primary_that_is_cut_off_from_all_standbys_and_goes_on_says_that_it_holds_the_state_alone() {
+fn a_primary_that_is_cut_off_from_all_standbys_and_goes_on_declares_that_it_holds_the_state_alone()
+{
     for kind in [StandbyKind::Warm, StandbyKind::Hot] {
         let mut robot = Robot::new(5, 2, kind, OnPartition::Continue);
         robot.advance_ms(200);
@@ -123,8 +127,9 @@ fn a_primary_that_is_cut_off_from_all_standbys_and_goes_on_says_that_it_holds_th
         robot.advance_ms(500);
         assert_eq!(robot.with(&FaultKind::Unreplicated), [], "it may be the start");
         robot.advance_ms(300);
-        let told = robot.fault(primary, FaultKind::Unreplicated).expect("it is told").to_owned();
-        assert!(told.contains(&format!("not heard: module{}", 1 - primary)), "{told}");
+        let detail =
+            robot.fault(primary, FaultKind::Unreplicated).expect("it is declared").to_owned();
+        assert!(detail.contains(&format!("not reachable: module{}", 1 - primary)), "{detail}");
 
         robot.sides = vec![0, 0];
         robot.advance_ms(500);
@@ -137,7 +142,7 @@ fn replies_wait_for_a_standby_that_comes_into_step_but_not_for_one_that_never_do
     let mut robot = Robot::new(4, 2, StandbyKind::Warm, OnPartition::Stop);
     robot.advance_ms(100);
     robot.ask_some(2);
-    // What is sent to it as the state never comes.
+    // Snapshots to it are lost.
     robot.withheld = Some(1);
     robot.kill(1);
     robot.start(1);
@@ -149,8 +154,8 @@ fn replies_wait_for_a_standby_that_comes_into_step_but_not_for_one_that_never_do
     assert_eq!(robot.with(&FaultKind::Unreplicated), []);
     robot.advance_ms(500);
     assert_eq!(robot.callers[asked].answer, Some(3), "twenty leases are enough");
-    let told = robot.fault(0, FaultKind::Unreplicated).expect("it is told");
-    assert!(told.contains("not in step: module1"), "{told}");
+    let detail = robot.fault(0, FaultKind::Unreplicated).expect("it is declared");
+    assert!(detail.contains("not in step: module1"), "{detail}");
 
     robot.withheld = None;
     robot.advance_ms(200);
@@ -172,8 +177,9 @@ fn a_standby_whose_component_cannot_take_the_state_over_holds_nothing() {
     assert_eq!(robot.callers[asked].answer, None, "it may take it over yet");
     robot.advance(Duration::from_secs(1));
     assert_eq!(robot.callers[asked].answer, Some(3));
-    let told = robot.fault(1 - standby, FaultKind::Unreplicated).expect("it is told").to_owned();
-    assert!(told.contains(&format!("not in step: module{standby}")), "{told}");
+    let detail =
+        robot.fault(1 - standby, FaultKind::Unreplicated).expect("it is declared").to_owned();
+    assert!(detail.contains(&format!("not in step: module{standby}")), "{detail}");
 
     robot.unloadable = None;
     robot.advance_ms(200);
@@ -197,7 +203,7 @@ fn a_standby_at_rest_is_sent_no_state_that_it_cannot_keep() {
 }
 
 #[test]
-fn whatever_rests_dies_and_returns_what_was_answered_is_kept_or_its_loss_is_told() {
+fn whatever_rests_dies_and_returns_an_answered_request_is_kept_or_its_loss_is_declared() {
     let mut regressions = 0;
     for seed in 0_u64..12 {
         let mut robot = Robot::new(seed, 3, StandbyKind::Hot, OnPartition::Stop);
@@ -211,7 +217,7 @@ fn whatever_rests_dies_and_returns_what_was_answered_is_kept_or_its_loss_is_told
             match chance.unit() {
                 case if case < 0.4 && alive => robot.rest(member, true),
                 case if case < 0.6 && alive => robot.rest(member, false),
-                // All others have heard of what was answered.
+                // All other members know the last answered position.
                 _ if robot.members.iter().all(Option::is_some) && !robot.primaries().is_empty() => {
                     robot.kill(member);
                 }

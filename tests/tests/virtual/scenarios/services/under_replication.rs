@@ -1,4 +1,4 @@
-//! Services of whose state only the primary holds a copy.
+//! Services whose state only the primary holds.
 
 use super::*;
 
@@ -16,7 +16,7 @@ async fn bring_to_rest(node: &TestNode) {
 }
 
 #[blastema_testkit::test]
-async fn a_hot_service_says_that_only_its_primary_has_the_state_and_later_that_it_was_lost() {
+async fn a_hot_service_declares_that_only_its_primary_has_the_state_and_later_that_it_is_lost() {
     let robot = Robot::start(StandbyKind::Hot).await;
     assert_eq!(robot.add(5).await, Ok(5));
     let first = robot.primary();
@@ -26,9 +26,14 @@ async fn a_hot_service_says_that_only_its_primary_has_the_state_and_later_that_i
     }
     robot.asker.advance(200 * MS).await;
 
-    let told = standing(&robot.members[first], &FaultKind::Unreplicated).await.expect("it is told");
-    assert_eq!(told.location.to_string(), format!("{}:counter/replica/body", MEMBERS[first]));
-    assert!(told.detail.contains("service counter: no standby holds its state"), "{}", told.detail);
+    let fault =
+        standing(&robot.members[first], &FaultKind::Unreplicated).await.expect("it is declared");
+    assert_eq!(fault.location.to_string(), format!("{}:counter/replica/body", MEMBERS[first]));
+    assert!(
+        fault.detail.contains("service counter: no standby holds its state"),
+        "{}",
+        fault.detail
+    );
     assert_eq!(robot.add(1).await, Ok(6), "it goes on");
     robot.members[others[0]].restart().await.unwrap();
     robot.asker.advance(500 * MS).await;
@@ -46,8 +51,9 @@ async fn a_hot_service_says_that_only_its_primary_has_the_state_and_later_that_i
 
     assert_eq!(robot.add(1).await, Ok(1), "no replica was left that had it");
     let next = robot.primary();
-    let told = standing(&robot.members[next], &FaultKind::StateLost).await.expect("it is told");
-    assert!(told.detail.contains("begins anew"), "{}", told.detail);
+    let fault =
+        standing(&robot.members[next], &FaultKind::StateLost).await.expect("it is declared");
+    assert!(fault.detail.contains("starts again with the state"), "{}", fault.detail);
 }
 
 #[blastema_testkit::test]
@@ -60,7 +66,8 @@ async fn standbys_whose_components_were_removed_hold_nothing() {
     }
     robot.asker.advance(500 * MS).await;
 
-    let told = standing(&robot.members[first], &FaultKind::Unreplicated).await.expect("it is told");
-    assert!(told.detail.contains("at rest, stopped"), "{}", told.detail);
+    let fault =
+        standing(&robot.members[first], &FaultKind::Unreplicated).await.expect("it is declared");
+    assert!(fault.detail.contains("at rest, stopped"), "{}", fault.detail);
     assert_eq!(robot.add(1).await, Ok(6));
 }

@@ -1,25 +1,25 @@
-//! What a service's callers, replicas and component say to each other.
+//! The messages between a service's callers, replicas and components.
 
 use blastema_macros::{Event, Request, Structure};
 
-/// One replica to another. The bytes are the machine's.
+/// A message from one replica to another. The machine encodes the bytes.
 #[derive(Clone, Debug, Event)]
 #[contract(crate = "crate", name = "blastema/replica", version = 1, max_size = 5 * 1024 * 1024)]
-pub(crate) struct ReplicaSays {
+pub(crate) struct ReplicaMessage {
     pub(crate) from: String,
     pub(crate) message: Vec<u8>,
 }
 
-/// A replica says what it was told of the service, and asks another what that one was. The bytes
-/// are the machine's.
+/// A replica's configuration of the service, and the question for that of another one. The machine
+/// encodes the bytes.
 #[derive(Clone, Debug, Request)]
-#[contract(crate = "crate", name = "blastema/service-terms", version = 1, reply = Vec<u8>)]
-pub(crate) struct CompareTerms {
+#[contract(crate = "crate", name = "blastema/service-configuration", version = 1, reply = Vec<u8>)]
+pub(crate) struct CompareConfiguration {
     pub(crate) from: String,
-    pub(crate) terms: Vec<u8>,
+    pub(crate) configuration: Vec<u8>,
 }
 
-/// A caller asks a replica for the service.
+/// A caller's request to a replica.
 #[derive(Clone, Debug, Request)]
 #[contract(
     crate = "crate",
@@ -32,14 +32,14 @@ pub(crate) struct AskService {
     /// The request's identity, the same however often it is sent.
     pub(crate) sender: u64,
     pub(crate) sequence: u64,
-    /// The sender has the answers to all of its requests below this number.
+    /// The sender has received the replies to all of its requests below this number.
     pub(crate) settled: u64,
-    /// Whoever serves under a lower epoch than this is not meant: another has answered since.
+    /// A primary with a lower epoch refuses the request: another one has answered since.
     pub(crate) since: u64,
     pub(crate) task: Task,
 }
 
-/// What is to be done, as replicas keep it.
+/// The encoded request, as replicas keep it.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
 pub(crate) struct Task {
@@ -48,47 +48,47 @@ pub(crate) struct Task {
     pub(crate) payload: Vec<u8>,
 }
 
-/// What came of it.
+/// The result of a request.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
 pub(crate) enum Answered {
     Done {
         reply: Vec<u8>,
-        /// Under which epoch it is answered.
+        /// The epoch in which it is answered.
         epoch: u64,
     },
-    /// It was served, and failed.
+    /// It was executed, and failed.
     Failed { why: Vec<u8>, epoch: u64 },
-    /// It was not taken.
+    /// It was not accepted.
     Refused { why: Vec<u8> },
-    /// Another node serves, if any.
+    /// Another node is primary, if there is one.
     Elsewhere { primary: Option<String> },
 }
 
-/// Who serves? It is answered as soon as that is known.
+/// The question for the primary. A replica answers as soon as it knows of one.
 #[derive(Clone, Debug, Request)]
 #[contract(crate = "crate", name = "blastema/who-serves", version = 2, reply = Serving)]
 pub(crate) struct WhoServes {
-    /// This one is not meant: the asker has found it silent.
+    /// This node does not count: it did not answer the caller.
     pub(crate) besides: Option<String>,
 }
 
-/// As far as this replica knows.
+/// The primary, as far as the replica knows.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
 pub(crate) struct Serving {
     pub(crate) primary: Option<String>,
-    /// The greatest epoch in which somebody served.
+    /// The greatest epoch that had a primary.
     pub(crate) epoch: u64,
-    /// Whoever takes over knows what was served before.
+    /// The next primary keeps the state of this one.
     pub(crate) keeps: bool,
-    /// All who carry the service.
+    /// All nodes that carry the service.
     pub(crate) members: Vec<String>,
-    /// Why nobody serves as long as that is not mended.
+    /// How the configurations differ, if there is no primary until that is corrected.
     pub(crate) disputed: Option<String>,
 }
 
-/// The component gives its state.
+/// Asks the component for its state.
 #[derive(Clone, Copy, Debug, Request)]
 #[contract(
     crate = "crate",
@@ -99,7 +99,7 @@ pub(crate) struct Serving {
 )]
 pub struct SaveState;
 
-/// The component takes a state over, and says whether it could.
+/// Gives the component a state. The reply is whether it has loaded it.
 #[derive(Clone, Debug, Request)]
 #[contract(
     crate = "crate",
@@ -112,7 +112,7 @@ pub struct LoadState {
     pub(crate) state: Vec<u8>,
 }
 
-/// The component serves from now on, or stands by.
+/// Reports to the component that it serves from now on, or stands by.
 #[derive(Clone, Copy, Debug, Event)]
 #[contract(crate = "crate", name = "blastema/role", version = 1)]
 pub struct RoleChanged {
