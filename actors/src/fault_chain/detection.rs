@@ -30,9 +30,13 @@ use tracing::{error, warn};
 
 /// How often an object of the middleware is asked whether it is alive.
 const PING_INTERVAL: Duration = Duration::from_secs(1);
-/// One that has not answered for so many intervals is silent. It answers in microseconds: this is
-/// no matter of load. Time in which the process did not run counts as one interval at most.
+/// One that has not answered for so many intervals is silent. Time in which the process did not run
+/// counts as one interval at most.
 const SILENT_AFTER: u32 = 6;
+/// An interval that ends so late shows that the node starves: all its threads have a backlog.
+const LATE: Duration = Duration::from_millis(50);
+/// So many late intervals count as one.
+const LATE_INTERVALS: u32 = 5;
 
 /// Consoles, dashboards, journals and recordings of one node, and as many again.
 const LISTENERS: usize = 64;
@@ -83,9 +87,11 @@ impl DetectionActor {
         &mut self,
         asked: (ObjectName, Recipient<AreYouAlive>),
         mut answer: Pin<Box<RecipientRequest<AreYouAlive>>>,
+        // In late intervals.
         waited: u32,
         context: &mut Context<Self>,
     ) {
+        let asked_at = platform::now();
         let wait = async move { (timeout(PING_INTERVAL, &mut answer).await, answer) };
         let settle = move |(answered, answer), chain: &mut Self, context: &mut Context<Self>| {
             let (now, (object, _)) = (platform::now(), &asked);
@@ -101,11 +107,14 @@ impl DetectionActor {
                     });
                 }
                 Err(_) => {
-                    if waited + 1 == SILENT_AFTER {
+                    let is_late = now - asked_at > PING_INTERVAL + LATE;
+                    let after = waited + if is_late { 1 } else { LATE_INTERVALS };
+                    let limit = SILENT_AFTER * LATE_INTERVALS;
+                    if waited < limit && after >= limit {
                         let age = SILENT_AFTER * PING_INTERVAL;
                         chain.machine.monitor.handle_unanswered(object, age, now);
                     }
-                    chain.await_answer(asked, answer, waited + 1, context);
+                    chain.await_answer(asked, answer, after, context);
                 }
             }
             chain.drive(context);

@@ -177,6 +177,29 @@ fn one_that_never_answers_is_asked_once_and_found_silent() {
 }
 
 #[test]
+fn one_that_does_not_answer_while_the_node_starves_has_five_times_as_long() {
+    paused(async {
+        let chain = Chain::start();
+        let enrolment = Registration::new(object("arm"));
+        let pings = Some(Mute(0).start().recipient());
+        chain.actor.do_send(Register { enrolment, pings });
+        settle().await;
+        let starve = async |intervals: u32| {
+            for _ in 0..intervals {
+                tokio::time::advance(Duration::from_millis(1200)).await;
+                settle().await;
+            }
+        };
+
+        starve(28).await;
+        assert_eq!(chain.recoverer.recorded(), 0);
+        starve(4).await;
+
+        assert_eq!(chain.recoverer.drain()[0].fault.kind, FaultKind::Silence);
+    });
+}
+
+#[test]
 fn a_stall_of_the_whole_process_condemns_nobody() {
     paused(async {
         let chain = Chain::start();
