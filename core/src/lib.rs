@@ -35,7 +35,6 @@ pub mod random;
 pub mod recovery;
 #[cfg(feature = "network")]
 pub mod service;
-#[cfg(feature = "network")]
 pub mod sorted;
 pub mod suggestion;
 pub mod time;
