@@ -52,7 +52,7 @@ fn main() -> ExitCode {
     }
     // It takes the whole computer, and runs by its name alone.
     if arguments.first().is_some_and(|argument| argument == "mesh") {
-        mesh::run(arguments.get(1).and_then(|count| count.parse().ok()).unwrap_or(20));
+        mesh::run(&arguments[1..]);
         return ExitCode::SUCCESS;
     }
     if let Some(unknown) = arguments.iter().find(|name| !PARTS.contains(&name.as_str())) {
