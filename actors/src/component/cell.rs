@@ -659,18 +659,26 @@ impl<C: Component> ComponentCell<C> {
         message: M,
         seal: impl FnOnce(M) -> BoxedEnvelope<C>,
     ) -> Result<(), (M, DeliveryError)> {
+        if self.queue.is_at_bound(port) {
+            self.return_those_over();
+        }
+        if let Some(oldest) = self.queue.push_with(port, message, seal)? {
+            self.return_envelope(oldest, DeliveryError::Full);
+        }
+        Ok(())
+    }
+
+    /// Returns what waits although it has expired, or its caller has stopped waiting.
+    #[cold]
+    fn return_those_over(&self) {
         let is_over =
             |envelope: &BoxedEnvelope<C>| envelope.is_void() || envelope.header().is_expired();
-        for over in self.queue.purge(port, is_over) {
+        for over in self.queue.purge(is_over) {
             let why = match over.is_void() {
                 true => DeliveryError::DeadlinePassed,
                 false => DeliveryError::Expired,
             };
             self.return_envelope(over, why);
         }
-        if let Some(oldest) = self.queue.push_with(port, message, seal)? {
-            self.return_envelope(oldest, DeliveryError::Full);
-        }
-        Ok(())
     }
 }

@@ -184,14 +184,16 @@ impl<T> BoundedQueue<T> {
         Ok(Pushed { displaced, parked: queue.parked.take() })
     }
 
-    /// Takes out those of the oldest messages that are over, where there may be no room. Senders
-    /// that wait for their places are woken.
-    pub(crate) fn purge(&self, port: usize, is_over: impl Fn(&T) -> bool) -> Vec<T> {
-        let mut over = Vec::new();
-        if self.depth() < self.bounds[port].0 {
-            return over;
-        }
-        let (mut queue, mut woken) = (self.lock(), Vec::new());
+    /// Whether there may be no room at this port.
+    #[inline]
+    pub(crate) fn is_at_bound(&self, port: usize) -> bool {
+        self.depth() >= self.bounds[port].0
+    }
+
+    /// Takes out those of the oldest messages that are over. Senders that wait for their places are
+    /// woken.
+    pub(crate) fn purge(&self, is_over: impl Fn(&T) -> bool) -> Vec<T> {
+        let (mut queue, mut over, mut woken) = (self.lock(), Vec::new(), Vec::new());
         let mut at = 0;
         while let Some((port, item)) = queue.queue.get(at).filter(|_| at < PURGED) {
             if is_over(item) {
@@ -365,6 +367,7 @@ impl<T> BoundedQueue<T> {
     }
 
     /// How many messages wait.
+    #[inline]
     pub(crate) fn depth(&self) -> usize {
         self.length.load(Relaxed)
     }
@@ -687,10 +690,11 @@ mod tests {
         for n in 1..=2 {
             push(&queue, n).unwrap();
         }
-        assert_eq!(queue.purge(0, |n| n % 2 == 1), [0; 0], "there is room");
+        assert!(!queue.is_at_bound(0));
         push(&queue, 3).unwrap();
+        assert!(queue.is_at_bound(0));
 
-        assert_eq!(queue.purge(0, |n| n % 2 == 1), [1, 3]);
+        assert_eq!(queue.purge(|n| n % 2 == 1), [1, 3]);
 
         push(&queue, 4).unwrap();
         assert_eq!((take(&queue), take(&queue), take(&queue)), (Some(2), Some(4), None));
