@@ -487,8 +487,9 @@ impl NodeAssembly {
     /// From here on everything is watched.
     async fn enrol_all(&mut self, tree: PreparedTree) -> Result<(), StartError> {
         let mut enrolments = std::mem::take(&mut self.enrolments);
-        let chain = self.parts.chain.pings.iter().cloned();
-        enrolments.extend(chain.map(|(name, pings)| middleware(name, Some(pings))));
+        // The chain's own are asked from outside of it.
+        let chain = self.parts.chain.pings.iter();
+        enrolments.extend(chain.map(|(name, _)| middleware(name.clone(), None)));
         let registry = &self.environment.registry;
         // A component that has the name of such an object is what is found below.
         let service = |name| registry.kind_of(name).filter(|kind| *kind != "a component");
@@ -683,8 +684,8 @@ fn enrolment(node: &NodeName, facts: &ComponentFacts) -> Result<Register, NameEr
     Ok(Register { enrolment, pings: None })
 }
 
-/// An object of the middleware. That it does not answer for several seconds ends in the node's safe
-/// state.
+/// An object of the middleware. That it does not answer for six seconds, or thirty where the node
+/// starves, ends in the node's safe state.
 fn middleware(name: ObjectName, pings: Option<Recipient<AreYouAlive>>) -> Register {
     let mut enrolment = Registration::new(name);
     enrolment.kind = ObjectKind::Middleware;

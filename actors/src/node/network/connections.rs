@@ -18,7 +18,8 @@ impl Node {
     /// Waits until the node of this name has a path and a session, its start is over, and it has
     /// told what it listens to, and returns whether this happened in time: what is published then
     /// reaches its listeners, what is asked its objects, and their ends their watchers. A link
-    /// needs a few hellos to come up, also after both nodes have started.
+    /// needs a few hellos to come up, also after both nodes have started. A process that was killed
+    /// counts as connected until its absence is found.
     pub async fn connected(&self, node: &str, within: Duration) -> bool {
         let (Some(networks), Ok(node)) = (&self.0.networks, NodeName::new(node)) else {
             return false;
