@@ -161,8 +161,7 @@ impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
                         let what = || format!("the conversion of a reply to {}", M::NAME);
                         let encode = || encoded_reply(reply, former.as_deref());
                         cell.record.guard(what, encode).unwrap_or_else(|panicked| {
-                            let reason = format!("the request was served, and {panicked}");
-                            Err(DeliveryError::Undecodable { reason })
+                            Err(DeliveryError::ReplyUnsent { reason: panicked })
                         })
                     };
                     reply_to(result.and_then(converted));

@@ -13,7 +13,7 @@ pub(crate) fn encoded_reply<M: Contract>(
     };
     encoded.map_err(|error| match encoding(error, M::MAX_SIZE) {
         DeliveryError::TooLarge { limit } => DeliveryError::ReplyTooLarge { limit },
-        other => other,
+        other => DeliveryError::ReplyUnsent { reason: other.to_string() },
     })
 }
 

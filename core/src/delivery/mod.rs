@@ -210,6 +210,13 @@ pub enum DeliveryError {
         /// The limit in bytes.
         limit: usize,
     },
+    /// The request took effect, and its reply could not be written for the caller: its conversion to
+    /// the caller's version panicked, or it cannot be encoded.
+    #[error("the request took effect, but its reply cannot be sent: {reason}")]
+    ReplyUnsent {
+        /// Why.
+        reason: String,
+    },
     /// As much of this class is in flight to the receiver's node as this sender's share allows:
     /// `deliver` waits. Contracts of large messages declare `#[contract(bulk)]`, a class with
     /// capacity of its own.
@@ -405,9 +412,9 @@ impl DeliveryError {
             | DeliveryError::DeadlinePassed
             | DeliveryError::PeerDied { .. }
             | DeliveryError::OutcomeUnknown { .. } => Outcome::Unknown,
-            DeliveryError::ReplyTooLarge { .. } | DeliveryError::NotKept { .. } => {
-                Outcome::TookEffect
-            }
+            DeliveryError::ReplyTooLarge { .. }
+            | DeliveryError::ReplyUnsent { .. }
+            | DeliveryError::NotKept { .. } => Outcome::TookEffect,
         }
     }
 }

@@ -308,12 +308,12 @@ fn a_conversion_that_panics_is_the_receivers_fault_and_costs_that_message_alone(
         let refused = brittle.ask(frail_one::Brittle(14)).await.unwrap_err().kind;
         let text = refused.to_string();
         for part in [
-            "undecodable: the request was served, and the conversion of a reply to brittle panicked at",
+            "the request took effect, but its reply cannot be sent: the conversion of a reply to brittle panicked at",
             "versions.rs",
         ] {
             assert!(text.contains(part), "{text}");
         }
-        assert_eq!(refused.outcome(), blastema_core::Outcome::Unknown);
+        assert_eq!(refused.outcome(), blastema_core::Outcome::TookEffect);
         assert_eq!(brittle.ask(frail_one::Brittle(5)).await, Ok(5));
 
         assert!(right.exits.drain().is_empty(), "nothing of the middleware died");
