@@ -2,7 +2,7 @@
 
 use crate::args::FaultListOptions;
 use crate::monitor::client::{InspectError, look};
-use crate::monitor::tables::{Column, WIDEST, table};
+use crate::monitor::tables::{WIDEST, table};
 use blastema::journal::{self, JournalEntry, ReadError};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
@@ -40,39 +40,26 @@ pub(crate) enum FaultListError {
 }
 
 /// The columns after those that say when the fault was found.
-const COLUMNS: [Column; 12] = [
-    ("node", "node"),
-    ("fault", "id"),
-    ("code", "code"),
-    ("kind", "kind"),
-    ("location", "location"),
-    ("times", "count"),
-    ("status", "status"),
-    ("symptom of", "symptom_of"),
-    ("action", "action"),
-    ("service restored after", "recovered_after_ms"),
-    ("part repaired after", "repaired_after_ms"),
-    ("detail", "detail"),
-];
+const COLUMNS: &str = "node, fault=id, code, kind, location, times=count, status, symptom of, action, \
+     service restored after=recovered_after_ms, part repaired after=repaired_after_ms, detail";
 
 /// Prints the list that is asked for.
 ///
 /// # Errors
 /// A source of it cannot be read.
 pub(crate) fn run(options: &FaultListOptions) -> Result<(), FaultListError> {
-    let (found, rows): (Column, _) = match &options.journal {
-        Some(path) => (("found", "found_at"), of_journal(path, options)?),
-        None => (("found before", "age_ms"), of_nodes(options)?),
+    let (found, rows) = match &options.journal {
+        Some(path) => ("found=found_at", of_journal(path, options)?),
+        None => ("found before=age_ms", of_nodes(options)?),
     };
     let text = match (options.json, rows.is_empty()) {
         (true, _) => format!("{}\n", Value::from(rows)),
         (false, true) if options.all => "no faults\n".to_owned(),
         (false, true) => "no fault stands\n".to_owned(),
         (false, false) => {
-            let columns: Vec<Column> = std::iter::once(found).chain(COLUMNS).collect();
             // Programs read files and pipes, and want the texts in full.
             let widest = if io::stdout().is_terminal() { WIDEST } else { usize::MAX };
-            table(&columns, &rows, widest)
+            table(&format!("{found}, {COLUMNS}"), &rows, widest)
         }
     };
     let printed = io::stdout().write_all(text.as_bytes()).and_then(|()| io::stdout().flush());

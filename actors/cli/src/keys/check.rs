@@ -2,19 +2,13 @@
 
 use super::said;
 use crate::args::KeysCheckOptions;
-use crate::monitor::tables::{Column, WIDEST, table};
+use crate::monitor::tables::{WIDEST, table};
 use crate::operator::{OperatorKey, OperatorSession};
 use blastema::KeyStatus;
 use blastema::core::net::trust::roster::RosterNode;
 use serde_json::{Value, json};
 
-const COLUMNS: [Column; 5] = [
-    ("node", "node"),
-    ("roster", "serial"),
-    ("fingerprint", "fingerprint"),
-    ("networks", "shown_networks"),
-    ("problem", "problem"),
-];
+const COLUMNS: &str = "node, roster=serial, fingerprint, networks=shown_networks, problem";
 
 /// Shows the keys of all nodes that the roster lists, and returns whether nothing is wrong.
 ///
@@ -53,7 +47,7 @@ pub(super) fn run(options: &KeysCheckOptions) -> Result<bool, String> {
         said(&format!("{document}\n"))?;
     } else {
         let head = format!("robot {robot}, newest roster {newest}\n");
-        said(&(head + &table(&COLUMNS, &rows, WIDEST)))?;
+        said(&(head + &table(COLUMNS, &rows, WIDEST)))?;
     }
     Ok(is_well)
 }

@@ -3,20 +3,12 @@
 use super::{OperatorKey, OperatorSession};
 use crate::args::{ComponentJob, NodeAddress, OrderOptions};
 use crate::monitor::client::{InspectError, ask};
-use crate::monitor::tables::{Column, table};
+use crate::monitor::tables::table;
 use blastema::core::NodeName;
 use blastema::{ComponentOrder, OrderReply, OrderVerb};
 use std::io::{self, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
-
-const COLUMNS: [Column; 5] = [
-    ("name", "name"),
-    ("kind", "kind"),
-    ("incarnation", "incarnation"),
-    ("state", "state"),
-    ("note", "note"),
-];
 
 /// Gives the order, and prints what is so then.
 ///
@@ -28,7 +20,9 @@ pub(crate) fn run(job: &ComponentJob) -> Result<(), String> {
             let reply = give(OrderVerb::List, name.as_deref(), to)?;
             let rows = serde_json::to_value(&reply.rows).map_err(|error| error.to_string())?;
             return print(&match (json, rows.as_array()) {
-                (false, Some(rows)) => table(&COLUMNS, rows, usize::MAX),
+                (false, Some(rows)) => {
+                    table("name, kind, incarnation, state, note", rows, usize::MAX)
+                }
                 _ => format!("{rows}\n"),
             });
         }
