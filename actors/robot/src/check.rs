@@ -307,7 +307,7 @@ impl<'a> RobotChecker<'a> {
                     (end.origin, if is_told { "reached-at" } else { "at" }.into())
                 });
                 let at = at.unwrap_or((node.origin, "name".into()));
-                ("robot::network", at, error.problem().to_string(), MEDIA.to_owned())
+                ("robot::network", at, error.problem().to_owned(), MEDIA.to_owned())
             }
             // It is found at the network.
             StartError::Insecure { .. } => return,
@@ -508,7 +508,7 @@ impl<'a> RobotChecker<'a> {
                             on it may command this robot";
                 self.find(code, sentence, (origin, "name"), help, "here");
             } else if let StartError::Endpoint { error, .. } = error {
-                self.find(code, error.problem().to_string(), at, MEDIA, "here");
+                self.find(code, error.problem(), at, MEDIA, "here");
             } else {
                 let text = error.to_string();
                 let sentence = text.lines().next().unwrap_or_default();

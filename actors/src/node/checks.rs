@@ -9,7 +9,7 @@ use blastema_core::detection::dependencies::Dependencies;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{NodeName, ObjectName};
 #[cfg(feature = "unix")]
-use blastema_transports::endpoint::{EndpointProblem, SOCKET_PATH};
+use blastema_transports::endpoint::check_socket_path;
 use std::path::Path;
 
 /// Who needs whom of the objects of this node.
@@ -114,10 +114,6 @@ pub(super) fn check_names<'a>(
 #[cfg(feature = "unix")]
 fn check_socket(path: &Path) -> Result<(), StartError> {
     let length = path.as_os_str().len();
-    let too_long = EndpointProblem::LongPath { length, limit: SOCKET_PATH };
-    let checked = check_file(path).and_then(|()| match length <= SOCKET_PATH {
-        true => Ok(()),
-        false => Err(too_long.to_string()),
-    });
+    let checked = check_file(path).and_then(|()| check_socket_path(length));
     checked.map_err(StartError::Shown)
 }
