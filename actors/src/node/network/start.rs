@@ -153,7 +153,8 @@ impl Network {
         let links = self.link_specs()?;
         let beacons = self.beacon_socket()?;
         let admission = self.admission()?;
-        let Network { name, mut medium, faults, interface, .. } = self;
+        let interface = self.used_interface();
+        let Network { name, mut medium, faults, .. } = self;
         medium.name_node(own);
         #[cfg(feature = "serial")]
         if let Some(seal) = seal {
@@ -192,17 +193,18 @@ impl Network {
         let spec = |link: &Link| {
             let of = format!("the name of a neighbour on network {}", self.name);
             let neighbour = NodeName::new(&link.neighbour).map_err(StartError::name_of(of))?;
-            let remote = self.medium.remote(&link.remote);
+            let [hello_interval, expected_within] = link.times();
+            let remote = self.medium.remote(&link.told.address);
             Ok(LinkSpec {
                 name: self.link_name(link).into(),
                 remote: remote.map_err(|error| self.endpoint_error(Some(&neighbour), error))?,
                 neighbour: Some(neighbour),
-                cost: link.cost,
-                hello_interval: link.hello_interval,
-                expected_within: link.expected_within,
+                cost: link.told.cost,
+                hello_interval,
+                expected_within,
             })
         };
-        self.links.iter().map(spec).collect()
+        self.told.links.iter().map(spec).collect()
     }
 
     /// An address is wrong: our own, or that of a neighbour.
@@ -218,13 +220,13 @@ impl Network {
     /// Who is admitted, but for those that are described.
     pub(super) fn admission(&self) -> Result<Option<DiscoveryAdmission>, StartError> {
         let name = &self.name;
-        match &self.admission {
-            None if self.beacons.is_some() => {
+        match &self.told.discover {
+            None if self.told.beacons.is_some() => {
                 let text = format!("network {name}: say whom the beacons are for, by discover()");
                 Err(StartError::Network(text))
             }
             None => Ok(None),
-            Some(_) if self.beacons.is_none() => Err(StartError::Network(format!(
+            Some(_) if self.told.beacons.is_none() => Err(StartError::Network(format!(
                 "network {name}: nodes are discovered by their beacons: give the network a group by \
                  `.beacons(\"239.255.0.1:7399\")`, or describe each neighbour by `.peer`"
             ))),
