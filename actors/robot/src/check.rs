@@ -12,8 +12,8 @@ use crate::description::{
     ElementOrigin, EndpointDescription, NodeDescription, RobotDescription,
 };
 use crate::finding::{ElementPart, ElementPlaces, FilePlace, RobotFinding, RobotSources};
-use crate::types::{Types, UnknownPort, end_of};
-use crate::value::{fault_word, hint};
+use crate::types::{Types, end_of};
+use crate::value::{ValueError, fault_word, hint};
 use blastema::core::detection::dependencies::circle;
 use blastema::core::port::{ConnectionRole, PortAddress, resolve};
 use blastema::core::sorted::SortedMap;
@@ -669,10 +669,10 @@ impl<'a> RobotChecker<'a> {
             let (origin, mut is_known, mut leads) = (*origin, true, false);
             let resolved = resolve(ports, |address, is_out| {
                 let found = types.port(robot, address, is_out);
-                let port = found.unwrap_or_else(|UnknownPort { sentence, help, label }| {
+                let port = found.unwrap_or_else(|ValueError { sentence, help, label }| {
                     let at = (origin, if is_out { "from" } else { "to" });
                     is_known = false;
-                    self.find("robot::connection", sentence, at, help, label);
+                    self.find("robot::connection", sentence, at, help, &label);
                     None
                 });
                 leads |= port.is_some_and(|port| is_out && port.role.connects());
