@@ -79,7 +79,7 @@ impl TypeAttributes {
             facade: parse_quote!(::blastema),
         };
         let mut seen = Vec::new();
-        for_each_key(attributes, |meta, key| {
+        for_each_key("contract", attributes, |meta, key| {
             if let Some(reason) = misplaced(key, derive) {
                 return Err(meta.error(reason));
             }
@@ -113,7 +113,7 @@ impl FieldAttributes {
         refuse_serde(attributes)?;
         let mut parsed = FieldAttributes::default();
         let mut seen = Vec::new();
-        for_each_key(attributes, |meta, key| {
+        for_each_key("contract", attributes, |meta, key| {
             if TYPE_KEYS.contains(&key) {
                 return Err(meta.error(format!("`{key}` belongs above the type, not to a field")));
             }
@@ -133,7 +133,7 @@ impl FieldAttributes {
 /// Refuses everything on a variant itself, where nothing can be declared.
 pub(crate) fn refuse_on_variant(attributes: &[Attribute]) -> Result<()> {
     refuse_serde(attributes)?;
-    for_each_key(attributes, |meta, key| {
+    for_each_key("contract", attributes, |meta, key| {
         Err(meta
             .error(format!("`{key}` cannot stand on a variant: put it on a field or on the type")))
     })
@@ -148,11 +148,13 @@ pub(crate) fn parse_crate(meta: &ParseNestedMeta<'_>, facade: &mut Path) -> Resu
     Ok(())
 }
 
-fn for_each_key(
+/// Takes each key of the attributes of this name.
+pub(crate) fn for_each_key(
+    name: &str,
     attributes: &[Attribute],
     mut take: impl FnMut(ParseNestedMeta<'_>, &str) -> Result<()>,
 ) -> Result<()> {
-    for attribute in attributes.iter().filter(|a| a.path().is_ident("contract")) {
+    for attribute in attributes.iter().filter(|a| a.path().is_ident(name)) {
         attribute.parse_nested_meta(|meta| {
             let key = match meta.path.get_ident() {
                 Some(ident) => ident.to_string(),
