@@ -15,8 +15,8 @@ impl Node {
     /// [`ChildSpec::claim`](crate::ChildSpec::claim).
     ///
     /// # Errors
-    /// [`ClaimRefused::Held`](crate::ClaimRefused::Held) where another object has the name, on whichever node, and the policy is
-    /// to be refused.
+    /// [`ClaimRefused::Held`](crate::ClaimRefused::Held) where another object has the name, on
+    /// whichever node, and the policy is to be refused.
     pub async fn claim(&self, name: &str, policy: ClaimPolicy) -> Result<Claim, ClaimError> {
         self.claim_for(name, name, policy).await
     }

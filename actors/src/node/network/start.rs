@@ -70,53 +70,29 @@ impl Medium {
         }
     }
 
-    fn start(
-        self,
-        network: &str,
-        object: ObjectName,
-        guardian: &Guardian,
-        arbiter: Option<&ArbiterHandle>,
-    ) -> Result<Transport, StartError> {
+    fn start(self, network: &str, place: TransportPlace<'_>) -> Result<Transport, StartError> {
         Ok(match self {
             #[cfg(feature = "ip")]
-            Medium::At(Endpoint::Udp(config)) => {
-                let make = move |_: &mut Context<Udp>| Udp::new(config);
-                Transport::from(guardian.start(object, arbiter, make))
-            }
+            Medium::At(Endpoint::Udp(config)) => place.start(|| Udp::new(config)),
             #[cfg(feature = "ip")]
-            Medium::At(Endpoint::Tcp(config)) => {
-                let make = move |_: &mut Context<Tcp>| Tcp::new(config);
-                Transport::from(guardian.start(object, arbiter, make))
-            }
+            Medium::At(Endpoint::Tcp(config)) => place.start(|| Tcp::new(config)),
             #[cfg(feature = "unix")]
-            Medium::At(Endpoint::Unix(config)) => {
-                let make = move |_: &mut Context<Unix>| Unix::new(config);
-                Transport::from(guardian.start(object, arbiter, make))
-            }
+            Medium::At(Endpoint::Unix(config)) => place.start(|| Unix::new(config)),
             #[cfg(feature = "serial")]
-            Medium::At(Endpoint::Serial(config)) => {
-                let make = move |_: &mut Context<FrameTransport>| {
-                    FrameTransport::new(blastema_transports::SerialLine::new(config, platform::now))
-                };
-                Transport::from(guardian.start(object, arbiter, make))
-            }
+            Medium::At(Endpoint::Serial(config)) => place.start(|| {
+                FrameTransport::new(blastema_transports::SerialLine::new(config, platform::now))
+            }),
             #[cfg(all(feature = "can", target_os = "linux"))]
-            Medium::At(Endpoint::Can(config)) => {
-                let make = move |_: &mut Context<FrameTransport>| {
-                    FrameTransport::new(blastema_transports::CanBus::new(config, platform::now))
-                };
-                Transport::from(guardian.start(object, arbiter, make))
-            }
+            Medium::At(Endpoint::Can(config)) => place.start(|| {
+                FrameTransport::new(blastema_transports::CanBus::new(config, platform::now))
+            }),
             #[cfg(feature = "slcan")]
-            Medium::At(Endpoint::Slcan(config)) => {
-                let make = move |_: &mut Context<FrameTransport>| {
-                    FrameTransport::new(blastema_transports::SlcanBus::new(config, platform::now))
-                };
-                Transport::from(guardian.start(object, arbiter, make))
-            }
+            Medium::At(Endpoint::Slcan(config)) => place.start(|| {
+                FrameTransport::new(blastema_transports::SlcanBus::new(config, platform::now))
+            }),
             Medium::At(Endpoint::Memory(end)) => {
-                let config = MemoryConfig::new(&MemoryMedium::of_this_process(), &end);
-                return Medium::Memory(config).start(network, object, guardian, arbiter);
+                let medium = MemoryMedium::of_this_process();
+                place.start(move || Memory::new(MemoryConfig::new(&medium, &end)))
             }
             Medium::At(other) => {
                 let text = format!(
@@ -126,16 +102,27 @@ impl Medium {
                 );
                 return Err(StartError::Network(text));
             }
-            Medium::Memory(config) => {
-                let make = move |_: &mut Context<Memory>| Memory::new(config);
-                Transport::from(guardian.start(object, arbiter, make))
-            }
-            Medium::Own { make, .. } => {
-                let make = move |_: &mut Context<FrameTransport>| make();
-                Transport::from(guardian.start(object, arbiter, make))
-            }
+            Medium::Memory(config) => place.start(|| Memory::new(config)),
+            Medium::Own { make, .. } => place.start(make),
             Medium::Unreadable(error) => unreachable!("{REFUSED}: {error}"),
         })
+    }
+}
+
+/// Where the actor of a transport is started, and its name.
+pub(super) struct TransportPlace<'a> {
+    pub(super) object: ObjectName,
+    pub(super) guardian: &'a Guardian,
+    pub(super) arbiter: Option<&'a ArbiterHandle>,
+}
+
+impl TransportPlace<'_> {
+    pub(super) fn start<A>(self, make: impl FnOnce() -> A + Send + 'static) -> Transport
+    where
+        A: Actor<Context = Context<A>> + Supervised,
+        Transport: From<Addr<A>>,
+    {
+        self.guardian.start(self.object, self.arbiter, |_: &mut Context<A>| make()).into()
     }
 }
 
@@ -161,10 +148,11 @@ impl Network {
             medium.make_room_for(seal);
         }
         let mut transports = vec![object.clone()];
-        let mut transport = medium.start(&name, object, guardian, arbiter)?;
+        let place = |object| TransportPlace { object, guardian, arbiter };
+        let mut transport = medium.start(&name, place(object))?;
         let discovery = beacons.zip(admission).map(|(beacons, admission)| {
             transports.push(sender.clone());
-            let beacons = beacons.start(sender, guardian, arbiter);
+            let beacons = beacons.start(place(sender));
             DiscoverySpec { admission, hello_interval: HELLO_INTERVAL.default, beacons }
         });
         let cable = faults.map(|seed| {
