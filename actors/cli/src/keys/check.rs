@@ -1,9 +1,9 @@
 //! `blastema keys check`: what the nodes of a robot say of their keys.
 
-use super::said;
 use crate::args::KeysCheckOptions;
 use crate::monitor::tables::{WIDEST, table};
 use crate::operator::{OperatorKey, OperatorSession};
+use crate::print;
 use blastema::KeyStatus;
 use blastema::core::net::trust::roster::RosterNode;
 use serde_json::{Value, json};
@@ -44,10 +44,10 @@ pub(super) fn run(options: &KeysCheckOptions) -> Result<bool, String> {
             node.remove("shown_networks");
         }
         let document = json!({ "robot": robot, "serial": newest, "well": is_well, "nodes": nodes });
-        said(&format!("{document}\n"))?;
+        print(&format!("{document}\n"))?;
     } else {
         let head = format!("robot {robot}, newest roster {newest}\n");
-        said(&(head + &table(COLUMNS, &rows, WIDEST)))?;
+        print(&(head + &table(COLUMNS, &rows, WIDEST)))?;
     }
     Ok(is_well)
 }

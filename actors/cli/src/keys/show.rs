@@ -1,6 +1,6 @@
 //! What files of keys hold, without any secret.
 
-use super::said;
+use crate::print;
 use blastema::core::NodeName;
 use blastema::core::net::trust::crypto::PublicKey;
 use blastema::core::net::trust::key_file::{KeyFile, RobotFile};
@@ -56,7 +56,7 @@ pub(super) fn run(named: &[PathBuf]) -> Result<(), String> {
     for path in rosters {
         roster(&mut text, path, &signers)?;
     }
-    said(&text)
+    print(&text)
 }
 
 fn roster(text: &mut String, path: &Path, signers: &[(NodeName, PublicKey)]) -> Result<(), String> {
