@@ -72,7 +72,6 @@ use crate::actuator;
 use crate::actuator::{ActuatorRow, Commander};
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
-use crate::fault_chain::detection::DetectionActor;
 use crate::fault_chain::directory::SupervisorDirectory;
 use crate::host::reference::ActorRef;
 use crate::liveness::sampler::Running;
@@ -86,11 +85,11 @@ use crate::platform::systemd::Systemd;
 use crate::runtime::guardian::Guardian;
 use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
-use actix::{Addr, Recipient};
+use actix::Recipient;
 use assembly::FaultChain;
 #[cfg(feature = "network")]
 use assembly::Networks;
-use blastema_contract::detector::{ReadRecord, Subscribe};
+use blastema_contract::detector::ReadRecord;
 use blastema_contract::monitor::ReadTable;
 use blastema_contract::supervisor::{ReadTree, SupervisionTree};
 use blastema_core::detection::dependencies::Dependencies;
@@ -147,9 +146,8 @@ struct Shared {
     networks: Option<Networks>,
     /// Where the tree is read.
     root: Recipient<ReadTree>,
-    /// With the monitor, what supervisors need that are added while the node runs.
+    /// What supervisors need that are added while the node runs.
     guardian: Guardian,
-    monitor: Addr<DetectionActor>,
     shutdown: Recipient<Shutdown>,
     restart: Recipient<RestartRoot>,
     directory: SupervisorDirectory,
@@ -302,7 +300,7 @@ impl Node {
     /// time, also while components are stuck.
     pub async fn table(&self) -> Vec<MonitorRow> {
         let chain = &self.0.chain;
-        let table = chain.answer(chain.table.send(ReadTable));
+        let table = chain.answer(chain.monitor.send(ReadTable));
         #[cfg(feature = "network")]
         let table = network::signs::completed(table, self.links());
         let mut rows = table.await.unwrap_or_default();
@@ -320,7 +318,7 @@ impl Node {
 
     /// Every step in the history of every fault, from now on.
     pub fn fault_events(&self) -> FaultEvents {
-        FaultEvents::subscribe(&self.0.chain.subscribe, self.0.state.clone())
+        FaultEvents::subscribe(&self.0.chain.monitor, self.0.state.clone())
     }
 
     /// The supervision tree as it stands now; `None` once the node has ended.
@@ -470,7 +468,7 @@ impl Shared {
 
     /// The record of faults; `None` where the fault chain has ended, or stands.
     async fn read_record(&self) -> Option<FaultRecord> {
-        self.chain.answer(self.chain.record.send(ReadRecord)).await
+        self.chain.answer(self.chain.monitor.send(ReadRecord)).await
     }
 
     /// Ends all threads of the node, for this reason. Where that is not in order, the watchdogs of
@@ -512,6 +510,3 @@ impl Drop for Shared {
         self.end(&format!("the node was dropped {panic}while {meanwhile}"));
     }
 }
-
-/// Subscribes to fault events.
-type FaultSubscriptions = Recipient<Subscribe>;

@@ -26,14 +26,14 @@ impl NodeAssembly {
         let path = without_links(&path);
         self.held.push(path.clone());
         let (node, incarnation) = (self.node.clone(), self.incarnation);
-        let record = self.parts.chain.record.clone();
+        let record = self.parts.chain.monitor.clone().recipient();
         let setup = JournalSetup { path, lock, node, incarnation, record, reports };
         let (journal, guard) = JournalActor::new(setup);
         let arbiter = self.parts.chain.arbiter.as_ref();
         let guardian = &self.parts.guardian;
         let journal =
             guardian.start(name.clone(), arbiter, |_: &mut Context<JournalActor>| journal);
-        self.parts.chain.subscribe.do_send(Subscribe(journal.clone().recipient()));
+        self.parts.chain.monitor.do_send(Subscribe(journal.clone().recipient()));
         self.parts.chain.keep_journal(guard);
         self.enrolments.push(middleware(name, Some(journal.recipient())));
         Ok(())
