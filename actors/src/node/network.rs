@@ -23,9 +23,7 @@ use actix::Addr;
 use blastema_contract::transport::{Cut, Impair, MediumAddress, Partition, Restore};
 use blastema_transports::endpoint::NamedHost;
 use blastema_transports::frame_medium::FrameMedium;
-use blastema_transports::{
-    Endpoint, EndpointError, FaultInjector, FrameTransport, MemoryConfig, Reach,
-};
+use blastema_transports::{Endpoint, EndpointError, FaultInjector, FrameTransport, Reach};
 #[cfg(feature = "ip")]
 use blastema_transports::{TcpConfig, UdpConfig};
 use serde::Deserialize;
@@ -62,6 +60,8 @@ pub use isolation::IsolateError;
 pub struct Network {
     name: String,
     medium: Medium,
+    /// What an end in memory is an end of.
+    memory: MemoryMedium,
     faults: Option<u64>,
     told: NetworkSettings,
 }
@@ -117,7 +117,6 @@ enum Medium {
     At(Endpoint),
     /// The endpoint does not parse. The check of the node returns the error.
     Unreadable(EndpointError),
-    Memory(MemoryConfig),
     Own {
         make: Box<dyn FnOnce() -> FrameTransport + Send>,
         name: String,
@@ -201,11 +200,13 @@ impl Network {
     /// A network between nodes of one process, under any clock: for tests. `own` names this node's
     /// end of the medium.
     pub fn memory(name: &str, medium: &MemoryMedium, own: &str) -> Self {
-        Network::over(name, Medium::Memory(MemoryConfig::new(medium, own)))
+        let end = Medium::At(Endpoint::Memory(own.to_owned()));
+        Network { memory: medium.clone(), ..Network::over(name, end) }
     }
 
     fn over(name: &str, medium: Medium) -> Self {
-        Network { name: name.to_owned(), medium, faults: None, told: NetworkSettings::default() }
+        let (name, memory) = (name.to_owned(), MemoryMedium::of_this_process());
+        Network { name, medium, memory, faults: None, told: NetworkSettings::default() }
     }
 
     /// Accepts that every station on this network can read its traffic and command this robot: the

@@ -149,19 +149,7 @@ impl Endpoint {
 
     /// The medium's name, as it stands before `://`.
     pub fn medium(&self) -> &'static str {
-        match self {
-            #[cfg(feature = "udp")]
-            Endpoint::Udp(_) => "udp",
-            #[cfg(feature = "tcp")]
-            Endpoint::Tcp(_) => "tcp",
-            #[cfg(feature = "unix")]
-            Endpoint::Unix(_) => "unix",
-            #[cfg(feature = "serial")]
-            Endpoint::Serial(_) => "serial",
-            Endpoint::Can(_) => "can",
-            Endpoint::Slcan(_) => "slcan",
-            Endpoint::Memory(_) => "memory",
-        }
+        self.shown().0
     }
 
     /// Reads a peer's address as this medium writes it: `10.0.0.2:7400`, a path, a number on the
@@ -196,10 +184,7 @@ impl Endpoint {
                 };
                 number.map(MediumAddress::Can).map_err(|_| "write its number on the bus, 0 to 255")
             }
-            Endpoint::Memory(_) => match text {
-                "" => Err("write the name of its end"),
-                name => Ok(MediumAddress::Memory(name.into())),
-            },
+            Endpoint::Memory(_) => Ok(MediumAddress::Memory(text.into())),
         };
         let checked = parsed.and_then(|peer| self.objection(&peer).map_or(Ok(peer), Err));
         let medium = self.medium();
@@ -227,6 +212,9 @@ impl Endpoint {
             Endpoint::Udp(config) => validation::check_own(config.bind),
             #[cfg(feature = "tcp")]
             Endpoint::Tcp(config) => validation::check_own(config.bind),
+            Endpoint::Memory(name) if name.is_empty() => {
+                Err("our own end of the memory medium has no name: give it one".to_owned())
+            }
             _ => Ok(()),
         }
     }
@@ -258,8 +246,14 @@ impl Endpoint {
                     None
                 }
             }
+            (Endpoint::Memory(_), MediumAddress::Memory(peer)) if peer.is_empty() => {
+                Some("write the name of its end")
+            }
             (Endpoint::Memory(own), MediumAddress::Memory(peer)) => {
                 (own.as_str() == &**peer).then_some(OURSELVES)
+            }
+            (Endpoint::Memory(_), _) => {
+                Some("it is no end of a memory medium: name it by Link::in_memory")
             }
             #[cfg(feature = "serial")]
             (Endpoint::Serial(_), MediumAddress::Line) => None,

@@ -373,7 +373,7 @@ fn an_address_that_no_neighbour_can_have_is_refused() {
     check("udp://239.255.0.1:7400", "239.255.0.2:7400", "a group's address");
     assert!(good("udp://239.255.0.1:7400").peer("239.255.0.1:7400").is_ok(), "the group itself");
     let stranger = MediumAddress::Ip("10.0.0.2:7400".parse().unwrap());
-    for medium in ["unix:///run/a.sock", "serial:///dev/ttyS0", "can://can0", "memory://a"] {
+    for medium in ["unix:///run/a.sock", "serial:///dev/ttyS0", "can://can0"] {
         let why = good(medium).objection(&stranger).expect(medium);
         assert!(why.contains("another medium"), "{medium}: {why}");
     }

@@ -6,7 +6,6 @@ use crate::node::error::StartError;
 use crate::platform;
 use crate::settings::SettingError;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
-use blastema_contract::transport::MediumAddress;
 use blastema_core::NodeName;
 use blastema_core::net::routing::MTU_MIN;
 use blastema_core::net::wire::advertisement::NEIGHBOURS_MAX;
@@ -188,9 +187,6 @@ impl Network {
         {
             return Some(why);
         }
-        if matches!(&self.medium, Medium::Memory(config) if config.name.is_empty()) {
-            return Some("our own end of the memory medium has no name: give it one".to_owned());
-        }
         let name = self.told.interface.as_ref()?;
         if !is_interface(name) {
             return Some(format!(
@@ -236,35 +232,16 @@ impl Network {
         Ok(())
     }
 
-    /// Why the neighbour cannot be where the link leads.
+    /// Why the neighbour cannot be where the link leads. What is written is read with the medium.
     fn remote_fault(&self, link: &Link) -> Option<String> {
-        let Link { neighbour, told: LinkSettings { address: remote, .. } } = link;
-        let why = match (remote, &self.medium) {
-            (Remote::At(address), Medium::At(endpoint)) => endpoint.objection(address)?,
-            (Remote::At(MediumAddress::Memory(end)), Medium::Memory(config)) => {
-                memory_objection(end, &config.name)?
-            }
-            (Remote::Written(end), Medium::Memory(config)) => memory_objection(end, &config.name)?,
-            (Remote::At(_), Medium::Memory(_)) => {
-                "it is no end of a memory medium: name it by Link::in_memory"
-            }
-            _ => return None,
+        let (Remote::At(address), Medium::At(endpoint)) = (&link.told.address, &self.medium) else {
+            return None;
         };
-        let address = match remote {
-            Remote::At(address) => address.to_string(),
-            Remote::Written(text) => text.clone(),
+        let why = endpoint.objection(address)?;
+        let shown = match address.to_string() {
+            empty if empty.is_empty() => "\"\"".to_owned(),
+            shown => shown,
         };
-        let address = if address.is_empty() { "\"\"".to_owned() } else { address };
-        Some(format!("{address} is not where {neighbour} is: {why}"))
-    }
-}
-
-fn memory_objection(end: &str, own: &str) -> Option<&'static str> {
-    if end.is_empty() {
-        Some("write the name of its end")
-    } else if end == own {
-        Some("it is our own end: write the neighbour's")
-    } else {
-        None
+        Some(format!("{shown} is not where {} is: {why}", link.neighbour))
     }
 }

@@ -13,8 +13,8 @@ impl Medium {
         match self {
             Medium::At(endpoint) => endpoint.reach(),
             Medium::Own { reach, .. } => *reach,
-            // The second is refused for another reason.
-            Medium::Memory(_) | Medium::Unreadable(_) => Reach::Process,
+            // It is refused for another reason.
+            Medium::Unreadable(_) => Reach::Process,
         }
     }
 
@@ -23,7 +23,6 @@ impl Medium {
         match self {
             Medium::At(endpoint) => endpoint.to_string(),
             Medium::Own { name, .. } => name.clone(),
-            Medium::Memory(config) => format!("memory://{}", config.name),
             Medium::Unreadable(error) => error.to_string(),
         }
     }

@@ -39,9 +39,6 @@ impl Medium {
             (Remote::At(address), _) => Ok(address.clone()),
             (Remote::Written(text), Medium::At(endpoint)) => endpoint.peer(text),
             (Remote::Written(_), Medium::Unreadable(error)) => unreachable!("{REFUSED}: {error}"),
-            (Remote::Written(text), Medium::Memory(_)) => {
-                Ok(MediumAddress::Memory(text.as_str().into()))
-            }
             (Remote::Written(text), Medium::Own { .. }) if text.is_empty() => {
                 Ok(MediumAddress::Line)
             }
@@ -70,7 +67,12 @@ impl Medium {
         }
     }
 
-    fn start(self, network: &str, place: TransportPlace<'_>) -> Result<Transport, StartError> {
+    fn start(
+        self,
+        network: &str,
+        memory: MemoryMedium,
+        place: TransportPlace<'_>,
+    ) -> Result<Transport, StartError> {
         Ok(match self {
             #[cfg(feature = "ip")]
             Medium::At(Endpoint::Udp(config)) => place.start(|| Udp::new(config)),
@@ -91,8 +93,7 @@ impl Medium {
                 FrameTransport::new(blastema_transports::SlcanBus::new(config, platform::now))
             }),
             Medium::At(Endpoint::Memory(end)) => {
-                let medium = MemoryMedium::of_this_process();
-                place.start(move || Memory::new(MemoryConfig::new(&medium, &end)))
+                place.start(move || Memory::new(MemoryConfig::new(&memory, &end)))
             }
             Medium::At(other) => {
                 let text = format!(
@@ -102,7 +103,6 @@ impl Medium {
                 );
                 return Err(StartError::Network(text));
             }
-            Medium::Memory(config) => place.start(|| Memory::new(config)),
             Medium::Own { make, .. } => place.start(make),
             Medium::Unreadable(error) => unreachable!("{REFUSED}: {error}"),
         })
@@ -141,7 +141,7 @@ impl Network {
         let beacons = self.beacon_socket()?;
         let admission = self.admission()?;
         let interface = self.used_interface();
-        let Network { name, mut medium, faults, .. } = self;
+        let Network { name, mut medium, memory, faults, .. } = self;
         medium.name_node(own);
         #[cfg(feature = "serial")]
         if let Some(seal) = seal {
@@ -149,7 +149,7 @@ impl Network {
         }
         let mut transports = vec![object.clone()];
         let place = |object| TransportPlace { object, guardian, arbiter };
-        let mut transport = medium.start(&name, place(object))?;
+        let mut transport = medium.start(&name, memory, place(object))?;
         let discovery = beacons.zip(admission).map(|(beacons, admission)| {
             transports.push(sender.clone());
             let beacons = beacons.start(place(sender));
