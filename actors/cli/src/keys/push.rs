@@ -67,9 +67,9 @@ impl<'a> RosterPush<'a> {
         let key = OperatorKey::read(self.key.clone())?;
         let to = self.options.push.as_ref().expect("it was checked");
         let session = OperatorSession::open(&key, to, &self.options.operator).await?;
-        let until = Instant::now() + session.within();
+        let until = Instant::now() + session.within;
         let outcome = loop {
-            let asked = session.node().key_status_of(&to.node, session.within()).await;
+            let asked = session.node.key_status_of(&to.node, session.within).await;
             match asked {
                 Ok(status) if status.serial >= serial => break Ok(()),
                 Ok(status) if Instant::now() >= until => {

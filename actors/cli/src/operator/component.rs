@@ -106,7 +106,7 @@ async fn by_network(
         if !session.reaches(&name).await {
             return Err(format!("{node} is not reached by way of {}", via.node));
         }
-        let reply = session.node().order_at(node, order, session.within()).await;
+        let reply = session.node.order_at(node, order, session.within).await;
         reply.map_err(|error| format!("{node}: {error}"))
     };
     let reply = reply.await;

@@ -24,8 +24,8 @@ pub(crate) fn run(job: &NodeJob) -> Result<bool, String> {
         let session = OperatorSession::open(&key, &options.via, &options.operator).await?;
         let (mut all_done, mut text) = (true, String::new());
         for to in key.others().filter(|to| to.name.as_str() != node && to.role != Role::Guest) {
-            let (name, reason, within) = (to.name.as_str(), &options.reason, session.within());
-            let by = session.node();
+            let (name, reason, within) = (to.name.as_str(), &options.reason, session.within);
+            let by = &session.node;
             let ordered = match session.reaches(&to.name).await {
                 false => None,
                 true if isolated => Some(by.order_isolation(name, node, reason, within).await),
