@@ -19,7 +19,7 @@ use roxmltree::{Document, Error, ParsingOptions};
 use std::cell::{Cell, RefCell};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::{env, fs};
+use std::{env, fmt, fs};
 
 /// A file that is written by hand has a hundred kilobytes at most.
 const FILE_MAX: usize = 1 << 20;
@@ -43,16 +43,11 @@ pub(crate) struct RobotReading {
     pub(crate) findings: Vec<RobotFinding>,
 }
 
-/// Why a robot file could not be read at all.
-#[derive(Debug)]
-pub(crate) struct UnreadableFile(pub(crate) String);
-
 /// Reads a file with these values of its arguments.
-pub(crate) fn read(path: &Path, set: &[(String, String)]) -> Result<RobotReading, UnreadableFile> {
-    let unreadable = |error| UnreadableFile(format!("{}: {error}", path.display()));
-    let absolute = fs::canonicalize(path).map_err(unreadable)?;
-    let text = read_text(&absolute)
-        .map_err(|error| UnreadableFile(format!("{}: {error}", path.display())))?;
+pub(crate) fn read(path: &Path, set: &[(String, String)]) -> Result<RobotReading, String> {
+    let unreadable = |error: &dyn fmt::Display| format!("{}: {error}", path.display());
+    let absolute = fs::canonicalize(path).map_err(|error| unreadable(&error))?;
+    let text = read_text(&absolute).map_err(|error| unreadable(&error))?;
     let folder = absolute.parent().unwrap_or(Path::new("/")).to_owned();
     let (findings, components) = Default::default();
     let mut reader = RobotReader {

@@ -276,19 +276,16 @@ fn parse_name(meta: &ParseNestedMeta<'_>) -> Result<LitStr> {
     }
 }
 
-/// Paths of files and command lines take such a part for a folder or an option.
-fn is_mistaken(part: &str) -> bool {
-    part == "." || part == ".." || part.starts_with('-')
-}
-
 /// What is wrong with a contract's name, which obeys the rules for names of objects.
 pub(crate) fn wrong_name(name: &str) -> Option<String> {
+    // Paths of files and command lines take such a part for a folder or an option.
+    let is_mistaken = |part: &&str| *part == "." || *part == ".." || part.starts_with('-');
     let wrong = |c: &char| !(c.is_ascii_alphanumeric() || "_-./".contains(*c));
     if name.split('/').any(str::is_empty) {
         Some("a contract's name, or a part of it between slashes, is empty".into())
     } else if name.len() > NAME_LIMIT {
         Some(format!("a contract's name has at most {NAME_LIMIT} bytes"))
-    } else if let Some(part) = name.split('/').find(|part| is_mistaken(part)) {
+    } else if let Some(part) = name.split('/').find(is_mistaken) {
         Some(format!(
             "a part of a contract's name is not '.' or '..', and begins with no '-': not {part:?}"
         ))
