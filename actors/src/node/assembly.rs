@@ -220,7 +220,7 @@ async fn start(
     #[cfg(feature = "network")]
     assembly.start_networks(&mut builder.networks)?;
     let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies);
-    let preparation = preparation.map_err(first)?;
+    let (root, tree, dependencies) = preparation.map_err(first)?;
     assembly.check_parameters(&builder.policies)?;
     let mut refused = assembly.connect_ports(&builder.policies, &builder.connections);
     refused.next().map_or(Ok(()), Err)?;
@@ -235,13 +235,13 @@ async fn start(
     assembly.keep_policies(builder.policies)?;
     #[cfg(feature = "unix")]
     let inspection = assembly.make_inspection(builder.shown_at).await;
-    assembly.enrol_all(preparation.tree).await?;
+    assembly.enrol_all(tree).await?;
     #[cfg(feature = "network")]
     assembly.declare_insecure_networks();
     assembly.start_sampler(builder.grace)?;
     let manager = assembly.watch_chain(builder.process_watchdogs)?;
     let controller = assembly.parts.controller.clone();
-    let node = assembly.into_node(preparation.root.tree(), preparation.dependencies, manager);
+    let node = assembly.into_node(root.tree(), dependencies, manager);
     #[cfg(feature = "unix")]
     if let Some(inspection) = inspection {
         // The fault chain's mailboxes close only when the node has ended.
@@ -251,7 +251,7 @@ async fn start(
     if builder.handles_signals {
         node.apply_safe_outputs_on_signals()?;
     }
-    start_root(node, &controller, preparation.root, end).await
+    start_root(node, &controller, root, end).await
 }
 
 /// What there is of a node so far. Where it does not come to be, its threads end.
@@ -272,12 +272,8 @@ struct NodeAssembly {
     held: Vec<PathBuf>,
 }
 
-/// The tree, and what is in it.
-struct TreePreparation {
-    root: SupervisorChild,
-    tree: PreparedTree,
-    dependencies: Dependencies,
-}
+/// The root, what is in the tree, and what depends on what.
+type TreePreparation = (SupervisorChild, PreparedTree, Dependencies);
 
 impl NodeAssembly {
     /// The fault chain, and the threads that components will live on.
@@ -400,7 +396,7 @@ impl NodeAssembly {
         answered.map_err(StartError::from)?;
         let dependencies = dependencies(&self.node, &tree);
         dependencies.check().map_err(StartError::from)?;
-        Ok(TreePreparation { root, tree, dependencies })
+        Ok((root, tree, dependencies))
     }
 
     fn keep_leases(&mut self) {

@@ -3,6 +3,7 @@
 use super::builder::{ActorPlacement, Configuration, NodeBuilder};
 use super::error::StartError;
 use super::tree::PreparedTree;
+use super::watchdogs::ProcessWatchdogs;
 use crate::registry::NameTaken;
 use crate::settings::{CALLBACK_LIMIT, GRACE, WORK_THREADS};
 use blastema_core::detection::dependencies::Dependencies;
@@ -52,7 +53,7 @@ pub(super) fn check_settings(builder: &NodeBuilder) -> Vec<StartError> {
 fn check_watchdogs(builder: &NodeBuilder) -> Result<(), StartError> {
     let wrong = |reason: String| Err(StartError::ProcessWatchdog(reason));
     let watchdogs = &builder.process_watchdogs;
-    if watchdogs.are_described() && builder.placement == ActorPlacement::Here {
+    if *watchdogs != ProcessWatchdogs::default() && builder.placement == ActorPlacement::Here {
         return wrong(
             "a node all of which runs on one thread cannot be watched: leave \
              on_this_thread() or the watchdogs out"

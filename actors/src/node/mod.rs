@@ -25,16 +25,10 @@ mod health;
 pub(crate) mod inspection;
 mod lost_communication;
 #[cfg(feature = "network")]
-mod medium_row;
-#[cfg(feature = "network")]
 mod network;
-#[cfg(feature = "network")]
-mod network_row;
 mod order;
 mod ports;
 mod restart;
-#[cfg(feature = "network")]
-mod route_row;
 mod safety;
 pub(crate) mod snapshot;
 mod to_the_end;
@@ -52,17 +46,12 @@ pub use lost_communication::{
     AcknowledgeError, LostCommunicationPolicy, LostCommunicationRow, Rung,
 };
 #[cfg(feature = "network")]
-pub use medium_row::MediumRow;
-#[cfg(feature = "network")]
 pub use network::{
-    Cable, Direction, Impairment, IsolateError, Link, MediumKind, MemoryMedium, Network, NotReady,
+    Cable, Direction, Impairment, IsolateError, Link, LinkName, MediumKind, MediumRow,
+    MemoryMedium, Network, NetworkRow, NotReady, RouteRow,
 };
-#[cfg(feature = "network")]
-pub use network_row::NetworkRow;
 pub use order::{ComponentOrder, OrderReply, OrderRow, OrderVerb};
 pub use restart::{RestartError, RestartedChild};
-#[cfg(feature = "network")]
-pub use route_row::{LinkName, RouteRow};
 #[cfg(feature = "network")]
 pub use snapshot::NetworkSnapshot;
 pub use snapshot::NodeSnapshot;

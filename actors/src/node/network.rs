@@ -11,11 +11,13 @@ pub(in crate::node) mod hosts;
 mod isolation;
 mod operation;
 mod ready;
+mod rows;
 pub(in crate::node) mod services;
 pub(in crate::node) mod signs;
 pub(crate) mod start;
 
 pub use self::ready::NotReady;
+pub use self::rows::{LinkName, MediumRow, NetworkRow, RouteRow};
 
 use crate::net::Interface;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
@@ -107,10 +109,18 @@ impl MediumKind {
 }
 
 /// Who is admitted, as it was written.
-#[derive(Debug)]
+#[derive(Debug, Deserialize)]
+#[serde(untagged, expecting = "it is \"any\", or a list of nodes such as [\"arm\", \"head\"]")]
 enum Admitted {
-    AnyNode,
+    AnyNode(AnyNodeWord),
     Only(Vec<String>),
+}
+
+/// The word for nodes of any name.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum AnyNodeWord {
+    Any,
 }
 
 enum Medium {
@@ -244,7 +254,7 @@ impl Network {
     /// Discovers neighbours of any name by their beacons. On a sealed network these are the nodes
     /// of the roster.
     pub fn discover_anybody(mut self) -> Self {
-        self.told.discover = Some(Admitted::AnyNode);
+        self.told.discover = Some(Admitted::AnyNode(AnyNodeWord::Any));
         self
     }
 

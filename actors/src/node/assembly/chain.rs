@@ -137,10 +137,6 @@ impl FaultChain {
     pub(super) fn start_sampler(&self, sampler: Option<SamplerGuard>) {
         *self.sampler.lock().unwrap_or_else(PoisonError::into_inner) = sampler;
     }
-
-    pub(super) fn watch_from_outside(&self, outside: ChainWatch) {
-        *self.outside.lock().unwrap_or_else(PoisonError::into_inner) = Some(outside);
-    }
 }
 
 /// Everything between the threads and the components.
@@ -316,7 +312,7 @@ impl FaultChainParts {
             stop_limit: Box::new(stop_limit),
             last_resort: Box::new(last_resort),
         })?;
-        self.chain.watch_from_outside(outside);
+        *self.chain.outside.lock().unwrap_or_else(PoisonError::into_inner) = Some(outside);
         Ok(())
     }
 }

@@ -97,7 +97,7 @@ impl Network {
     pub(in crate::node) fn named_nodes(&self) -> impl Iterator<Item = &str> + Clone {
         let admitted = match &self.told.discover {
             Some(Admitted::Only(nodes)) => nodes.as_slice(),
-            Some(Admitted::AnyNode) | None => &[],
+            Some(Admitted::AnyNode(_)) | None => &[],
         };
         let neighbours = self.told.links.iter().map(|link| link.neighbour.as_str());
         neighbours.chain(admitted.iter().map(String::as_str))

@@ -1,9 +1,9 @@
 //! The methods of a node that show its networks.
 
-use super::Cable;
+use super::{Cable, MediumRow};
 use crate::directory::NodeRow;
 use crate::net::RosterRow;
-use crate::node::{MediumRow, Node};
+use crate::node::Node;
 use crate::topic::TopicRow;
 use blastema_contract::link::LinkRow;
 use blastema_contract::router::InjectPanic;

@@ -1,10 +1,9 @@
 //! How far the frames of a network travel, and the refusal of one that leaves the computer.
 
-use super::{Medium, Network};
+use super::{Medium, Network, NetworkRow};
 use crate::net::keys::SealTerms;
 use crate::node::Node;
 use crate::node::error::StartError;
-use crate::node::network_row::NetworkRow;
 use blastema_core::net::seal::SealProfile;
 use blastema_transports::{Endpoint, Reach};
 

@@ -13,11 +13,11 @@
 //!
 //! The table is put together first, from the file and the overrides, and then read as one.
 
-use super::{Admitted, Link, LinkSettings, Network, NetworkSettings, Remote};
+use super::{Link, LinkSettings, Network, NetworkSettings, Remote};
 use crate::net::keys::KeysPermissions;
 use crate::node::error::StartError;
 use serde::de::value::MapAccessDeserializer;
-use serde::de::{self, MapAccess, SeqAccess, Visitor};
+use serde::de::{self, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -158,37 +158,6 @@ fn duration(text: &str) -> Option<Duration> {
     };
     let number: f64 = number.parse().ok()?;
     Duration::try_from_secs_f64(number * seconds).ok()
-}
-
-impl<'de> Deserialize<'de> for Admitted {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        struct Written;
-
-        impl<'de> Visitor<'de> for Written {
-            type Value = Admitted;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("\"any\", or a list of nodes such as [\"arm\", \"head\"]")
-            }
-
-            fn visit_str<E: de::Error>(self, text: &str) -> Result<Admitted, E> {
-                match text {
-                    "any" => Ok(Admitted::AnyNode),
-                    other => Err(E::invalid_value(de::Unexpected::Str(other), &self)),
-                }
-            }
-
-            fn visit_seq<A: SeqAccess<'de>>(self, mut nodes: A) -> Result<Admitted, A::Error> {
-                let mut listed = Vec::new();
-                while let Some(node) = nodes.next_element()? {
-                    listed.push(node);
-                }
-                Ok(Admitted::Only(listed))
-            }
-        }
-
-        from.deserialize_any(Written)
-    }
 }
 
 /// Neighbours by their names.

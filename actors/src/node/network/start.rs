@@ -218,7 +218,7 @@ impl Network {
                 "network {name}: nodes are discovered by their beacons: give the network a group by \
                  `.beacons(\"239.255.0.1:7399\")`, or describe each neighbour by `.peer`"
             ))),
-            Some(Admitted::AnyNode) => Ok(Some(DiscoveryAdmission::AnyNode)),
+            Some(Admitted::AnyNode(_)) => Ok(Some(DiscoveryAdmission::AnyNode)),
             Some(Admitted::Only(nodes)) => {
                 let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
                 let of = format!("the name of a node that network {name} is discovered by");
