@@ -34,12 +34,13 @@ use crate::udp::UdpConfig;
 use crate::unix::UnixConfig;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::net::routing::MTU_MIN;
-use std::fmt;
 #[cfg(feature = "udp")]
 use std::net::Ipv4Addr;
 #[cfg(any(feature = "udp", feature = "tcp"))]
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
-use std::ops::{Range, RangeInclusive};
+use std::ops::Range;
+#[cfg(any(feature = "tcp", feature = "unix", feature = "serial"))]
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
@@ -383,7 +384,7 @@ fn ip(text: &str, at: Range<usize>, found: &str) -> Result<SocketAddr, EndpointE
 
 /// An IP address stands there without a port.
 #[cfg(any(feature = "udp", feature = "tcp"))]
-fn no_port(example: impl fmt::Display) -> String {
+fn no_port(example: impl std::fmt::Display) -> String {
     format!("the port is missing: write {example}")
 }
 
@@ -523,7 +524,7 @@ fn rs485(settings: &mut Settings<'_>) -> Result<DirectionControl, EndpointError>
 }
 
 /// What serial ports of today can, with room above, in bits a second.
-const BAUD: RangeInclusive<u64> = 50..=50_000_000;
+const BAUD: std::ops::RangeInclusive<u64> = 50..=50_000_000;
 
 const ONLY_FD: &str = "only CAN FD frames can switch the bit rate: add fd=true";
 
