@@ -26,6 +26,8 @@ pub(crate) mod inspection;
 mod lost_communication;
 #[cfg(feature = "network")]
 mod network;
+#[cfg(feature = "network")]
+mod network_rows;
 mod order;
 mod ports;
 mod restart;
@@ -47,9 +49,10 @@ pub use lost_communication::{
 };
 #[cfg(feature = "network")]
 pub use network::{
-    Cable, Direction, Impairment, IsolateError, Link, LinkName, MediumKind, MediumRow,
-    MemoryMedium, Network, NetworkRow, NotReady, RouteRow,
+    Cable, Direction, Impairment, IsolateError, Link, MediumKind, MemoryMedium, Network, NotReady,
 };
+#[cfg(feature = "network")]
+pub use network_rows::{LinkName, MediumRow, NetworkRow, RouteRow};
 pub use order::{ComponentOrder, OrderReply, OrderRow, OrderVerb};
 pub use restart::{RestartError, RestartedChild};
 #[cfg(feature = "network")]

@@ -11,13 +11,11 @@ pub(in crate::node) mod hosts;
 mod isolation;
 mod operation;
 mod ready;
-mod rows;
 pub(in crate::node) mod services;
 pub(in crate::node) mod signs;
 pub(crate) mod start;
 
 pub use self::ready::NotReady;
-pub use self::rows::{LinkName, MediumRow, NetworkRow, RouteRow};
 
 use crate::net::Interface;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};

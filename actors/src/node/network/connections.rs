@@ -1,9 +1,10 @@
 //! The methods of a node that show its networks.
 
-use super::{Cable, MediumRow};
+use super::Cable;
 use crate::directory::NodeRow;
 use crate::net::RosterRow;
 use crate::node::Node;
+use crate::node::network_rows::MediumRow;
 use crate::topic::TopicRow;
 use blastema_contract::link::LinkRow;
 use blastema_contract::router::InjectPanic;

@@ -1,9 +1,10 @@
 //! How far the frames of a network travel, and the refusal of one that leaves the computer.
 
-use super::{Medium, Network, NetworkRow};
+use super::{Medium, Network};
 use crate::net::keys::SealTerms;
 use crate::node::Node;
 use crate::node::error::StartError;
+use crate::node::network_rows::NetworkRow;
 use blastema_core::net::seal::SealProfile;
 use blastema_transports::{Endpoint, Reach};
 

@@ -3,8 +3,9 @@
 use crate::AccessRefusal;
 use crate::directory::ClaimRow;
 use crate::net::RosterRow;
+use crate::node::Node;
+use crate::node::network_rows::{LinkName, MediumRow, NetworkRow, RouteRow};
 use crate::node::snapshot::{in_time, millis, rows_of};
-use crate::node::{LinkName, MediumRow, NetworkRow, Node, RouteRow};
 use crate::service::ServiceRow;
 use blastema_contract::link::LinkRow;
 use blastema_contract::session::SessionRow;
