@@ -253,7 +253,7 @@ pub use blastema_core::net::session::{SessionCounters, SessionState, SessionStat
 pub use blastema_core::net::{ByteRate, LinkState, LinkTraffic, Refusals, Route};
 pub use blastema_macros::main;
 #[cfg(feature = "network")]
-pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
+pub use blastema_transports::endpoint::EndpointError;
 #[cfg(feature = "network")]
 pub use node::{
     Cable, Direction, Impairment, IsolateError, Link, LinkName, MediumKind, MediumRow,

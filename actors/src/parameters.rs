@@ -12,7 +12,7 @@ use crate::component::ports::{ParameterValues, ParametersType, Ports};
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
 use crate::variable::ports::VariablePorts;
-use crate::variable::{DeclaredVariable, RestorePolicy, VariableRef};
+use crate::variable::{DeclaredVariable, RestorePolicy, VariableRef, declared};
 use blastema_core::contract::codec;
 use blastema_core::parameters::{ParameterError, ParameterValue, Parameters};
 use blastema_core::sorted::{SortedMap, SortedSet};
@@ -179,7 +179,8 @@ fn declare<C: Handle<P>, P: Parameters>(
             owner.notify(incarnation, "", parameters);
         }
     };
-    Ok(DeclaredVariable::new(&parameters, RestorePolicy::Restore, check).observed(changed))
+    let observer = Some(Arc::new(changed) as _);
+    Ok(declared(&parameters, RestorePolicy::Restore, check, observer))
 }
 
 impl<C: Component> ComponentCell<C> {

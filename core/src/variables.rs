@@ -36,7 +36,7 @@ pub enum RestorePolicy {
 }
 
 /// How far a value can be relied on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ValueState {
     /// It was written, or is the default.
     Current,
@@ -96,14 +96,8 @@ pub struct PersistedValue {
     pub value: Vec<u8>,
 }
 
-/// An answer to a watcher.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct WatchReport<W> {
-    /// The one that asked.
-    pub watcher: W,
-    /// What has become of the variable.
-    pub result: Result<ValueReport, DeliveryError>,
-}
+/// A watcher that asked, and what has become of the variable.
+pub type WatchReport<W> = (W, Result<ValueReport, DeliveryError>);
 
 /// The variables of one node: facts `F` are known of each, and watchers `W` are answered.
 #[derive(Debug)]
@@ -223,7 +217,7 @@ impl<F, W> Variables<F, W> {
                 Err(DeliveryError::Full)
             }
         };
-        self.outputs.push_back(WatchReport { watcher, result });
+        self.outputs.push_back((watcher, result));
     }
 
     /// Only these watchers wait still.
@@ -327,7 +321,7 @@ impl<F, W> Variables<F, W> {
     ) {
         for known in self.watchers.extract_if(.., |known| whom(known)) {
             let result = what(&known);
-            self.outputs.push_back(WatchReport { watcher: known.watcher, result });
+            self.outputs.push_back((known.watcher, result));
         }
     }
 }
@@ -481,13 +475,13 @@ mod tests {
         variables.handle_watch(1, key("speed"), first, NOW);
         assert_eq!(variables.poll_output(), None);
         let second = variables.handle_write(vec![write("speed", 1)], NOW).unwrap();
-        let delivered = variables.poll_output().unwrap();
-        assert_eq!((delivered.watcher, delivered.result.unwrap().revision), (1, second));
+        let (watcher, result) = variables.poll_output().unwrap();
+        assert_eq!((watcher, result.unwrap().revision), (1, second));
         variables.handle_write(vec![write("speed", 2)], NOW).unwrap();
         assert_eq!(variables.poll_output(), None);
 
         variables.handle_watch(2, key("speed"), second, NOW);
-        assert_eq!(variables.poll_output().unwrap().result.unwrap().value, value(2));
+        assert_eq!(variables.poll_output().unwrap().1.unwrap().value, value(2));
     }
 
     #[test]
@@ -500,7 +494,7 @@ mod tests {
         variables.retain_watchers(|&watcher| watcher != 1);
         variables.handle_write(vec![write("speed", 1)], NOW).unwrap();
 
-        assert_eq!(variables.poll_output().unwrap().watcher, 2);
+        assert_eq!(variables.poll_output().unwrap().0, 2);
         assert_eq!(variables.poll_output(), None);
     }
 
@@ -511,15 +505,12 @@ mod tests {
         for watcher in 0..=WATCHERS_MAX as u64 {
             variables.handle_watch(watcher, key("speed"), after, NOW);
         }
-        assert_eq!(variables.poll_output().unwrap().result, Err(DeliveryError::Full));
+        assert_eq!(variables.poll_output().unwrap().1, Err(DeliveryError::Full));
 
         variables.handle_watch(9999, key("speed"), after, NOW + 2 * WATCHER_TIMEOUT);
         assert_eq!(variables.outputs.len(), WATCHERS_MAX);
         variables.outputs.clear();
         variables.handle_withdrawn(&ObjectName::new("arm").unwrap());
-        assert!(matches!(
-            variables.poll_output().unwrap().result,
-            Err(DeliveryError::Unknown { .. })
-        ));
+        assert!(matches!(variables.poll_output().unwrap().1, Err(DeliveryError::Unknown { .. })));
     }
 }

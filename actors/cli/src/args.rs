@@ -258,39 +258,18 @@ pub(crate) enum KeysJob {
     /// Make keys for further nodes, and list them
     #[command(after_help = KEYS_HELP)]
     Add {
-        /// The names of the nodes
-        #[arg(required = true, value_name = "NODE")]
-        nodes: Vec<String>,
         #[command(flatten)]
-        robot: RobotOption,
-        #[command(flatten)]
-        push: PushOptions,
+        listed: ListedNodes,
         /// A node's role, where it is not `node`: operator or guest
         #[arg(long = "role", value_name = "NODE=ROLE")]
         roles: Vec<String>,
     },
     /// Take nodes off the list, and out of the lines of the policy
     #[command(after_help = KEYS_HELP)]
-    Revoke {
-        /// The names of the nodes
-        #[arg(required = true, value_name = "NODE")]
-        nodes: Vec<String>,
-        #[command(flatten)]
-        robot: RobotOption,
-        #[command(flatten)]
-        push: PushOptions,
-    },
+    Revoke(ListedNodes),
     /// Make new keys for listed nodes; the files of the old ones must be moved away before
     #[command(after_help = KEYS_HELP)]
-    Replace {
-        /// The names of the nodes
-        #[arg(required = true, value_name = "NODE")]
-        nodes: Vec<String>,
-        #[command(flatten)]
-        robot: RobotOption,
-        #[command(flatten)]
-        push: PushOptions,
-    },
+    Replace(ListedNodes),
     /// Change roles and the policy in an editor ($VISUAL, $EDITOR or vi)
     ///
     /// The text is checked, and signed with the next serial number. Names, keys and the serial
@@ -310,6 +289,18 @@ pub(crate) enum KeysJob {
     /// A roster beside the operator's key that is newer than that of the robot is handed over.
     #[command(after_help = OPERATOR_HELP)]
     Check(KeysCheckOptions),
+}
+
+/// Nodes of a robot's list, and whom the changed list is handed over to.
+#[derive(Args, Clone, Debug, PartialEq)]
+pub(crate) struct ListedNodes {
+    /// The names of the nodes
+    #[arg(required = true, value_name = "NODE")]
+    pub(crate) nodes: Vec<String>,
+    #[command(flatten)]
+    pub(crate) robot: RobotOption,
+    #[command(flatten)]
+    pub(crate) push: PushOptions,
 }
 
 /// Which robot is to be asked for its keys, and how.

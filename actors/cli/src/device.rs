@@ -3,7 +3,6 @@
 use crate::args::{DescribedDevice, DeviceJob};
 use blastema::DeviceDescription;
 use serde_json::Value;
-use std::io::{self, Write};
 
 /// Prints what is asked for.
 ///
@@ -12,12 +11,10 @@ use std::io::{self, Write};
 pub(crate) fn run(job: &DeviceJob) -> Result<(), String> {
     let (DeviceJob::Header(of) | DeviceJob::Firmware(of)) = job;
     let device = described(of).map_err(|error| format!("{}: {error}", of.file.display()))?;
-    let text = match job {
+    crate::print(&match job {
         DeviceJob::Header(_) => device.header(),
         DeviceJob::Firmware(_) => device.firmware(),
-    };
-    let written = io::stdout().write_all(text.as_bytes());
-    written.map_err(|error| format!("standard output cannot be written: {error}"))
+    })
 }
 
 fn described(of: &DescribedDevice) -> Result<DeviceDescription, String> {

@@ -9,7 +9,7 @@
 
 mod args;
 mod device;
-mod fault;
+mod fault_list;
 mod keys;
 mod monitor;
 mod operator;
@@ -17,7 +17,7 @@ mod robot;
 
 use args::{Arguments, FaultJob, Subcommand, TreeJob};
 use clap::Parser;
-use std::io::Write;
+use std::io::{self, Write};
 use std::process::ExitCode;
 
 /// The command could not be carried out.
@@ -28,18 +28,10 @@ const PARTLY_DONE: u8 = 1;
 fn main() -> ExitCode {
     blastema::launch_processes();
     let outcome = match Arguments::parse().subcommand {
-        Subcommand::Monitor(options) => {
-            monitor::run(&options).map(|()| true).map_err(|error| error.to_string())
-        }
-        Subcommand::Fault(FaultJob::List(options)) => {
-            fault::run(&options).map(|()| true).map_err(|error| error.to_string())
-        }
+        Subcommand::Monitor(options) => monitor::run(&options).map(|()| true),
+        Subcommand::Fault(FaultJob::List(options)) => fault_list::run(&options).map(|()| true),
         Subcommand::Tree(TreeJob::Model) => {
-            let model = blastema::trees::TreeLeaves::new().model();
-            let printed = std::io::stdout().write_all(model.as_bytes());
-            printed
-                .map(|()| true)
-                .map_err(|error| format!("the model could not be printed: {error}"))
+            print(&blastema::trees::TreeLeaves::new().model()).map(|()| true)
         }
         Subcommand::Keys(job) => keys::run(&job),
         Subcommand::Node(job) => operator::run(&job),
@@ -51,16 +43,27 @@ fn main() -> ExitCode {
         Subcommand::Check(options) => robot::run("check", &options),
         Subcommand::Graph(options) => robot::run("graph", &options),
         Subcommand::Run(options) => robot::run("run", &options),
-        Subcommand::Schema => robot::schema(),
-        Subcommand::New(options) => robot::new(&options),
+        Subcommand::Schema => print(blastema_robot::XSD).map(|()| true),
+        Subcommand::New(options) => robot::new(&options).map(|()| true),
     };
     match outcome {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::from(PARTLY_DONE),
         Err(reason) => {
             // With standard error closed, there is no place left for the reason.
-            let _ = writeln!(std::io::stderr(), "blastema: {reason}");
+            let _ = writeln!(io::stderr(), "blastema: {reason}");
             ExitCode::from(NOT_DONE)
         }
+    }
+}
+
+/// Prints on standard output. A reader that has closed its end, as `head` does, has seen enough.
+fn print(text: &str) -> Result<(), String> {
+    let printed = io::stdout().write_all(text.as_bytes()).and_then(|()| io::stdout().flush());
+    match printed {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(format!("standard output cannot be written: {error}"))
+        }
+        _ => Ok(()),
     }
 }

@@ -42,49 +42,9 @@ const RESTARTS: u32 = 5;
 /// reserve.
 const FILES: u64 = 96;
 
-/// The reason why the demonstration was not run to its end.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum DemoError {
-    /// The operating system refuses a required resource.
-    #[error("{what}: {source}")]
-    System {
-        /// The operation.
-        what: &'static str,
-        /// The error of the operating system.
-        source: io::Error,
-    },
-    /// The limit of open files is too low.
-    #[error(
-        "a process may open {0} files here, and a module needs {FILES}: raise the limit, as with \
-         `ulimit -n {FILES}`"
-    )]
-    Files(u64),
-    /// The processes of the modules cannot be started.
-    #[error("the modules do not start: {0}")]
-    Start(String),
-    /// The processes run, and do not connect or do not become ready.
-    #[error("the robot was not assembled: {0}")]
-    NotAssembled(String),
-    /// A signal ended the run.
-    #[error("interrupted by {0}; all processes have ended")]
-    Interrupted(&'static str),
-    /// The reader of standard output has closed it.
-    #[error("standard output was closed by its reader")]
-    OutputClosed,
-}
-
-/// An input of the director.
-enum DirectorInput {
-    Report(Module, Box<ModuleReport>),
-    /// A step in the history of a fault of the director's own node.
-    Fault(FaultEvent),
-    Tick,
-    Interrupted(Termination),
-}
-
 /// Runs the scenario, shows its lines or not, and ends all processes. The report is missing if it
 /// did not begin.
-pub(crate) async fn run(shows_lines: bool) -> (Option<Report>, Result<(), DemoError>) {
+pub(crate) async fn run(shows_lines: bool) -> (Option<Report>, Result<(), String>) {
     let (mut signals, folder) = match prepare() {
         Ok(prepared) => prepared,
         Err(error) => return (None, Err(error)),
@@ -98,7 +58,7 @@ pub(crate) async fn run(shows_lines: bool) -> (Option<Report>, Result<(), DemoEr
     let mut faults = builder.fault_events();
     let started = tokio::select! {
         started = builder.start() => started.map_err(|error| {
-            DemoError::Start(with_reasons(error.to_string(), &folder))
+            with_reasons(format!("the modules do not start: {error}"), &folder)
         }),
         signal = signals.next() => Err(interrupted(signal)),
     };
@@ -106,11 +66,8 @@ pub(crate) async fn run(shows_lines: bool) -> (Option<Report>, Result<(), DemoEr
         Ok(node) => node,
         Err(error) => return (None, Err(error)),
     };
-    let outcome = direct(&mut scenario, &node, &mut faults, &mut signals, shows_lines).await;
-    let outcome = outcome.map_err(|error| match error {
-        DemoError::NotAssembled(text) => DemoError::NotAssembled(with_reasons(text, &folder)),
-        error => error,
-    });
+    let outcome =
+        direct(&mut scenario, &node, &folder, &mut faults, &mut signals, shows_lines).await;
     // A second signal ends the wait.
     tokio::select! {
         () = node.shutdown() => {}
@@ -120,12 +77,15 @@ pub(crate) async fn run(shows_lines: bool) -> (Option<Report>, Result<(), DemoEr
 }
 
 /// Catches signals before the first process is started, so that none is left behind.
-fn prepare() -> Result<(Terminations, RunFolder), DemoError> {
+fn prepare() -> Result<(Terminations, RunFolder), String> {
     let files = getrlimit(Resource::Nofile).current;
     if let Some(files) = files.filter(|files| *files < FILES) {
-        return Err(DemoError::Files(files));
+        return Err(format!(
+            "a process may open {files} files here, and a module needs {FILES}: raise the limit, as \
+             with `ulimit -n {FILES}`"
+        ));
     }
-    let system = |what| move |source| DemoError::System { what, source };
+    let system = |what| move |error: io::Error| format!("{what}: {error}");
     let signals = Terminations::listen().map_err(system("signals cannot be caught"))?;
     let what = "no folder for keys and sockets; set TMPDIR to a folder that can be written to";
     Ok((signals, RunFolder::make().map_err(system(what))?))
@@ -148,10 +108,11 @@ fn modules(folder: &RunFolder) -> SupervisorSpec {
 async fn direct(
     scenario: &mut Scenario,
     node: &Node,
+    folder: &RunFolder,
     faults: &mut FaultEvents,
     signals: &mut Terminations,
     shows_lines: bool,
-) -> Result<(), DemoError> {
+) -> Result<(), String> {
     let (reports, mut reported) = channel(QUEUE);
     let since = Rc::new(Cell::new(Instant::default()));
     for module in Module::ALL {
@@ -166,32 +127,33 @@ async fn direct(
                 scenario.handle_struck(struck, platform::now());
             }
             Some(ScenarioOrder::End) => return Ok(()),
-            Some(ScenarioOrder::NotAssembled(text)) => return Err(DemoError::NotAssembled(text)),
+            Some(ScenarioOrder::NotAssembled(missing)) => {
+                return Err(with_reasons(
+                    format!("the robot was not assembled: {missing}"),
+                    folder,
+                ));
+            }
             None => {}
         }
         since.set(scenario.watched_since());
         while let Some(line) = scenario.poll_line() {
             if shows_lines && writeln!(io::stdout(), "{line}").is_err() {
-                return Err(DemoError::OutputClosed);
+                return Err("standard output was closed by its reader".to_owned());
             }
         }
-        let input = tokio::select! {
+        tokio::select! {
             biased;
-            signal = signals.next() => DirectorInput::Interrupted(signal),
-            Some(event) = faults.next() => DirectorInput::Fault(event),
-            Some((module, report)) = reported.recv() => DirectorInput::Report(module, report),
-            _ = ticks.tick() => DirectorInput::Tick,
-        };
-        let now = platform::now();
-        match input {
-            DirectorInput::Report(module, report) => scenario.handle_report(module, *report, now),
-            DirectorInput::Fault(event) => {
+            signal = signals.next() => return Err(interrupted(signal)),
+            // A step in the history of a fault of the director's own node.
+            Some(event) = faults.next() => {
                 if let Some((module, how)) = end_of_module(event) {
-                    scenario.handle_end(module, &how, now);
+                    scenario.handle_end(module, &how, platform::now());
                 }
             }
-            DirectorInput::Tick => {}
-            DirectorInput::Interrupted(signal) => return Err(interrupted(signal)),
+            Some((module, report)) = reported.recv() => {
+                scenario.handle_report(module, *report, platform::now());
+            }
+            _ = ticks.tick() => {}
         }
     }
 }
@@ -263,10 +225,11 @@ fn with_reasons(text: String, folder: &RunFolder) -> String {
     })
 }
 
-fn interrupted(signal: Termination) -> DemoError {
-    DemoError::Interrupted(match signal {
+fn interrupted(signal: Termination) -> String {
+    let by = match signal {
         Termination::Interrupt => "Ctrl-C",
         Termination::HangUp => "SIGHUP",
         _ => "SIGTERM",
-    })
+    };
+    format!("interrupted by {by}; all processes have ended")
 }

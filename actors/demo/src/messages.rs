@@ -97,8 +97,6 @@ pub(crate) struct FaultReport {
     pub(crate) detail: String,
     /// The fault that it is a consequence of.
     pub(crate) symptom_of: Option<FaultId>,
-    /// The recovery action that was chosen last.
-    pub(crate) decided: Option<String>,
     /// Service is restored, or the cause is away.
     pub(crate) recovered: bool,
     /// Why nothing more is tried.

@@ -58,14 +58,9 @@ pub(crate) struct FaultRow {
     pub(crate) recovered_after: Option<Duration>,
     /// The recovery is counted from the repair, without which there was none.
     pub(crate) from_repair: bool,
-    /// Reliable messages lost.
-    pub(crate) lost: u64,
-    /// Reliable messages doubled.
-    pub(crate) doubled: u64,
-    /// Reliable messages that became dead letters because the receiving process was killed.
-    pub(crate) perished: u64,
-    /// Reliable messages that became dead letters because there was no path for too long.
-    pub(crate) returned: u64,
+    /// Reliable messages that did not arrive once.
+    #[serde(flatten)]
+    pub(crate) losses: FlowLosses,
     /// Further faults that the modules reported as its consequences.
     pub(crate) symptoms: u64,
     /// The mark of a note and the paper's mean in milliseconds, if it measured something like it.
@@ -154,11 +149,11 @@ const NOTES: [ReportNote; 7] = [
     ),
     ("r  from the return of the cables.", |report| report.rows.iter().any(|row| row.from_repair)),
     ("+p  so many messages became dead letters with the killed process.", |report| {
-        report.rows.iter().any(|row| row.perished > 0)
+        report.rows.iter().any(|row| row.losses.perished > 0)
     }),
     (
         "+d  so many messages became dead letters: there was no path for longer than a session waits, 2 s.",
-        |report| report.rows.iter().any(|row| row.returned > 0),
+        |report| report.rows.iter().any(|row| row.losses.returned > 0),
     ),
     (
         "a  Baek and Park 2008, table 2: from the detection of a dead object among 100, with a sign of life every 100 \

@@ -193,7 +193,6 @@ pub(crate) mod fake {
             found_at: 150_000_000,
             detail: String::new(),
             symptom_of: None,
-            decided: None,
             recovered: false,
             given_up: None,
         }

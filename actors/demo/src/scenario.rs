@@ -4,7 +4,6 @@
 //! orders and progress lines. A test runs it in virtual time.
 
 use crate::faults::{FAULTS, FaultMatch};
-use crate::flow_account::FlowLosses;
 use crate::messages::{FaultReport, ModuleReport, Strike};
 use crate::report::{FaultRow, Report, counted, latencies};
 use crate::robot::Module;
@@ -192,12 +191,7 @@ impl Scenario {
         problems.extend(given_up.filter(|text| !is_in_row(text)));
         // During a trial, messages may still be in flight.
         if !matches!(self.scene, Scene::Trying(_)) {
-            let in_row = |row: &FaultRow| FlowLosses {
-                lost: row.lost,
-                doubled: row.doubled,
-                ..FlowLosses::default()
-            };
-            let between = messages - self.rows.iter().map(in_row).sum();
+            let between = messages - self.rows.iter().map(|row| row.losses).sum();
             for (count, what) in [(between.lost, "lost"), (between.doubled, "doubled")] {
                 if count > 0 {
                     let messages = counted(count, "reliable message");

@@ -1,5 +1,6 @@
 //! The tables at the end of a run, with the figures of the paper.
 
+use crate::flow_account::FlowLosses;
 use crate::report::{FaultRow, Report, counted, millis};
 use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table, presets};
 use std::fmt::Write;
@@ -46,7 +47,8 @@ fn faults(report: &Report, columns: u16) -> Table {
     }
     table.add_rows(report.rows.iter().map(|row| {
         let recovered = figure(row.recovered_after);
-        let besides = [(row.perished, 'p'), (row.returned, 'd')].into_iter();
+        let FlowLosses { lost, doubled, perished, returned } = row.losses;
+        let besides = [(perished, 'p'), (returned, 'd')].into_iter();
         let besides = besides.filter(|(count, _)| *count > 0);
         let besides: String = besides.map(|(count, mark)| format!("+{count}{mark} ")).collect();
         [
@@ -56,8 +58,8 @@ fn faults(report: &Report, columns: u16) -> Table {
             row.named.as_ref().map_or("-".into(), |named| format!("{} {}", named.code, named.text)),
             figure(row.detected_after),
             if row.from_repair { format!("{recovered} r") } else { recovered },
-            format!("{besides}{}", row.lost),
-            row.doubled.to_string(),
+            format!("{besides}{lost}"),
+            doubled.to_string(),
             row.symptoms.to_string(),
             row.paper.map(|(mark, figure)| format!("{figure} {mark}")).unwrap_or_default(),
         ]
@@ -157,7 +159,6 @@ fn figure(span: Option<Duration>) -> String {
 mod tests {
     use super::*;
     use crate::faults::{Blow, FAULTS};
-    use crate::flow_account::FlowLosses;
     use crate::golden;
     use crate::messages::UNFILTERED;
     use crate::report::{ReportedFault, latencies as figures};
@@ -182,10 +183,7 @@ mod tests {
             detected_after: Some(Duration::from_nanos(21_400)),
             recovered_after: Some(Duration::from_micros(65)),
             from_repair: fault.blow == Blow::Blackout,
-            lost: 0,
-            doubled: 0,
-            perished: 0,
-            returned: 0,
+            losses: FlowLosses::default(),
             symptoms: 0,
             paper: fault.paper,
             problems: vec![],
@@ -195,10 +193,10 @@ mod tests {
     fn report() -> Report {
         let titles = ["panic", "cable cut", "both cables cut, return", "kill -9, rejoin"];
         let mut rows: Vec<_> = titles.into_iter().map(row).collect();
-        rows[2].returned = 240;
+        rows[2].losses.returned = 240;
         rows[3].recovered_after = None;
-        rows[3].lost = 2;
-        rows[3].perished = 14;
+        rows[3].losses.lost = 2;
+        rows[3].losses.perished = 14;
         rows[3].symptoms = 15;
         rows[3].problems = vec!["service is not back".into(), "2 messages were lost".into()];
         let nanos = vec![40_000, 55_000, 1_200_000];

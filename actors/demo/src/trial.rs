@@ -189,7 +189,7 @@ impl FaultTrial {
 
     /// Returns the row up to now.
     pub(crate) fn row(&self, robot: &RobotState) -> FaultRow {
-        let FlowLosses { lost, doubled, perished, returned } = robot.losses() - self.before;
+        let losses = robot.losses() - self.before;
         let mut problems = self.problems.clone();
         let previous = self.number.checked_sub(2).map(|before| &FAULTS[before as usize]);
         let mut symptoms = self.named(robot).count().saturating_sub(1) as u64;
@@ -206,13 +206,13 @@ impl FaultTrial {
                 _ => {}
             }
         }
-        for (count, what) in [(lost, "lost"), (doubled, "doubled")] {
+        for (count, what) in [(losses.lost, "lost"), (losses.doubled, "doubled")] {
             if count > 0 {
                 problems.push(format!("{} {what}", counted(count, "reliable message")));
             }
         }
-        if returned > 0 && !self.may_end_sessions(robot) {
-            let returned = counted(returned, "reliable message");
+        if losses.returned > 0 && !self.may_end_sessions(robot) {
+            let returned = counted(losses.returned, "reliable message");
             problems
                 .push(format!("{returned} became dead letters, though a path was there in time"));
         }
@@ -232,10 +232,7 @@ impl FaultTrial {
             detected_after: since(struck, found_at),
             recovered_after: since(self.recovery_starts(), self.back_at(robot)),
             from_repair: self.repair != CableRepair::NotNeeded,
-            lost,
-            doubled,
-            perished,
-            returned,
+            losses,
             symptoms,
             paper: *paper,
             problems,

@@ -12,8 +12,8 @@ use crate::description::{
     ElementOrigin, EndpointDescription, NodeDescription, RobotDescription,
 };
 use crate::finding::{ElementPart, ElementPlaces, FilePlace, RobotFinding, RobotSources};
-use crate::types::{Types, UnknownPort, end_of};
-use crate::value::{fault_word, hint};
+use crate::types::{Types, end_of};
+use crate::value::{ValueError, fault_word, hint};
 use blastema::core::detection::dependencies::circle;
 use blastema::core::port::{ConnectionRole, PortAddress, resolve};
 use blastema::core::sorted::SortedMap;
@@ -307,7 +307,7 @@ impl<'a> RobotChecker<'a> {
                     (end.origin, if is_told { "reached-at" } else { "at" }.into())
                 });
                 let at = at.unwrap_or((node.origin, "name".into()));
-                ("robot::network", at, error.problem().to_string(), MEDIA.to_owned())
+                ("robot::network", at, error.problem().to_owned(), MEDIA.to_owned())
             }
             // It is found at the network.
             StartError::Insecure { .. } => return,
@@ -508,7 +508,7 @@ impl<'a> RobotChecker<'a> {
                             on it may command this robot";
                 self.find(code, sentence, (origin, "name"), help, "here");
             } else if let StartError::Endpoint { error, .. } = error {
-                self.find(code, error.problem().to_string(), at, MEDIA, "here");
+                self.find(code, error.problem(), at, MEDIA, "here");
             } else {
                 let text = error.to_string();
                 let sentence = text.lines().next().unwrap_or_default();
@@ -669,10 +669,10 @@ impl<'a> RobotChecker<'a> {
             let (origin, mut is_known, mut leads) = (*origin, true, false);
             let resolved = resolve(ports, |address, is_out| {
                 let found = types.port(robot, address, is_out);
-                let port = found.unwrap_or_else(|UnknownPort { sentence, help, label }| {
+                let port = found.unwrap_or_else(|ValueError { sentence, help, label }| {
                     let at = (origin, if is_out { "from" } else { "to" });
                     is_known = false;
-                    self.find("robot::connection", sentence, at, help, label);
+                    self.find("robot::connection", sentence, at, help, &label);
                     None
                 });
                 leads |= port.is_some_and(|port| is_out && port.role.connects());

@@ -14,28 +14,9 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Elements and attributes that have their place in the format and no meaning yet.
-const NOT_YET: [&str; 20] = [
-    "composite",
-    "export",
-    "fault-kind",
-    "link",
-    "member",
-    "mode",
-    "port",
-    "service",
-    "variant",
-    "automatic-shutdown",
-    "commanders",
-    "executable",
-    "max-recovery",
-    "on-give-up",
-    "placement",
-    "priority",
-    "significant",
-    "start",
-    "variants",
-    "blocking",
-];
+const NOT_YET: &str = "composite export fault-kind link member mode port service variant automatic-shutdown \
+    commanders executable max-recovery on-give-up placement priority significant start \
+    variants blocking";
 
 /// The values of the arguments that a file declares; those of a copy have `copy` as well.
 #[derive(Clone, Debug, Default)]
@@ -53,8 +34,6 @@ pub(crate) struct FileReading<'a> {
     pub(crate) root: &'a Path,
     pub(crate) findings: &'a RefCell<Vec<RobotFinding>>,
     pub(crate) arguments: RefCell<ArgumentValues>,
-    /// All names that were asked for: of an element, its attributes and its children.
-    pub(crate) asked: &'a RefCell<BTreeMap<String, [Vec<&'static str>; 2]>>,
     /// How many components have been read.
     pub(crate) components: &'a Cell<usize>,
 }
@@ -138,21 +117,21 @@ impl<'a> RobotElement<'a> {
         })
     }
 
-    /// The children of these names, in the order of the file.
-    pub(crate) fn children(&self, names: &[&'static str]) -> Vec<RobotElement<'a>> {
-        self.children.borrow_mut().extend(names);
+    /// The children of these names, which have spaces between them, in the order of the file.
+    pub(crate) fn children(&self, names: &'static str) -> Vec<RobotElement<'a>> {
+        self.children.borrow_mut().extend(names.split(' '));
         let nodes = self.node.children();
         let wanted = nodes.filter(|node| {
             node.is_element()
                 && node.tag_name().namespace().is_none()
-                && names.contains(&node.tag_name().name())
+                && names.split(' ').any(|name| name == node.tag_name().name())
         });
         wanted.map(|node| RobotElement::new(node, self.reading, self.copy)).collect()
     }
 
     /// The only child of this name.
     pub(crate) fn child(&self, name: &'static str) -> Option<RobotElement<'a>> {
-        let mut children = self.children(&[name]).into_iter();
+        let mut children = self.children(name).into_iter();
         let first = children.next()?;
         for again in children {
             let sentence = format!("`{}` has two elements `{name}`", self.name());
@@ -164,7 +143,7 @@ impl<'a> RobotElement<'a> {
     /// The children of this name, each of which has another value of the attribute `key`. One that
     /// has the value of another is a mistake, and is not read.
     pub(crate) fn distinct(&self, name: &'static str, key: &'static str) -> Vec<RobotElement<'a>> {
-        let (mut children, mut known) = (self.children(&[name]), BTreeMap::new());
+        let (mut children, mut known) = (self.children(name), BTreeMap::new());
         children.retain(|child| {
             let Some(attribute) = child.node.attribute_node(key) else { return true };
             let range = attribute.range_value();
@@ -282,7 +261,7 @@ impl<'a> RobotElement<'a> {
     /// Finds a name that was not asked for.
     fn unknown(&self, what: &str, name: &str, range: Range<usize>, known: &[&'static str]) {
         let of = self.name();
-        if NOT_YET.contains(&name) {
+        if NOT_YET.split(' ').any(|known| known == name) {
             let sentence = format!("`{name}` is not known yet");
             let help = format!("delete it: this version does not read the {what} `{name}`");
             let at = [(range, "not known yet".to_owned())];
@@ -337,17 +316,7 @@ impl Drop for RobotElement<'_> {
                 self.find("robot::unknown", sentence, at, Some(help.into()));
             }
         }
-        let mut asked = self.reading.asked.borrow_mut();
-        if !asked.contains_key(self.name()) {
-            asked.insert(self.name().to_owned(), Default::default());
-        }
-        let known = asked.get_mut(self.name()).into_iter().flatten();
-        for (known, new) in known.zip([&attributes, &children]) {
-            for name in new.iter() {
-                if !known.contains(name) {
-                    known.push(name);
-                }
-            }
-        }
+        #[cfg(test)]
+        crate::tests::note_asked(self.name(), [&attributes, &children]);
     }
 }

@@ -49,12 +49,6 @@ fn failed(reason: String) -> LaunchFailure {
     LaunchFailure { status: FAILED, reason }
 }
 
-/// A node that is kept.
-struct KeptNode {
-    stop: oneshot::Sender<()>,
-    ended: JoinHandle<()>,
-}
-
 impl Launch<'_> {
     /// Runs all nodes until a signal, or until one of them cannot be kept.
     ///
@@ -65,7 +59,7 @@ impl Launch<'_> {
         let mut signals = Terminations::listen().map_err(|e| failed(format!("signals: {e}")))?;
         let hurry = watch::Sender::new(false);
         let (ends, mut failures) = mpsc::channel(self.nodes.len().max(1));
-        let mut kept: Vec<KeptNode> = Vec::new();
+        let mut kept = Vec::new();
         for name in &self.nodes {
             let (stop, stopped) = oneshot::channel();
             let (name, arguments) = ((*name).to_owned(), self.arguments.clone());
@@ -79,7 +73,7 @@ impl Launch<'_> {
                     let _ = ends.send(LaunchFailure { status, reason }).await;
                 }
             });
-            kept.push(KeptNode { stop, ended });
+            kept.push((stop, ended));
         }
         drop(ends);
         let failure = tokio::select! {
@@ -89,7 +83,7 @@ impl Launch<'_> {
         let is_failure = failure.is_some();
         let stopped = async {
             // As children of a supervisor: the last that was started stops first.
-            for KeptNode { stop, ended } in kept.into_iter().rev() {
+            for (stop, ended) in kept.into_iter().rev() {
                 let _ = stop.send(());
                 let _ = ended.await;
             }

@@ -58,7 +58,9 @@ pub(crate) fn make_nodes(robot: &mut RobotDescription, file: &Path, set: &[(Stri
             node.endpoints = vec![endpoint(&node.name, node.origin)];
             node.safe_outputs.clone_from(&parent.safe_outputs);
             node.plan.clone_from(&parent.plan);
-            node.keys = node_key(parent.keys.as_ref().or(robot.keys.as_ref()), &node.name);
+            // The key of a process lies beside that of its node.
+            let keys = parent.keys.as_ref().or(robot.keys.as_ref());
+            node.keys = keys.map(|key| key.with_file_name(format!("{}.key", node.name)));
             made.push(node);
         }
         robot.nodes.extend(made);
@@ -82,11 +84,6 @@ fn take_nodes<'a>(
             ChildDescription::Supervisor(below) => take_nodes(below, held),
         }
     }
-}
-
-/// The key of a process lies beside that of its node.
-fn node_key(of_parent: Option<&PathBuf>, name: &str) -> Option<PathBuf> {
-    of_parent.map(|key| key.with_file_name(format!("{name}.key")))
 }
 
 /// In the runtime directory of the user. Only processes of this user are heard there.

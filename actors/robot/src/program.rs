@@ -5,7 +5,7 @@ use crate::description::RobotDescription;
 use crate::finding::{RobotFinding, report};
 use crate::graph::{GraphFormat, graph};
 use crate::launch::{FAILED, Launch, LaunchFailure, NOT_UP};
-use crate::reader::{self, RobotReading, UnreadableFile};
+use crate::reader::{self, RobotReading};
 use crate::types::Types;
 use blastema::NodeState;
 use clap::{Parser, Subcommand};
@@ -48,7 +48,7 @@ impl std::error::Error for RobotFileError {}
 pub fn program_of(file: &Path) -> Result<PathBuf, RobotFileError> {
     let refused = |report, is_unreadable| RobotFileError { report, is_unreadable };
     let read = reader::read(file, &[]);
-    let reading = read.map_err(|UnreadableFile(report)| refused(report, true))?;
+    let reading = read.map_err(|report| refused(report, true))?;
     reading.robot.program.ok_or_else(|| match reading.findings.is_empty() {
         true => {
             let help = "add `program=\"…\"` to `robot`, with the path of the program from the \
@@ -152,7 +152,7 @@ impl Types {
         }
         let read = reader::read(file, set);
         let RobotReading { robot, mut sources, mut findings, .. } =
-            read.map_err(|UnreadableFile(report)| refused(report, true))?;
+            read.map_err(|report| refused(report, true))?;
         // Of a file that is no XML, nothing else is known.
         if !findings.iter().any(|finding| matches!(finding.code, "robot::xml" | "robot::schema")) {
             findings = check(&robot, &mut sources, self, findings);

@@ -17,10 +17,9 @@ use blastema::trees::byte_at;
 use blastema::{ActuatorSettings, ClaimPolicy, NodeName, ProcessSpec, WhenFull};
 use roxmltree::{Document, Error, ParsingOptions};
 use std::cell::{Cell, RefCell};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::{env, fs};
+use std::{env, fmt, fs};
 
 /// A file that is written by hand has a hundred kilobytes at most.
 const FILE_MAX: usize = 1 << 20;
@@ -36,37 +35,25 @@ const NESTED_MAX: usize = 64;
 /// The version of the format.
 const SCHEMA: u32 = 1;
 
-/// What was asked for of elements: of each its attributes and its children.
-pub(crate) type AskedNames = BTreeMap<String, [Vec<&'static str>; 2]>;
-
 /// A robot file that was read.
 #[derive(Debug, Default)]
 pub(crate) struct RobotReading {
     pub(crate) robot: RobotDescription,
     pub(crate) sources: RobotSources,
     pub(crate) findings: Vec<RobotFinding>,
-    /// Every name that elements were asked for.
-    #[cfg_attr(not(test), expect(dead_code, reason = "a test compares them with the schema"))]
-    pub(crate) asked: AskedNames,
 }
 
-/// Why a robot file could not be read at all.
-#[derive(Debug)]
-pub(crate) struct UnreadableFile(pub(crate) String);
-
 /// Reads a file with these values of its arguments.
-pub(crate) fn read(path: &Path, set: &[(String, String)]) -> Result<RobotReading, UnreadableFile> {
-    let unreadable = |error| UnreadableFile(format!("{}: {error}", path.display()));
-    let absolute = fs::canonicalize(path).map_err(unreadable)?;
-    let text = read_text(&absolute)
-        .map_err(|error| UnreadableFile(format!("{}: {error}", path.display())))?;
+pub(crate) fn read(path: &Path, set: &[(String, String)]) -> Result<RobotReading, String> {
+    let unreadable = |error: &dyn fmt::Display| format!("{}: {error}", path.display());
+    let absolute = fs::canonicalize(path).map_err(|error| unreadable(&error))?;
+    let text = read_text(&absolute).map_err(|error| unreadable(&error))?;
     let folder = absolute.parent().unwrap_or(Path::new("/")).to_owned();
-    let (findings, asked, components) = Default::default();
+    let (findings, components) = Default::default();
     let mut reader = RobotReader {
         robot: RobotDescription::default(),
         sources: RobotSources::default(),
         findings: &findings,
-        asked: &asked,
         components: &components,
         root: folder,
         open: Vec::new(),
@@ -79,8 +66,7 @@ pub(crate) fn read(path: &Path, set: &[(String, String)]) -> Result<RobotReading
     );
     let RobotReader { mut robot, sources, .. } = reader;
     make_nodes(&mut robot, &absolute, set);
-    let (findings, asked) = (findings.into_inner(), asked.into_inner());
-    Ok(RobotReading { robot, sources, findings, asked })
+    Ok(RobotReading { robot, sources, findings: findings.into_inner() })
 }
 
 fn read_text(path: &Path) -> Result<String, String> {
@@ -106,7 +92,6 @@ struct RobotReader<'a> {
     robot: RobotDescription,
     sources: RobotSources,
     findings: &'a RefCell<Vec<RobotFinding>>,
-    asked: &'a RefCell<AskedNames>,
     components: &'a Cell<usize>,
     /// The folder of the outermost file.
     root: PathBuf,
@@ -132,7 +117,6 @@ impl RobotReader<'_> {
             root: &folder,
             findings: self.findings,
             arguments: RefCell::default(),
-            asked: self.asked,
             components: self.components,
         };
         let root = RobotElement::new(document.root_element(), &reading, None);
@@ -174,7 +158,7 @@ impl RobotReader<'_> {
             self.robot.keys = root.path("keys");
             self.robot.origin = root.origin();
         }
-        for element in root.children(&["include", "network", "plan", "node", "connect"]) {
+        for element in root.children("include network plan node connect") {
             match element.name() {
                 "include" => self.include(&element),
                 "network" => self.robot.networks.push(network(&element)),
@@ -231,17 +215,7 @@ impl RobotReader<'_> {
             name,
             ..NodeDescription::default()
         };
-        let children = [
-            "endpoint",
-            "plan",
-            "connect",
-            "lost-communication",
-            "component",
-            "device",
-            "process",
-            "supervisor",
-        ];
-        for element in element.children(&children) {
+        for element in element.children(NODE_CHILDREN) {
             match element.name() {
                 "lost-communication" => {
                     node.lost_communication.push(lost_communication(&element, &node.name));
@@ -406,8 +380,8 @@ pub(crate) const RUNGS: [(&str, RungAction); 4] = [
 
 /// What a node does when it loses a commander.
 fn lost_communication(element: &RobotElement<'_>, node: &str) -> LostCommunicationDescription {
-    let rungs = element.children(&["after"]).into_iter().filter_map(|after| {
-        let commands = after.children(&["command"]).into_iter().filter_map(|command| {
+    let rungs = element.children("after").into_iter().filter_map(|after| {
+        let commands = after.children("command").into_iter().filter_map(|command| {
             let actuator = command.need("actuator", |text| port(text, Some(node)));
             let (fields, origin) = (fields(&command), command.origin());
             Some(CommandDescription { actuator: actuator?, fields, origin })
@@ -424,7 +398,7 @@ fn lost_communication(element: &RobotElement<'_>, node: &str) -> LostCommunicati
     LostCommunicationDescription {
         name: element.need("name", value::object_name).unwrap_or_default(),
         commander: element.take("commander", value::node_name),
-        needs: element.children(&["needs"]).iter().filter_map(needs).collect(),
+        needs: element.children("needs").iter().filter_map(needs).collect(),
         at_least: element.take("at-least", value::count),
         rungs,
         stable_for: ends.and_then(|ends| ends.take("stable-for", value::duration)),
@@ -480,7 +454,9 @@ fn rules(element: &RobotElement<'_>) -> SupervisorDescription {
 }
 
 /// What supervisors and processes hold.
-const CHILDREN: [&str; 4] = ["component", "device", "process", "supervisor"];
+const CHILDREN: &str = "component device process supervisor";
+const NODE_CHILDREN: &str =
+    "endpoint plan connect lost-communication component device process supervisor";
 
 /// A component, device or process, once for each copy, or a supervisor with what is below it.
 fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
@@ -515,15 +491,29 @@ fn child(element: &RobotElement<'_>, children: &mut Vec<ChildDescription>) {
         origin: element.origin(),
         ..rules(element)
     };
-    for element in element.children(&CHILDREN) {
+    for element in element.children(CHILDREN) {
         child(&element, &mut supervisor.children);
     }
     children.push(ChildDescription::Supervisor(supervisor));
 }
 
+/// What components, devices and processes have in common.
+fn common(element: &RobotElement<'_>) -> ComponentDescription {
+    let restart = element.take("restart", |text| value::word("a restart type", &RESTARTS, text));
+    ComponentDescription {
+        restart: restart.unwrap_or_default(),
+        depends_on: element.take("depends-on", value::words).unwrap_or_default(),
+        essential: element.take("essential", value::flag).unwrap_or_default(),
+        ready_within: element.take("ready-within", value::duration),
+        shutdown_within: element.take("shutdown-within", value::duration),
+        plan: answers(element),
+        origin: element.origin(),
+        ..ComponentDescription::default()
+    }
+}
+
 fn component(element: &RobotElement<'_>) -> ChildDescription {
     let threads = [("shared", false), ("own", true)];
-    let restart = element.take("restart", |text| value::word("a restart type", &RESTARTS, text));
     let when_full = element.take("when-full", |text| value::word("a policy", &WHEN_FULL, text));
     let thread = element.take("thread", |text| value::word("a kind of thread", &threads, text));
     let is_device = element.name() == "device";
@@ -551,31 +541,23 @@ fn component(element: &RobotElement<'_>) -> ChildDescription {
         name: element.need("name", value::object_name).unwrap_or_default(),
         type_name: type_name.unwrap_or_default(),
         tree,
-        restart: restart.unwrap_or_default(),
         rate_hz: element.take("rate", value::rate),
         queue: element.take("queue", value::count),
         when_full: when_full.unwrap_or_default(),
         own_thread: thread.unwrap_or_default(),
         priority: element.take("priority", value::count),
         cpu: element.take("cpu", value::count),
-        depends_on: element.take("depends-on", value::words).unwrap_or_default(),
-        essential: element.take("essential", value::flag).unwrap_or_default(),
         max_block: element.take("max-block", value::duration),
         max_wait: element.take("max-wait", value::duration),
         max_delay: element.take("max-delay", value::duration),
-        ready_within: element.take("ready-within", value::duration),
-        shutdown_within: element.take("shutdown-within", value::duration),
         liveness: element
             .child("liveness")
             .and_then(|liveness_element| liveness(&liveness_element)),
         parameters,
         actuators,
         claims,
-        plan: answers(element),
         device: is_device.then(|| device(element)),
-        process: None,
-        node: None,
-        origin: element.origin(),
+        ..common(element)
     }))
 }
 
@@ -585,9 +567,10 @@ const READINESS: [(&str, bool); 2] = [("notify", false), ("started", true)];
 /// A program, which has few of the settings of a component; or the robot's own program, with
 /// components of its own.
 fn process(element: &RobotElement<'_>) -> ChildDescription {
-    let restart = element.take("restart", |text| value::word("a restart type", &RESTARTS, text));
-    let has_children =
-        element.node.children().any(|child| CHILDREN.contains(&child.tag_name().name()));
+    let has_children = element
+        .node
+        .children()
+        .any(|child| CHILDREN.split(' ').any(|name| name == child.tag_name().name()));
     let is_own = has_children && !element.node.has_attribute("program");
     let (mut ready, mut node) = (None, None);
     let (name, mut spec);
@@ -600,7 +583,7 @@ fn process(element: &RobotElement<'_>) -> ChildDescription {
         if !element.node.has_attribute("when-exceeded") {
             root.when_exceeded = WhenExceeded::Escalate;
         }
-        for element in element.children(&CHILDREN) {
+        for element in element.children(CHILDREN) {
             child(&element, &mut root.children);
         }
         let (name, origin) = (name.clone(), element.origin());
@@ -608,7 +591,7 @@ fn process(element: &RobotElement<'_>) -> ChildDescription {
     } else {
         ready = element.take("ready", |text| value::word("a time to be ready", &READINESS, text));
         let mut arguments = element.take("arguments", value::words).unwrap_or_default();
-        let more = element.children(&["arg"]);
+        let more = element.children("arg");
         arguments.extend(more.iter().filter_map(|argument| argument.need("value", value::text)));
         name = element.need("name", value::object_name).unwrap_or_default();
         let program = element.need("program", value::text).unwrap_or_default();
@@ -623,16 +606,9 @@ fn process(element: &RobotElement<'_>) -> ChildDescription {
     spec = limit.into_iter().fold(spec, ProcessSpec::memory_limit);
     ChildDescription::Component(Box::new(ComponentDescription {
         name,
-        restart: restart.unwrap_or_default(),
-        depends_on: element.take("depends-on", value::words).unwrap_or_default(),
-        essential: element.take("essential", value::flag).unwrap_or_default(),
-        ready_within: element.take("ready-within", value::duration),
-        shutdown_within: element.take("shutdown-within", value::duration),
-        plan: answers(element),
         process: Some(if ready == Some(true) { spec.ready_at_start() } else { spec }),
         node,
-        origin: element.origin(),
-        ..ComponentDescription::default()
+        ..common(element)
     }))
 }
 
@@ -710,11 +686,11 @@ fn texts(
 
 /// The elements `on` of a plan, or of a component.
 fn answers(element: &RobotElement<'_>) -> Vec<AnswerDescription> {
-    element.children(&["on"]).iter().filter_map(answer).collect()
+    element.children("on").iter().filter_map(answer).collect()
 }
 
 fn answer(element: &RobotElement<'_>) -> Option<AnswerDescription> {
-    let steps = element.children(&["step"]);
+    let steps = element.children("step");
     let mut ladder: Option<Ladder> = None;
     for step in &steps {
         let name = step.take("strategy", value::text);

@@ -7,7 +7,7 @@ use crate::description::{
 };
 use crate::own_process::candidates;
 use crate::reader::RUNGS;
-use crate::value::{hint, word_of};
+use crate::value::{ParsedValue, ValueError, hint, word_of};
 use blastema::core::port::{
     PortAddress, PortConnection, PortDescription, TypeDescription, resolve,
 };
@@ -439,22 +439,22 @@ impl Types {
         robot: &RobotDescription,
         address: &PortAddress,
         is_out: bool,
-    ) -> Result<Option<&PortDescription>, UnknownPort> {
+    ) -> ParsedValue<Option<&PortDescription>> {
         let name = address.node.as_ref().map_or("", |node| node.as_str());
         let node = robot.node(name).ok_or_else(|| {
             let known = robot.nodes.iter().map(|node| node.name.as_str());
-            UnknownPort::new(format!("the robot has no node `{name}`"), name, known)
+            unknown(format!("the robot has no node `{name}`"), name, known)
         })?;
         let (components, object) = (node.components(), address.object.as_str());
         let component = components.iter().find(|known| known.name == object).ok_or_else(|| {
             let known = components.iter().map(|known| known.name.as_str());
             let sentence = format!("node {name} has no component `{object}`");
             match &candidates(robot, name, object)[..] {
-                [] => UnknownPort::new(sentence, object, known),
+                [] => unknown(sentence, object, known),
                 several => {
                     let places = several.iter().map(|node| format!("`{node}:{object}`"));
                     let help = format!("write {}", places.collect::<Vec<_>>().join(" or "));
-                    UnknownPort { sentence, help, label: "in several processes" }
+                    ValueError { sentence, help, label: "in several processes".to_owned() }
                 }
             }
         })?;
@@ -464,14 +464,15 @@ impl Types {
         ] {
             if is_it {
                 let sentence = format!("{object} is {label}, and has no ports");
-                return Err(UnknownPort { sentence, help: help.to_owned(), label });
+                let (label, help) = (label.to_owned(), help.to_owned());
+                return Err(ValueError { sentence, label, help });
             }
         }
         let Some(of) = self.description(&component.type_name) else { return Ok(None) };
         of.port(address, is_out).map(Some).map_err(|error| {
             let known = of.ports(is_out).iter().map(|port| port.name.as_str());
-            let unknown = UnknownPort::new(error.to_string(), address.port.as_str(), known);
-            UnknownPort { label: "no such port", ..unknown }
+            let unknown = unknown(error.to_string(), address.port.as_str(), known);
+            ValueError { label: "no such port".to_owned(), ..unknown }
         })
     }
 
@@ -504,21 +505,13 @@ impl Types {
     }
 }
 
-/// Why an address is no port's: what is wrong, what to write, and what to show at its place.
-pub(crate) struct UnknownPort {
-    pub(crate) sentence: String,
-    pub(crate) help: String,
-    pub(crate) label: &'static str,
-}
-
-impl UnknownPort {
-    fn new<'w>(
-        sentence: String,
-        wrong: &str,
-        known: impl Iterator<Item = &'w str> + Clone,
-    ) -> Self {
-        UnknownPort { sentence, help: hint(wrong, known), label: "unknown" }
-    }
+/// A name in the address of a port is not among these.
+fn unknown<'w>(
+    sentence: String,
+    wrong: &str,
+    known: impl Iterator<Item = &'w str> + Clone,
+) -> ValueError {
+    ValueError { sentence, help: hint(wrong, known), label: "unknown".to_owned() }
 }
 
 /// Gives a component the settings of its description.

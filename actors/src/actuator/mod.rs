@@ -18,12 +18,11 @@ pub(crate) use table::{ActuatorKey, ActuatorTable, DeclaredActuator};
 use crate::messaging::error::decode_kind;
 use crate::messaging::sender::Sender;
 use crate::platform;
+use crate::registry::encoding::{differs, encoded};
 use crate::settings::LEASE;
 use blastema_core::contract::codec;
 use blastema_core::lease::{LeaseRules, StopBy};
-use blastema_core::{
-    Contract, ContractIdentity, DeliveryError, Incarnation, Instant, PeerIdentity,
-};
+use blastema_core::{Contract, ContractIdentity, DeliveryError, Incarnation, Instant};
 use command::{ActuatorCommand, CommandKind, CommandReply};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -162,14 +161,6 @@ impl<M: Contract> ActuatorSpec<M> {
             settle_within,
             cut_off,
         })
-    }
-}
-
-pub(crate) fn encoded<M: Contract>(command: &M) -> Result<Vec<u8>, DeliveryError> {
-    let mut bytes = Vec::new();
-    match codec::encode(command, &mut bytes) {
-        Ok(()) => Ok(bytes),
-        Err(_) => Err(DeliveryError::TooLarge { limit: M::MAX_SIZE }),
     }
 }
 
@@ -487,18 +478,11 @@ fn comes_later(why: &DeliveryError) -> bool {
 }
 
 fn odd<M: Contract>(ordered: CommandReply) -> DeliveryError {
-    let CommandReply::Differs { identity } = ordered else {
-        return DeliveryError::Undecodable {
-            reason: format!("an answer to another order: {ordered:?}"),
-        };
-    };
-    match PeerIdentity::decode(&identity) {
-        Ok(theirs) => match ContractIdentity::of::<M>().check(&theirs) {
-            Err(difference) => {
-                DeliveryError::ContractDiffers { difference: difference.to_string() }
-            }
-            Ok(()) => DeliveryError::ContractDiffers { difference: "the actuator says so".into() },
-        },
-        Err(error) => DeliveryError::Undecodable { reason: error.to_string() },
+    match ordered {
+        CommandReply::Differs { identity } => differs::<M>(&identity, "actuator"),
+        ordered => {
+            let reason = format!("an answer to another order: {ordered:?}");
+            DeliveryError::Undecodable { reason }
+        }
     }
 }

@@ -1,7 +1,8 @@
 //! Settings of an actuator that a robot's description gives, over those of the component's code.
 
+use super::CommandTimeout;
 use super::table::{DeclaredActuator, FieldError, FieldTexts};
-use super::{CommandTimeout, encoded};
+use crate::registry::encoding::encoded;
 use blastema_core::contract::codec;
 use blastema_core::contract::layout::Shape;
 use blastema_core::lease::StopBy;

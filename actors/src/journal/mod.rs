@@ -33,4 +33,4 @@ pub use self::store::{FAULTS_MAX, NODE_ENDED};
 pub use crate::platform::wall_time::WallTime;
 
 pub(crate) use self::lock::JournalLock;
-pub(crate) use self::writer::{JOURNAL, JournalActor, JournalGuard, JournalSetup};
+pub(crate) use self::writer::{JOURNAL, JournalActor, JournalGuard};

@@ -32,23 +32,10 @@ const LAST_STEPS: Duration = Duration::from_secs(2);
 /// So many damaged files are kept; the last one is replaced by the next.
 const SET_ASIDE_MAX: u32 = 8;
 
-/// What the journal's actor is made of.
-pub(crate) struct JournalSetup {
-    pub(crate) path: PathBuf,
-    /// `None` where the file system does not give it yet.
-    pub(crate) lock: Option<JournalLock>,
-    pub(crate) node: NodeName,
-    pub(crate) incarnation: Incarnation,
-    pub(crate) record: Recipient<ReadRecord>,
-    pub(crate) reports: FaultReports,
-}
-
 /// Work for the thread.
 enum Work {
-    /// One step of a fault.
-    Step(Box<JournalRow>),
-    /// All that the node remembers.
-    Record(Vec<JournalRow>),
+    /// One step of a fault, or all that the node remembers.
+    Lines { lines: Vec<JournalRow>, whole: bool },
     /// The node ends.
     End,
 }
@@ -123,9 +110,15 @@ struct Writer {
 }
 
 impl JournalActor {
-    /// The actor, and what ends its thread.
-    pub(crate) fn new(setup: JournalSetup) -> (Self, JournalGuard) {
-        let JournalSetup { path, lock, node, incarnation, record, reports } = setup;
+    /// The actor, and what ends its thread. There is no lock where the file system does not give it
+    /// yet.
+    pub(crate) fn new(
+        path: PathBuf,
+        lock: Option<JournalLock>,
+        (node, incarnation): (NodeName, Incarnation),
+        record: Recipient<ReadRecord>,
+        reports: FaultReports,
+    ) -> (Self, JournalGuard) {
         let (queue, work) = sync_channel(QUEUE);
         let (ended, awaited) = sync_channel(1);
         let ends = Arc::<OnceLock<String>>::default();
@@ -171,7 +164,7 @@ impl JournalActor {
             actor.behind = false;
             let now = Now::read();
             let lines = record.entries.into_iter().map(|entry| now.line_of_entry(entry));
-            actor.hand_over(Work::Record(lines.collect()), context);
+            actor.hand_over(Work::Lines { lines: lines.collect(), whole: true }, context);
         }));
     }
 
@@ -213,8 +206,8 @@ impl Handler<FaultEvent> for JournalActor {
 
     fn handle(&mut self, event: FaultEvent, context: &mut Context<Self>) {
         if !self.behind {
-            let line = Now::read().line_of_event(event);
-            self.hand_over(Work::Step(Box::new(line)), context);
+            let lines = vec![Now::read().line_of_event(event)];
+            self.hand_over(Work::Lines { lines, whole: false }, context);
         }
     }
 }
@@ -333,15 +326,10 @@ impl Writer {
     }
 
     /// Takes a piece of work apart. Answers whether it was the last.
-    fn gather(&self, work: Work, lines: &mut Vec<JournalRow>, whole: &mut bool) -> bool {
-        match work {
-            Work::Step(line) => lines.push(*line),
-            Work::Record(record) => {
-                *whole = true;
-                lines.extend(record);
-            }
-            Work::End => return true,
-        }
+    fn gather(&self, work: Work, gathered: &mut Vec<JournalRow>, is_whole: &mut bool) -> bool {
+        let Work::Lines { lines, whole } = work else { return true };
+        *is_whole |= whole;
+        gathered.extend(lines);
         false
     }
 

@@ -220,7 +220,7 @@ async fn start(
     #[cfg(feature = "network")]
     assembly.start_networks(&mut builder.networks)?;
     let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies);
-    let preparation = preparation.map_err(first)?;
+    let (root, tree, dependencies) = preparation.map_err(first)?;
     assembly.check_parameters(&builder.policies)?;
     let mut refused = assembly.connect_ports(&builder.policies, &builder.connections);
     refused.next().map_or(Ok(()), Err)?;
@@ -230,22 +230,28 @@ async fn start(
     assembly.keep_leases();
     assembly.keep_conditions();
     #[cfg(feature = "trees")]
-    let _ = assembly.environment.trees().record.set(assembly.parts.chain.record.clone());
+    let _ =
+        assembly.environment.trees().record.set(assembly.parts.chain.monitor.clone().recipient());
     assembly.keep_policies(builder.policies)?;
     #[cfg(feature = "unix")]
     let inspection = assembly.make_inspection(builder.shown_at).await;
-    assembly.enrol_all(preparation.tree).await?;
+    assembly.enrol_all(tree).await?;
     #[cfg(feature = "network")]
     assembly.declare_insecure_networks();
     assembly.start_sampler(builder.grace)?;
     let manager = assembly.watch_chain(builder.process_watchdogs)?;
-    let node = assembly.into_node(preparation.root.tree(), preparation.dependencies, manager);
+    let controller = assembly.parts.controller.clone();
+    let node = assembly.into_node(root.tree(), dependencies, manager);
     #[cfg(feature = "unix")]
-    node.open(inspection).await?;
-    if builder.handles_signals {
-        node.node.apply_safe_outputs_on_signals()?;
+    if let Some(inspection) = inspection {
+        // The fault chain's mailboxes close only when the node has ended.
+        let shown = inspection.send(StartInspection::node(&node)).await.unwrap_or(Ok(()));
+        shown.map_err(StartError::Shown)?;
     }
-    node.start_root(preparation.root, end).await
+    if builder.handles_signals {
+        node.apply_safe_outputs_on_signals()?;
+    }
+    start_root(node, &controller, root, end).await
 }
 
 /// What there is of a node so far. Where it does not come to be, its threads end.
@@ -266,12 +272,8 @@ struct NodeAssembly {
     held: Vec<PathBuf>,
 }
 
-/// The tree, and what is in it.
-struct TreePreparation {
-    root: SupervisorChild,
-    tree: PreparedTree,
-    dependencies: Dependencies,
-}
+/// The root, what is in the tree, and what depends on what.
+type TreePreparation = (SupervisorChild, PreparedTree, Dependencies);
 
 impl NodeAssembly {
     /// The fault chain, and the threads that components will live on.
@@ -285,7 +287,7 @@ impl NodeAssembly {
         };
         let parts = make_chain(builder, (&node, incarnation), &arbiters)?;
         for listener in builder.listeners.drain(..) {
-            listener.listen(&parts.chain.subscribe);
+            listener.listen(&parts.chain.monitor);
         }
         let own = parts.chain.arbiter.iter().cloned().collect();
         let plan = Arc::new(std::mem::take(&mut builder.plan));
@@ -378,7 +380,7 @@ impl NodeAssembly {
             environment: &self.environment,
             guardian: &self.parts.guardian,
             arbiter: self.parts.chain.arbiter.as_ref(),
-            monitor: self.parts.monitor.clone(),
+            monitor: self.parts.chain.monitor.clone(),
             directory: self.parts.directory.clone(),
             plan: &self.plan,
             whole_start: false,
@@ -394,7 +396,7 @@ impl NodeAssembly {
         answered.map_err(StartError::from)?;
         let dependencies = dependencies(&self.node, &tree);
         dependencies.check().map_err(StartError::from)?;
-        Ok(TreePreparation { root, tree, dependencies })
+        Ok((root, tree, dependencies))
     }
 
     fn keep_leases(&mut self) {
@@ -517,7 +519,7 @@ impl NodeAssembly {
         let config = HangDetectorConfig { grace, ..HangDetectorConfig::default() };
         let list = self.environment.watch_list.clone();
         let (threads, sighted) =
-            (self.environment.arbiters.clone(), self.parts.monitor.clone().recipient());
+            (self.environment.arbiters.clone(), self.parts.chain.monitor.clone().recipient());
         self.parts.chain.start_sampler(Some(match self.placement {
             ActorPlacement::Here => sampler::start_task(list, threads, config, sighted),
             ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => {
@@ -544,10 +546,9 @@ impl NodeAssembly {
         root: Recipient<ReadTree>,
         dependencies: Dependencies,
         systemd: Option<Systemd>,
-    ) -> StartingNode {
+    ) -> Node {
         self.undone.kept = true;
-        let FaultChainParts { guardian, chain, monitor, controller, state, directory, .. } =
-            self.parts;
+        let FaultChainParts { guardian, chain, controller, state, directory, .. } = self.parts;
         self.environment.declare_complaints();
         let shared = Shared {
             name: self.node,
@@ -558,7 +559,6 @@ impl NodeAssembly {
             networks: self.networks,
             root,
             guardian,
-            monitor,
             shutdown: controller.clone().recipient(),
             restart: controller.clone().recipient(),
             directory,
@@ -579,54 +579,39 @@ impl NodeAssembly {
             node.serve_operators();
             node.stop_if_displaced();
         }
-        StartingNode { node, controller }
+        node
     }
 }
 
-/// A node none of whose components is at work yet.
-struct StartingNode {
+/// Nothing refuses the start any more.
+async fn start_root(
     node: Node,
-    controller: Addr<NodeController>,
-}
-
-impl StartingNode {
-    #[cfg(feature = "unix")]
-    async fn open(&self, inspection: Option<Addr<InspectionActor>>) -> Result<(), StartError> {
-        let Some(inspection) = inspection else { return Ok(()) };
-        // The fault chain's mailboxes close only when the node has ended.
-        let shown = inspection.send(StartInspection::node(&self.node)).await.unwrap_or(Ok(()));
-        shown.map_err(StartError::Shown)
+    controller: &Addr<NodeController>,
+    root: SupervisorChild,
+    end: impl Future<Output = EndCause>,
+) -> Result<Node, StartError> {
+    node.0.begun.store(true, SeqCst);
+    let started = async { controller.send(StartRoot(Box::new(root))).await };
+    let started = tokio::select! {
+        biased;
+        cause = end => {
+            node.end_for(cause).await;
+            return Err(StartError::Interrupted { by: cause.to_string() });
+        }
+        started = started => started,
+    };
+    if !matches!(started, Ok(Ok(()))) && is_waited_for() {
+        node.end_if_displaced().await;
     }
-
-    /// Nothing refuses the start any more.
-    async fn start_root(
-        self,
-        root: SupervisorChild,
-        end: impl Future<Output = EndCause>,
-    ) -> Result<Node, StartError> {
-        self.node.0.begun.store(true, SeqCst);
-        let started = async { self.controller.send(StartRoot(Box::new(root))).await };
-        let started = tokio::select! {
-            biased;
-            cause = end => {
-                self.node.end_for(cause).await;
-                return Err(StartError::Interrupted { by: cause.to_string() });
-            }
-            started = started => started,
-        };
-        if !matches!(started, Ok(Ok(()))) && is_waited_for() {
-            self.node.end_if_displaced().await;
+    match started {
+        Ok(Ok(())) => {
+            #[cfg(feature = "network")]
+            node.0.networks.iter().for_each(|networks| networks.handle.announce());
+            node.0.tell_systemd("READY=1");
+            Ok(node)
         }
-        match started {
-            Ok(Ok(())) => {
-                #[cfg(feature = "network")]
-                self.node.0.networks.iter().for_each(|networks| networks.handle.announce());
-                self.node.0.tell_systemd("READY=1");
-                Ok(self.node)
-            }
-            Ok(Err(reason)) => Err(StartError::GaveUp { reason }),
-            Err(_) => Err(StartError::GaveUp { reason: "the fault chain ended".into() }),
-        }
+        Ok(Err(reason)) => Err(StartError::GaveUp { reason }),
+        Err(_) => Err(StartError::GaveUp { reason: "the fault chain ended".into() }),
     }
 }
 
@@ -659,7 +644,7 @@ fn environment(
     plan: &Plan,
     arbiters: ArbiterPool,
 ) -> ComponentEnvironment {
-    let reports = reports(&parts.monitor);
+    let reports = reports(&parts.chain.monitor);
     let (registry, actuators) = (parts.registry.clone(), parts.actuators.clone());
     // Its own objects may be named in full, with or without a network.
     registry.set_node(node.clone());

@@ -247,7 +247,7 @@ impl Node {
             environment: &self.0.environment,
             guardian: &self.0.guardian,
             arbiter: self.0.chain.arbiter.as_ref(),
-            monitor: self.0.monitor.clone(),
+            monitor: self.0.chain.monitor.clone(),
             directory: self.0.directory.clone(),
             plan: &self.0.plan,
             whole_start: true,

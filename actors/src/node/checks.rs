@@ -3,13 +3,14 @@
 use super::builder::{ActorPlacement, Configuration, NodeBuilder};
 use super::error::StartError;
 use super::tree::PreparedTree;
+use super::watchdogs::ProcessWatchdogs;
 use crate::registry::NameTaken;
 use crate::settings::{CALLBACK_LIMIT, GRACE, WORK_THREADS};
 use blastema_core::detection::dependencies::Dependencies;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{NodeName, ObjectName};
 #[cfg(feature = "unix")]
-use blastema_transports::endpoint::{EndpointProblem, SOCKET_PATH};
+use blastema_transports::endpoint::check_socket_path;
 use std::path::Path;
 
 /// Who needs whom of the objects of this node.
@@ -52,7 +53,7 @@ pub(super) fn check_settings(builder: &NodeBuilder) -> Vec<StartError> {
 fn check_watchdogs(builder: &NodeBuilder) -> Result<(), StartError> {
     let wrong = |reason: String| Err(StartError::ProcessWatchdog(reason));
     let watchdogs = &builder.process_watchdogs;
-    if watchdogs.are_described() && builder.placement == ActorPlacement::Here {
+    if *watchdogs != ProcessWatchdogs::default() && builder.placement == ActorPlacement::Here {
         return wrong(
             "a node all of which runs on one thread cannot be watched: leave \
              on_this_thread() or the watchdogs out"
@@ -114,10 +115,6 @@ pub(super) fn check_names<'a>(
 #[cfg(feature = "unix")]
 fn check_socket(path: &Path) -> Result<(), StartError> {
     let length = path.as_os_str().len();
-    let too_long = EndpointProblem::LongPath { length, limit: SOCKET_PATH };
-    let checked = check_file(path).and_then(|()| match length <= SOCKET_PATH {
-        true => Ok(()),
-        false => Err(too_long.to_string()),
-    });
+    let checked = check_file(path).and_then(|()| check_socket_path(length));
     checked.map_err(StartError::Shown)
 }

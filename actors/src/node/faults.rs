@@ -1,6 +1,7 @@
 //! The history of faults, as it happens.
 
-use super::{FaultSubscriptions, NodeState};
+use super::NodeState;
+use crate::fault_chain::detection::DetectionActor;
 use actix::prelude::*;
 use blastema_contract::detector::{FaultEvent, Subscribe};
 use std::sync::Arc;
@@ -32,7 +33,7 @@ pub(super) struct FaultListener {
 }
 
 impl FaultListener {
-    pub(super) fn listen(self, detector: &FaultSubscriptions) {
+    pub(super) fn listen(self, detector: &Addr<DetectionActor>) {
         detector.do_send(Subscribe(self.start().recipient()));
     }
 }
@@ -66,7 +67,7 @@ impl FaultEvents {
     }
 
     pub(super) fn subscribe(
-        detector: &FaultSubscriptions,
+        detector: &Addr<DetectionActor>,
         state: watch::Receiver<NodeState>,
     ) -> Self {
         let (events, listener) = FaultEvents::open(state);

@@ -25,16 +25,12 @@ mod health;
 pub(crate) mod inspection;
 mod lost_communication;
 #[cfg(feature = "network")]
-mod medium_row;
-#[cfg(feature = "network")]
 mod network;
 #[cfg(feature = "network")]
-mod network_row;
+mod network_rows;
 mod order;
 mod ports;
 mod restart;
-#[cfg(feature = "network")]
-mod route_row;
 mod safety;
 pub(crate) mod snapshot;
 mod to_the_end;
@@ -52,17 +48,13 @@ pub use lost_communication::{
     AcknowledgeError, LostCommunicationPolicy, LostCommunicationRow, Rung,
 };
 #[cfg(feature = "network")]
-pub use medium_row::MediumRow;
-#[cfg(feature = "network")]
 pub use network::{
     Cable, Direction, Impairment, IsolateError, Link, MediumKind, MemoryMedium, Network, NotReady,
 };
 #[cfg(feature = "network")]
-pub use network_row::NetworkRow;
+pub use network_rows::{LinkName, MediumRow, NetworkRow, RouteRow};
 pub use order::{ComponentOrder, OrderReply, OrderRow, OrderVerb};
 pub use restart::{RestartError, RestartedChild};
-#[cfg(feature = "network")]
-pub use route_row::{LinkName, RouteRow};
 #[cfg(feature = "network")]
 pub use snapshot::NetworkSnapshot;
 pub use snapshot::NodeSnapshot;
@@ -72,7 +64,6 @@ use crate::actuator;
 use crate::actuator::{ActuatorRow, Commander};
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
-use crate::fault_chain::detection::DetectionActor;
 use crate::fault_chain::directory::SupervisorDirectory;
 use crate::host::reference::ActorRef;
 use crate::liveness::sampler::Running;
@@ -86,11 +77,11 @@ use crate::platform::systemd::Systemd;
 use crate::runtime::guardian::Guardian;
 use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
-use actix::{Addr, Recipient};
+use actix::Recipient;
 use assembly::FaultChain;
 #[cfg(feature = "network")]
 use assembly::Networks;
-use blastema_contract::detector::{ReadRecord, Subscribe};
+use blastema_contract::detector::ReadRecord;
 use blastema_contract::monitor::ReadTable;
 use blastema_contract::supervisor::{ReadTree, SupervisionTree};
 use blastema_core::detection::dependencies::Dependencies;
@@ -147,9 +138,8 @@ struct Shared {
     networks: Option<Networks>,
     /// Where the tree is read.
     root: Recipient<ReadTree>,
-    /// With the monitor, what supervisors need that are added while the node runs.
+    /// What supervisors need that are added while the node runs.
     guardian: Guardian,
-    monitor: Addr<DetectionActor>,
     shutdown: Recipient<Shutdown>,
     restart: Recipient<RestartRoot>,
     directory: SupervisorDirectory,
@@ -302,7 +292,7 @@ impl Node {
     /// time, also while components are stuck.
     pub async fn table(&self) -> Vec<MonitorRow> {
         let chain = &self.0.chain;
-        let table = chain.answer(chain.table.send(ReadTable));
+        let table = chain.answer(chain.monitor.send(ReadTable));
         #[cfg(feature = "network")]
         let table = network::signs::completed(table, self.links());
         let mut rows = table.await.unwrap_or_default();
@@ -320,7 +310,7 @@ impl Node {
 
     /// Every step in the history of every fault, from now on.
     pub fn fault_events(&self) -> FaultEvents {
-        FaultEvents::subscribe(&self.0.chain.subscribe, self.0.state.clone())
+        FaultEvents::subscribe(&self.0.chain.monitor, self.0.state.clone())
     }
 
     /// The supervision tree as it stands now; `None` once the node has ended.
@@ -470,7 +460,7 @@ impl Shared {
 
     /// The record of faults; `None` where the fault chain has ended, or stands.
     async fn read_record(&self) -> Option<FaultRecord> {
-        self.chain.answer(self.chain.record.send(ReadRecord)).await
+        self.chain.answer(self.chain.monitor.send(ReadRecord)).await
     }
 
     /// Ends all threads of the node, for this reason. Where that is not in order, the watchdogs of
@@ -512,6 +502,3 @@ impl Drop for Shared {
         self.end(&format!("the node was dropped {panic}while {meanwhile}"));
     }
 }
-
-/// Subscribes to fault events.
-type FaultSubscriptions = Recipient<Subscribe>;

@@ -23,9 +23,7 @@ use actix::Addr;
 use blastema_contract::transport::{Cut, Impair, MediumAddress, Partition, Restore};
 use blastema_transports::endpoint::NamedHost;
 use blastema_transports::frame_medium::FrameMedium;
-use blastema_transports::{
-    Endpoint, EndpointError, FaultInjector, FrameTransport, MemoryConfig, Reach,
-};
+use blastema_transports::{Endpoint, EndpointError, FaultInjector, FrameTransport, Reach};
 #[cfg(feature = "ip")]
 use blastema_transports::{TcpConfig, UdpConfig};
 use serde::Deserialize;
@@ -62,16 +60,26 @@ pub use isolation::IsolateError;
 pub struct Network {
     name: String,
     medium: Medium,
-    /// The endpoint's text, until the name of the host in it is looked up.
-    named_endpoint: Option<String>,
-    links: Vec<Link>,
+    /// What an end in memory is an end of.
+    memory: MemoryMedium,
     faults: Option<u64>,
-    interface: Option<Interface>,
-    admission: Option<Admitted>,
-    /// The group by which beacons are sent, as it was written.
-    beacons: Option<String>,
+    told: NetworkSettings,
+}
+
+/// A network as code or [a file](file) describes it.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NetworkSettings {
+    endpoint: String,
+    #[serde(default)]
     insecure: bool,
-    kind: Option<MediumKind>,
+    interface: Option<String>,
+    /// The group by which beacons are sent.
+    beacons: Option<String>,
+    medium: Option<MediumKind>,
+    discover: Option<Admitted>,
+    #[serde(default, rename = "peers", deserialize_with = "file::links")]
+    links: Vec<Link>,
 }
 
 /// What a network's medium is like. Conditions over it have a timeout accordingly.
@@ -99,17 +107,24 @@ impl MediumKind {
 }
 
 /// Who is admitted, as it was written.
-#[derive(Debug)]
+#[derive(Debug, Deserialize)]
+#[serde(untagged, expecting = "it is \"any\", or a list of nodes such as [\"arm\", \"head\"]")]
 enum Admitted {
-    AnyNode,
+    AnyNode(AnyNodeWord),
     Only(Vec<String>),
+}
+
+/// The word for nodes of any name.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum AnyNodeWord {
+    Any,
 }
 
 enum Medium {
     At(Endpoint),
     /// The endpoint does not parse. The check of the node returns the error.
     Unreadable(EndpointError),
-    Memory(MemoryConfig),
     Own {
         make: Box<dyn FnOnce() -> FrameTransport + Send>,
         name: String,
@@ -128,19 +143,14 @@ impl Medium {
             _ => None,
         }
     }
-
-    /// A socket that is bound to one address uses the interface that has it.
-    fn interface(&self) -> Option<Interface> {
-        self.socket().and_then(|(named, bind)| match named {
-            Some(named) => Some(Interface::Named(named.to_owned())),
-            None => Interface::of(bind.ip()),
-        })
-    }
 }
 
 impl fmt::Debug for Network {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Network").field("name", &self.name).field("links", &self.links).finish()
+        f.debug_struct("Network")
+            .field("name", &self.name)
+            .field("links", &self.told.links)
+            .finish()
     }
 }
 
@@ -152,17 +162,23 @@ impl Network {
     /// A text that is wrong is [`StartError::Endpoint`](crate::StartError::Endpoint) when the node
     /// starts.
     pub fn new(name: &str, endpoint: &str) -> Self {
-        let named = NamedHost::find(endpoint);
-        let parsed = match named {
+        let endpoint = endpoint.to_owned();
+        Network::described(name, NetworkSettings { endpoint, ..NetworkSettings::default() })
+    }
+
+    fn described(name: &str, mut told: NetworkSettings) -> Self {
+        let parsed = match NamedHost::find(&told.endpoint) {
             Some(named) => named.parse((Ipv4Addr::UNSPECIFIED, 0).into()),
-            None => Endpoint::parse(endpoint),
+            None => Endpoint::parse(&told.endpoint),
         };
-        let named_endpoint = named.map(|_| endpoint.to_owned());
-        let (medium, insecure) = match parsed {
-            Ok((endpoint, insecure)) => (Medium::At(endpoint), insecure),
-            Err(error) => (Medium::Unreadable(error), false),
+        let medium = match parsed {
+            Ok((endpoint, insecure)) => {
+                told.insecure |= insecure;
+                Medium::At(endpoint)
+            }
+            Err(error) => Medium::Unreadable(error),
         };
-        Network { insecure, named_endpoint, ..Network::over(name, medium) }
+        Network { told, ..Network::over(name, medium) }
     }
 
     /// A medium of the application's own.
@@ -192,22 +208,13 @@ impl Network {
     /// A network between nodes of one process, under any clock: for tests. `own` names this node's
     /// end of the medium.
     pub fn memory(name: &str, medium: &MemoryMedium, own: &str) -> Self {
-        Network::over(name, Medium::Memory(MemoryConfig::new(medium, own)))
+        let end = Medium::At(Endpoint::Memory(own.to_owned()));
+        Network { memory: medium.clone(), ..Network::over(name, end) }
     }
 
     fn over(name: &str, medium: Medium) -> Self {
-        Network {
-            name: name.to_owned(),
-            interface: medium.interface(),
-            medium,
-            named_endpoint: None,
-            links: Vec::new(),
-            faults: None,
-            admission: None,
-            beacons: None,
-            insecure: false,
-            kind: None,
-        }
+        let (name, memory) = (name.to_owned(), MemoryMedium::of_this_process());
+        Network { name, medium, memory, faults: None, told: NetworkSettings::default() }
     }
 
     /// Accepts that every station on this network can read its traffic and command this robot: the
@@ -218,7 +225,7 @@ impl Network {
     /// The word changes nothing about a network that stays within this computer. A node that has
     /// keys refuses it. See the [manual](crate::manual::security).
     pub fn insecure(mut self) -> Self {
-        self.insecure = true;
+        self.told.insecure = true;
         self
     }
 
@@ -230,7 +237,7 @@ impl Network {
 
     /// Adds a neighbour.
     pub fn link(mut self, link: Link) -> Self {
-        self.links.push(link);
+        self.told.links.push(link);
         self
     }
 
@@ -238,14 +245,14 @@ impl Network {
     /// these names get a link. Without names, this node only sends beacons of its own.
     pub fn discover<'a>(mut self, nodes: impl IntoIterator<Item = &'a str>) -> Self {
         let nodes = nodes.into_iter().map(str::to_owned);
-        self.admission = Some(Admitted::Only(nodes.collect()));
+        self.told.discover = Some(Admitted::Only(nodes.collect()));
         self
     }
 
     /// Discovers neighbours of any name by their beacons. On a sealed network these are the nodes
     /// of the roster.
     pub fn discover_anybody(mut self) -> Self {
-        self.admission = Some(Admitted::AnyNode);
+        self.told.discover = Some(Admitted::AnyNode(AnyNodeWord::Any));
         self
     }
 
@@ -254,7 +261,7 @@ impl Network {
     /// then. The nodes to admit are set by [`discover`](Network::discover) or
     /// [`discover_anybody`](Network::discover_anybody). For UDP and TCP.
     pub fn beacons(mut self, group: &str) -> Self {
-        self.beacons = Some(group.to_owned());
+        self.told.beacons = Some(group.to_owned());
         self
     }
 
@@ -262,7 +269,7 @@ impl Network {
     /// are declared down at once instead of after missing hellos. Not needed if the socket is bound
     /// to an address of one interface.
     pub fn interface(mut self, name: &str) -> Self {
-        self.interface = Some(Interface::Named(name.to_owned()));
+        self.told.interface = Some(name.to_owned());
         self
     }
 
@@ -270,14 +277,22 @@ impl Network {
     /// conditions](crate::manual::conditions#timeouts). Otherwise it is wireless where the system
     /// says so of the network's interface, and else wired.
     pub fn medium(mut self, kind: MediumKind) -> Self {
-        self.kind = Some(kind);
+        self.told.medium = Some(kind);
         self
+    }
+
+    /// A socket that is bound to one address uses the interface that has it.
+    fn used_interface(&self) -> Option<Interface> {
+        let (named, bind) = self.medium.socket().unzip();
+        let named = self.told.interface.as_deref().or(named.flatten());
+        let named = named.map(|name| Interface::Named(name.to_owned()));
+        named.or_else(|| Interface::of(bind?.ip()))
     }
 
     /// What the medium is like, as the description or the system says.
     pub(in crate::node) fn medium_kind(&self) -> MediumKind {
-        let is_wireless = || self.interface.as_ref().is_some_and(Interface::is_wireless);
-        self.kind.unwrap_or_else(|| match is_wireless() {
+        let is_wireless = || self.used_interface().is_some_and(|used| used.is_wireless());
+        self.told.medium.unwrap_or_else(|| match is_wireless() {
             true => MediumKind::Wireless,
             false => MediumKind::Wired,
         })
@@ -295,20 +310,44 @@ impl Network {
 #[derive(Clone, Debug)]
 #[must_use = "a link does nothing until it is given to a network"]
 pub struct Link {
-    name: Option<String>,
     neighbour: String,
-    remote: Remote,
+    told: LinkSettings,
+}
+
+/// A neighbour as code or [a file](file) describes it.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LinkSettings {
+    address: Remote,
+    #[serde(rename = "link")]
+    name: Option<String>,
     cost: Option<u16>,
-    hello_interval: Duration,
-    expected_within: Duration,
+    #[serde(default, deserialize_with = "file::span")]
+    hello_every: Option<Duration>,
+    #[serde(default, deserialize_with = "file::span")]
+    expected_within: Option<Duration>,
+}
+
+impl From<Remote> for LinkSettings {
+    fn from(address: Remote) -> Self {
+        let (hello_every, expected_within) = (None, None);
+        LinkSettings { address, name: None, cost: None, hello_every, expected_within }
+    }
 }
 
 /// Where a neighbour is.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize)]
+#[serde(from = "String")]
 enum Remote {
     At(MediumAddress),
     /// As its medium writes it.
     Written(String),
+}
+
+impl From<String> for Remote {
+    fn from(written: String) -> Self {
+        Remote::Written(written)
+    }
 }
 
 impl Link {
@@ -333,21 +372,20 @@ impl Link {
     }
 
     fn at(neighbour: &str, remote: Remote) -> Self {
-        let neighbour = neighbour.to_owned();
-        Link {
-            name: None,
-            neighbour,
-            remote,
-            cost: None,
-            hello_interval: HELLO_INTERVAL.default,
-            expected_within: EXPECTED_WITHIN.default,
-        }
+        Link { neighbour: neighbour.to_owned(), told: remote.into() }
+    }
+
+    /// The hello interval, and how soon the first hello must arrive.
+    fn times(&self) -> [Duration; 2] {
+        let LinkSettings { hello_every, expected_within, .. } = self.told;
+        let hello_every = hello_every.unwrap_or(HELLO_INTERVAL.default);
+        [hello_every, expected_within.unwrap_or(EXPECTED_WITHIN.default)]
     }
 
     /// Sets the link's name, unique within the node. By default it is the network's name if the
     /// link is the only one there, else both names, as in `ethernet/module2`.
     pub fn named(mut self, name: &str) -> Self {
-        self.name = Some(name.to_owned());
+        self.told.name = Some(name.to_owned());
         self
     }
 
@@ -355,7 +393,7 @@ impl Link {
     /// more on a medium below one megabyte per second. While a link loses hellos, its cost is
     /// higher than set.
     pub fn cost(mut self, cost: u16) -> Self {
-        self.cost = Some(cost);
+        self.told.cost = Some(cost);
         self
     }
 
@@ -363,7 +401,7 @@ impl Link {
     /// longer, so that hellos take at most a twentieth of its rate. The neighbour declares the link
     /// down after three and a half intervals without a hello.
     pub fn hello_every(mut self, interval: Duration) -> Self {
-        self.hello_interval = interval;
+        self.told.hello_every = Some(interval);
         self
     }
 
@@ -372,7 +410,7 @@ impl Link {
     /// down* until a hello arrives. At least one hello interval; [`Duration::MAX`] for a neighbour
     /// that may be absent.
     pub fn expected_within(mut self, span: Duration) -> Self {
-        self.expected_within = span;
+        self.told.expected_within = Some(span);
         self
     }
 }

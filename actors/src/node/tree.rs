@@ -97,28 +97,19 @@ impl Subtree {
     ) -> Option<(Box<dyn Child>, ChildRules)> {
         match self.0 {
             Entry::Component(spec, restart) => {
-                let prepared = match spec.prepare(tree_environment.environment) {
-                    Ok(prepared) => PreparedComponent { restart, ..prepared },
-                    Err(refused) => {
-                        tree.refused.extend(refused);
-                        return None;
-                    }
-                };
-                let rules = prepared.rules(tree_environment.plan);
-                let PreparedComponent { child, depends_on, .. } = prepared;
+                let prepared = spec.prepare(tree_environment.environment);
+                let (child, depends_on, rules) =
+                    prepared.map_err(|refused| tree.refused.extend(refused)).ok()?;
                 let name = child.name().clone();
+                let on_the_spot = tree_environment.plan.restarts_on_the_spot(&name);
                 tree.components.push(ComponentFacts { name, depends_on, restart });
-                Some((child, rules))
+                Some((child, ChildRules { restart, on_the_spot, ..rules }))
             }
             Entry::Supervisor(spec) => {
                 let kept = spec.kept;
-                match spec.prepare(tree_environment, tree) {
-                    Ok(child) => Some((Box::new(child), kept)),
-                    Err(error) => {
-                        tree.refused.push(error);
-                        None
-                    }
-                }
+                let prepared = spec.prepare(tree_environment, tree);
+                let child = prepared.map_err(|error| tree.refused.push(error)).ok()?;
+                Some((Box::new(child), kept))
             }
         }
     }
@@ -228,26 +219,8 @@ trait ErasedChildSpec: Send {
     ) -> Result<PreparedComponent, Vec<SpecError>>;
 }
 
-/// A component that waits to be started.
-struct PreparedComponent {
-    child: Box<dyn Child>,
-    depends_on: Vec<String>,
-    restart: Restart,
-    essential: bool,
-    ready_within: Duration,
-    shutdown_within: Duration,
-}
-
-impl PreparedComponent {
-    fn rules(&self, plan: &Plan) -> ChildRules {
-        ChildRules {
-            restart: self.restart,
-            on_the_spot: plan.restarts_on_the_spot(self.child.name()),
-            essential: self.essential,
-            ..ChildRules::guarded(self.ready_within, self.shutdown_within)
-        }
-    }
-}
+/// A component that waits to be started, what it depends on, and the rules that its spec gives.
+type PreparedComponent = (Box<dyn Child>, Vec<String>, ChildRules);
 
 impl<C: Component> ErasedChildSpec for ChildSpec<C> {
     fn prepare(
@@ -257,15 +230,9 @@ impl<C: Component> ErasedChildSpec for ChildSpec<C> {
         let depends_on = self.dependencies().to_vec();
         let (ready_within, shutdown_within) = self.deadlines();
         let essential = self.is_essential();
+        let rules = ChildRules::guarded(ready_within, shutdown_within);
         let (child, _) = self.into_child(environment)?;
-        Ok(PreparedComponent {
-            child,
-            depends_on,
-            restart: Restart::Permanent,
-            essential,
-            ready_within,
-            shutdown_within,
-        })
+        Ok((child, depends_on, ChildRules { essential, ..rules }))
     }
 }
 

@@ -18,11 +18,6 @@ pub(super) struct ProcessWatchdogs {
 type Opened = (Option<Systemd>, Vec<Box<dyn ProcessWatchdog>>);
 
 impl ProcessWatchdogs {
-    /// Whether there are any.
-    pub(super) fn are_described(&self) -> bool {
-        *self != ProcessWatchdogs::default()
-    }
-
     /// Opens them; a device is armed from here on.
     ///
     /// # Errors

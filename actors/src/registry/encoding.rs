@@ -1,7 +1,9 @@
 //! Messages and replies as bytes, and why one cannot be.
 
 use blastema_core::contract::codec;
-use blastema_core::{Contract, DeliveryError, GatherBuffer, PreviousVersion};
+use blastema_core::{
+    Contract, ContractIdentity, DeliveryError, GatherBuffer, PeerIdentity, PreviousVersion,
+};
 
 pub(crate) fn encoded_reply<M: Contract>(
     reply: M::Reply,
@@ -31,4 +33,21 @@ pub(super) fn encoding(error: codec::EncodeError, limit: usize) -> DeliveryError
         codec::EncodeError::TooLarge { .. } => DeliveryError::TooLarge { limit },
         other => DeliveryError::Undecodable { reason: other.to_string() },
     }
+}
+
+/// A message that stands in another one.
+pub(crate) fn encoded<M: Contract>(message: &M) -> Result<Vec<u8>, DeliveryError> {
+    let mut bytes = Vec::new();
+    codec::encode(message, &mut bytes).map_err(|error| encoding(error, M::MAX_SIZE))?;
+    Ok(bytes)
+}
+
+/// How the contract `M` differs from the one of this identity, by which another party has refused.
+pub(crate) fn differs<M: Contract>(theirs: &[u8], party: &str) -> DeliveryError {
+    let difference = match PeerIdentity::decode(theirs) {
+        Ok(theirs) => ContractIdentity::of::<M>().check(&theirs).err(),
+        Err(error) => return DeliveryError::Undecodable { reason: error.to_string() },
+    };
+    let difference = difference.map_or(format!("the {party} says so"), |it| it.to_string());
+    DeliveryError::ContractDiffers { difference }
 }

@@ -1,5 +1,6 @@
 //! A topic without its event type: for the network and the snapshot.
 
+use super::traffic::Traffic;
 use super::{Latched, RemoteForward, Times, Topic, TopicKey, TopicRow, lock, nanos};
 use crate::messaging::message_log;
 use crate::platform;
@@ -33,15 +34,12 @@ pub(super) trait AnyTopic: Send + Sync {
     /// joins is counted under the same lock: it gets the event that is kept, and the other node
     /// goes on, or the other node sends it again.
     fn settle_interest(&self) -> bool;
-    fn has_publishers(&self) -> bool;
+    /// What it carries, and for whom.
+    fn traffic(&self) -> &Traffic;
     /// For display, without the other nodes that listen: the table knows them.
     fn row(&self, now: Instant) -> TopicRow;
-    /// The events since the last call, and how many times one of them found no capacity.
-    fn take_losses(&self) -> [u64; 2];
     /// Says whether it has publishers and no listeners, although they have had the time to join.
     fn is_unheard(&self, now: Instant) -> bool;
-    /// The names of its publishers and listeners of this node.
-    fn users(&self) -> Vec<String>;
 }
 
 impl<E: Event> AnyTopic for Topic<E> {
@@ -71,26 +69,18 @@ impl<E: Event> AnyTopic for Topic<E> {
         self.renew_matched();
     }
 
-    fn has_publishers(&self) -> bool {
-        self.traffic.has_publishers()
+    fn traffic(&self) -> &Traffic {
+        &self.traffic
     }
 
     fn row(&self, now: Instant) -> TopicRow {
         self.traffic.row(&self.key, E::LATCHED, now)
     }
 
-    fn take_losses(&self) -> [u64; 2] {
-        self.traffic.take_losses()
-    }
-
     fn is_unheard(&self, now: Instant) -> bool {
         !self.has_listeners()
             && !self.is_forwarded.load(Relaxed)
             && self.traffic.expects_listeners(now)
-    }
-
-    fn users(&self) -> Vec<String> {
-        self.traffic.users()
     }
 
     fn publish_remote(

@@ -52,7 +52,7 @@ impl TopicEntry {
             let (one, other) = (described(&known.brief()), described(&wanted.brief()));
             format!("{one} and {other} are two contracts: give one of them another topic")
         };
-        let users = match self.erased.users().join(", ") {
+        let users = match self.erased.traffic().users().join(", ") {
             users if users.is_empty() => users,
             users => format!("; the first is used by {users}"),
         };
@@ -248,7 +248,10 @@ impl Topics {
         let known = lock(&self.inner);
         let topics: Vec<_> = known.topics.values().map(|known| known.erased.clone()).collect();
         drop(known);
-        topics.iter().map(|topic| (topic.key().topic.clone(), topic.take_losses())).collect()
+        topics
+            .iter()
+            .map(|topic| (topic.key().topic.clone(), topic.traffic().take_losses()))
+            .collect()
     }
 
     /// Ships every event that is published here on this topic to this node, from now on, also if the topic does
@@ -339,7 +342,8 @@ impl Topics {
     #[cfg(feature = "network")]
     pub(crate) fn published(&self) -> Vec<TopicKey> {
         let inner = lock(&self.inner);
-        let published = inner.topics.values().filter(|known| known.erased.has_publishers());
+        let published =
+            inner.topics.values().filter(|known| known.erased.traffic().has_publishers());
         published.map(|known| known.erased.key().clone()).collect()
     }
 
@@ -366,7 +370,8 @@ impl TopicTable {
         let listened = elsewhere.map(|(topic, _)| topic).chain(here.map(|(topic, _)| topic));
         let is_lonely = |other: &&ObjectName| {
             let known = self.topics.get(*other);
-            **other != key.topic && known.is_none_or(|known| !known.erased.has_publishers())
+            **other != key.topic
+                && known.is_none_or(|known| !known.erased.traffic().has_publishers())
         };
         let names = listened.filter(is_lonely).map(ObjectName::as_str);
         suggestion::nearest(key.topic.as_str(), names).map(Box::from)

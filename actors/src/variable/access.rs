@@ -1,5 +1,6 @@
 //! How variables are asked for, in this process and from other nodes alike.
 
+use super::RestoreDecision;
 use crate::messaging::error::encode_kind;
 use blastema_core::variables::{ValueReport, ValueState};
 use blastema_core::{DeliveryError, ObjectName};
@@ -11,7 +12,7 @@ use std::time::Duration;
 #[contract(
     crate = "crate",
     name = "blastema/variables",
-    version = 2,
+    version = 3,
     reply = VariableReply,
     max_size = 1024 * 1024
 )]
@@ -19,7 +20,7 @@ pub(crate) enum VariableRequest {
     Read { variable: VariableSelector },
     Watch { variable: VariableSelector, after: u64 },
     Write { writes: Vec<WriteEntry> },
-    Choose { variable: VariableSelector, choice: RestoreMessage },
+    Choose { variable: VariableSelector, choice: RestoreDecision<Vec<u8>> },
 }
 
 /// A variable, and what its value is taken for.
@@ -40,15 +41,6 @@ pub(crate) struct WriteEntry {
     pub(crate) if_revision: Option<u64>,
 }
 
-/// A decision.
-#[derive(Clone, Debug, Structure)]
-#[contract(crate = "crate")]
-pub(crate) enum RestoreMessage {
-    Restore,
-    Default,
-    Value(Vec<u8>),
-}
-
 /// What came of it.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
@@ -56,8 +48,8 @@ pub(crate) enum VariableReply {
     Value {
         value: Vec<u8>,
         revision: u64,
-        state: ValidityMessage,
-        age_us: u64,
+        state: ValueState,
+        age: Duration,
     },
     Revision(u64),
     /// The contract is another one here: this.
@@ -69,15 +61,6 @@ pub(crate) enum VariableReply {
     },
 }
 
-/// How far a value can be relied on.
-#[derive(Clone, Debug, Structure)]
-#[contract(crate = "crate")]
-pub(crate) enum ValidityMessage {
-    Current,
-    Held,
-    Undecided,
-}
-
 impl VariableReply {
     pub(crate) fn refused(why: &DeliveryError) -> Self {
         VariableReply::Refused { why: encode_kind(why) }
@@ -85,25 +68,8 @@ impl VariableReply {
 }
 
 impl From<ValueReport> for VariableReply {
-    fn from(report: ValueReport) -> Self {
-        let state = match report.state {
-            ValueState::Current => ValidityMessage::Current,
-            ValueState::Held => ValidityMessage::Held,
-            ValueState::Undecided => ValidityMessage::Undecided,
-        };
-        let age_us = u64::try_from(report.age.as_micros()).unwrap_or(u64::MAX);
-        let value = report.value.into();
-        VariableReply::Value { value, revision: report.revision, state, age_us }
-    }
-}
-
-impl From<ValidityMessage> for ValueState {
-    fn from(reliance: ValidityMessage) -> Self {
-        match reliance {
-            ValidityMessage::Current => ValueState::Current,
-            ValidityMessage::Held => ValueState::Held,
-            ValidityMessage::Undecided => ValueState::Undecided,
-        }
+    fn from(ValueReport { value, revision, state, age }: ValueReport) -> Self {
+        VariableReply::Value { value: value.into(), revision, state, age }
     }
 }
 

@@ -15,18 +15,18 @@ mod store;
 
 pub use blastema_core::variables::{RestorePolicy, ValueState};
 
-pub(crate) use store::{DeclaredVariable, VariableStore};
+pub(crate) use store::{DeclaredVariable, VariableStore, declared};
 
 use crate::messaging::error::decode_kind;
 use crate::messaging::sender::Sender;
 use crate::registry::Registry;
-use access::{
-    RestoreMessage, VariableReply, VariableRequest, VariableSelector, WATCH_WITHIN, WriteEntry,
-};
+use crate::registry::encoding::{differs, encoded};
+use access::{VariableReply, VariableRequest, VariableSelector, WATCH_WITHIN, WriteEntry};
 use blastema_core::contract::codec;
 use blastema_core::{
     ContractIdentity, DeliveryError, NodeName, ObjectAddress, ObjectName, PeerIdentity, Variable,
 };
+use blastema_macros::Structure;
 use std::fmt;
 use std::marker::PhantomData;
 use std::time::Duration;
@@ -68,7 +68,7 @@ impl<V: Variable> VariableSpec<V> {
     }
 
     pub(crate) fn declared(self) -> DeclaredVariable {
-        DeclaredVariable::new(&self.default, self.policy, self.check)
+        declared(&self.default, self.policy, self.check, None)
     }
 }
 
@@ -92,7 +92,8 @@ pub struct Reading<V> {
 }
 
 /// The decision on a variable that awaits one.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Structure)]
+#[contract(crate = "crate")]
 pub enum RestoreDecision<V> {
     /// The value from before.
     Restore,
@@ -165,7 +166,10 @@ impl<V: Variable> VariableRef<V> {
         within: Duration,
     ) -> Result<VariableReply, DeliveryError> {
         let asked = self.sender.ask_within(access, within).await;
-        understood::<V>(asked.map_err(|error| none_at_all::<V>(error.kind))?)
+        match asked.map_err(|error| none_at_all::<V>(error.kind))? {
+            VariableReply::Differs { identity } => Err(differs::<V>(&identity, "owner")),
+            reply => Ok(reply),
+        }
     }
 
     async fn ask_for_value(
@@ -174,13 +178,12 @@ impl<V: Variable> VariableRef<V> {
         within: Duration,
     ) -> Result<Reading<V>, DeliveryError> {
         match self.ask(access, within).await? {
-            VariableReply::Value { value, revision, state, age_us } => {
+            VariableReply::Value { value, revision, state, age } => {
                 let value = codec::decode::<V>(&value)
                     .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
-                let age = Duration::from_micros(age_us);
-                Ok(Reading { value, revision, state: state.into(), age })
+                Ok(Reading { value, revision, state, age })
             }
-            other => Err(odd(&other)),
+            other => Err(odd(other)),
         }
     }
 
@@ -218,14 +221,14 @@ impl<V: Variable> VariableRef<V> {
     /// more.
     pub async fn decide(&self, decision: RestoreDecision<V>) -> Result<u64, DeliveryError> {
         let choice = match decision {
-            RestoreDecision::Restore => RestoreMessage::Restore,
-            RestoreDecision::Default => RestoreMessage::Default,
-            RestoreDecision::Value(value) => RestoreMessage::Value(store::encoded(&value)?),
+            RestoreDecision::Restore => RestoreDecision::Restore,
+            RestoreDecision::Default => RestoreDecision::Default,
+            RestoreDecision::Value(value) => RestoreDecision::Value(encoded(&value)?),
         };
         let access = VariableRequest::Choose { variable: self.wanted(), choice };
         match self.ask(access, WATCH_WITHIN).await? {
             VariableReply::Revision(revision) => Ok(revision),
-            other => Err(odd(&other)),
+            other => Err(odd(other)),
         }
     }
 
@@ -337,7 +340,7 @@ impl Transaction {
             let reason = format!("{variable:?} is on another node: write there separately");
             self.wrong.get_or_insert(DeliveryError::CheckFailed { reason });
         }
-        match store::encoded(value) {
+        match encoded(value) {
             Ok(value) => {
                 self.writes.push(WriteEntry { variable: variable.wanted(), value, if_revision });
             }
@@ -364,34 +367,24 @@ impl Transaction {
             sender.ask_within(VariableRequest::Write { writes: self.writes }, WATCH_WITHIN).await;
         match asked.map_err(|error| error.kind)? {
             VariableReply::Revision(revision) => Ok(revision),
-            VariableReply::Refused { why } => Err(decode_kind(&why)),
             VariableReply::Differs { identity } => {
                 let name = PeerIdentity::decode(&identity).map(|known| known.name);
                 let name = name.unwrap_or_default();
                 let difference = format!("{name} is another one there: read it to see how");
                 Err(DeliveryError::ContractDiffers { difference })
             }
-            other => Err(odd(&other)),
+            other => Err(odd(other)),
         }
     }
 }
 
-fn understood<V: Variable>(accessed: VariableReply) -> Result<VariableReply, DeliveryError> {
-    match accessed {
-        VariableReply::Refused { why } => Err(decode_kind(&why)),
-        VariableReply::Differs { identity } => {
-            let theirs = PeerIdentity::decode(&identity)
-                .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
-            let difference = match ContractIdentity::of::<V>().check(&theirs) {
-                Err(difference) => difference.to_string(),
-                Ok(()) => "the owner says so".to_owned(),
-            };
-            Err(DeliveryError::ContractDiffers { difference })
+/// What is no answer to what was asked, but may say why there is none.
+fn odd(reply: VariableReply) -> DeliveryError {
+    match reply {
+        VariableReply::Refused { why } => decode_kind(&why),
+        other => {
+            let reason = format!("an answer to another question: {other:?}");
+            DeliveryError::Undecodable { reason }
         }
-        value => Ok(value),
     }
-}
-
-fn odd(accessed: &VariableReply) -> DeliveryError {
-    DeliveryError::Undecodable { reason: format!("an answer to another question: {accessed:?}") }
 }

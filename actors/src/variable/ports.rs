@@ -76,7 +76,7 @@ impl<C: Component> Declarations<C> for VariablePorts<C> {
             return twice(contract, "a component has one set of parameters");
         }
         let mut known: SortedSet<_> = self.parameters.iter().map(|(name, _)| *name).collect();
-        let mut names = self.declared.iter().map(DeclaredVariable::name);
+        let mut names = self.declared.iter().map(|(name, _)| *name);
         match names.find(|name| !known.insert(*name)) {
             Some(contract) => twice(contract, "both by variable"),
             None => Ok(()),

@@ -1,6 +1,7 @@
 //! The node's variables: the body of the machine in the core.
 
-use super::access::{RestoreMessage, VariableReply, VariableRequest, VariableSelector, WriteEntry};
+use super::RestoreDecision;
+use super::access::{VariableReply, VariableRequest, VariableSelector, WriteEntry};
 use super::kept_file::{self, LoadError, PersistenceFile, WriteDone};
 use crate::messaging::death_watch::{DownReason, Watcher};
 use crate::messaging::incarnation::IncarnationToken;
@@ -10,13 +11,13 @@ use crate::platform::file_lock::FileLock;
 use crate::platform::panics;
 use crate::platform::panics::PanicGuard;
 use crate::registry::access::{AccessControl, AccessWish, MessageOrigin};
+use crate::registry::encoding::encoded;
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry};
 use blastema_core::contract::codec;
 use blastema_core::sorted::SortedMap;
 use blastema_core::variables::{
     PersistedValue, RestorePolicy, ValueWrite, VariableDeclaration, VariableKey, Variables,
-    WatchReport,
 };
 use blastema_core::{ContractIdentity, DeliveryError, ObjectName, PeerIdentity, Variable};
 use bytes::Bytes;
@@ -28,7 +29,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// Says whether bytes are a value that the owner takes.
 type Check = Arc<dyn Fn(&[u8]) -> Result<(), DeliveryError> + Send + Sync>;
 /// Told of each new value.
-type Observer = Arc<dyn Fn(&[u8]) + Send + Sync>;
+pub(crate) type ValueObserver = Arc<dyn Fn(&[u8]) + Send + Sync>;
 /// Says whether the caller may still have the value.
 type Permit = Box<dyn Fn() -> Result<(), DeliveryError> + Send>;
 
@@ -39,68 +40,47 @@ struct WaitingWatch {
     answer: Responder<VariableRequest>,
 }
 
-/// A variable as a component declares it, without its type.
-pub(crate) struct DeclaredVariable {
-    default: Result<Bytes, DeliveryError>,
+/// The name of a variable's contract, and the variable as a component declares it, without its
+/// type.
+pub(crate) type DeclaredVariable =
+    (&'static str, Result<VariableDeclaration<VariableFacts>, DeliveryError>);
+
+/// A variable for which `check` has a reason to refuse some values. The observer is called with
+/// each written value, on the writer's thread.
+pub(crate) fn declared<V: Variable>(
+    default: &V,
     policy: RestorePolicy,
-    facts: Facts,
-}
-
-impl DeclaredVariable {
-    pub(crate) fn new<V: Variable>(
-        default: &V,
-        policy: RestorePolicy,
-        check: impl Fn(&V) -> Result<(), String> + Send + Sync + 'static,
-    ) -> Self {
-        let check = move |bytes: &[u8]| {
-            let undecodable = |error: codec::DecodeError| error.to_string();
-            let value = codec::decode::<V>(bytes)
-                .map_err(|error| DeliveryError::Undecodable { reason: undecodable(error) })?;
-            // The check is the user's, and runs on the writer's thread.
-            let _guarded = PanicGuard::enter();
-            let checked = catch_unwind(AssertUnwindSafe(|| check(&value)));
-            let reason = match checked {
-                Ok(Ok(())) => return Ok(()),
-                Ok(Err(reason)) => reason,
-                Err(payload) => format!("it panicked: {}", panics::read(payload).text),
-            };
-            Err(DeliveryError::CheckFailed { reason })
+    check: impl Fn(&V) -> Result<(), String> + Send + Sync + 'static,
+    observer: Option<ValueObserver>,
+) -> DeclaredVariable {
+    let check = move |bytes: &[u8]| {
+        let value = codec::decode::<V>(bytes)
+            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
+        let _guarded = PanicGuard::enter();
+        let checked = catch_unwind(AssertUnwindSafe(|| check(&value)));
+        let reason = match checked {
+            Ok(Ok(())) => return Ok(()),
+            Ok(Err(reason)) => reason,
+            Err(payload) => format!("it panicked: {}", panics::read(payload).text),
         };
-        // What a restart puts in place must be right as well.
-        let default = encoded(default).map(Bytes::from);
-        let default = default.and_then(|bytes| check(&bytes).map(|()| bytes));
-        let (identity, check) = (ContractIdentity::of::<V>(), Arc::new(check));
-        DeclaredVariable { default, policy, facts: Facts { identity, check, observer: None } }
-    }
-
-    /// Calls the owner's observer with each written value, on the writer's thread.
-    pub(crate) fn observed(mut self, observer: impl Fn(&[u8]) + Send + Sync + 'static) -> Self {
-        self.facts.observer = Some(Arc::new(observer));
-        self
-    }
-
-    /// The contract's name.
-    pub(crate) fn name(&self) -> &'static str {
-        self.facts.identity.name
-    }
-}
-
-pub(crate) fn encoded<V: Variable>(value: &V) -> Result<Vec<u8>, DeliveryError> {
-    let mut bytes = Vec::new();
-    codec::encode(value, &mut bytes).map_err(|_| DeliveryError::TooLarge { limit: V::MAX_SIZE })?;
-    Ok(bytes)
+        Err(DeliveryError::CheckFailed { reason })
+    };
+    let default = encoded(default).and_then(|bytes| check(&bytes).map(|()| bytes.into()));
+    let facts =
+        VariableFacts { identity: ContractIdentity::of::<V>(), check: Arc::new(check), observer };
+    (V::NAME, default.map(|default| VariableDeclaration { default, policy, facts }))
 }
 
 /// What is known of a variable beside its value.
 #[derive(Clone)]
-struct Facts {
+pub(crate) struct VariableFacts {
     identity: ContractIdentity,
     check: Check,
-    observer: Option<Observer>,
+    observer: Option<ValueObserver>,
 }
 
 struct Inner {
-    machine: Variables<Facts, WaitingWatch>,
+    machine: Variables<VariableFacts, WaitingWatch>,
     /// Values of an earlier process whose owner is not there yet, or not any more.
     kept: SortedMap<VariableKey, PersistedValue>,
     file: Option<PersistenceFile>,
@@ -118,7 +98,7 @@ impl Inner {
     }
 
     /// A value from before, if it is what the contract and the owner's check take.
-    fn restored(&mut self, variable: &VariableKey, facts: &Facts) -> Option<Bytes> {
+    fn restored(&mut self, variable: &VariableKey, facts: &VariableFacts) -> Option<Bytes> {
         let kept = self.kept.remove(variable)?;
         let refused = match kept.fingerprint == facts.identity.fingerprint {
             true => (facts.check)(&kept.value).err().map(|why| why.to_string()),
@@ -137,7 +117,7 @@ impl Inner {
     }
 
     /// The new values of these variables, and who is told of them.
-    fn observed(&self, variables: &[VariableKey]) -> Vec<(Observer, Bytes)> {
+    fn observed(&self, variables: &[VariableKey]) -> Vec<(ValueObserver, Bytes)> {
         let observed = |key: &VariableKey| {
             let observer = self.machine.declaration(key)?.facts.observer.clone()?;
             Some((observer, self.machine.read(key, platform::now()).ok()?.value))
@@ -250,10 +230,9 @@ impl VariableStore {
         rights: AccessControl,
     ) -> Result<ContractPort, DeliveryError> {
         let mut inner = self.lock();
-        for DeclaredVariable { default, policy, facts } in declared {
-            let key = (object.clone(), facts.identity.name.to_owned());
-            let kept = inner.restored(&key, &facts);
-            let declaration = VariableDeclaration { default: default?, policy, facts };
+        for (name, declaration) in declared {
+            let (key, declaration) = ((object.clone(), name.to_owned()), declaration?);
+            let kept = inner.restored(&key, &declaration.facts);
             inner.machine.handle_declared(key, declaration, kept, platform::now());
         }
         drop(inner);
@@ -358,7 +337,7 @@ impl VariableStore {
     fn change(
         &self,
         variables: Vec<VariableKey>,
-        change: impl FnOnce(&mut Variables<Facts, WaitingWatch>) -> Result<u64, DeliveryError>,
+        change: impl FnOnce(&mut Variables<VariableFacts, WaitingWatch>) -> Result<u64, DeliveryError>,
         answer: Responder<VariableRequest>,
     ) {
         let mut inner = self.lock();
@@ -404,13 +383,13 @@ impl VariableStore {
     fn chosen(
         &self,
         wanted: &VariableSelector,
-        choice: RestoreMessage,
+        choice: RestoreDecision<Vec<u8>>,
     ) -> Result<(VariableKey, Option<Bytes>), VariableReply> {
         let (key, VariableDeclaration { default, facts, .. }) = self.find(wanted)?;
         let value = match choice {
-            RestoreMessage::Restore => None,
-            RestoreMessage::Default => Some(default),
-            RestoreMessage::Value(value) => {
+            RestoreDecision::Restore => None,
+            RestoreDecision::Default => Some(default),
+            RestoreDecision::Value(value) => {
                 (facts.check)(&value).map_err(|why| VariableReply::refused(&why))?;
                 Some(value.into())
             }
@@ -432,7 +411,7 @@ impl VariableStore {
     fn find(
         &self,
         wanted: &VariableSelector,
-    ) -> Result<(VariableKey, VariableDeclaration<Facts>), VariableReply> {
+    ) -> Result<(VariableKey, VariableDeclaration<VariableFacts>), VariableReply> {
         let theirs = PeerIdentity::decode(&wanted.identity).map_err(|error| {
             VariableReply::refused(&DeliveryError::Undecodable { reason: error.to_string() })
         })?;
@@ -452,7 +431,7 @@ impl VariableStore {
     fn answer(&self, mut inner: MutexGuard<'_, Inner>) {
         let reports: Vec<_> = std::iter::from_fn(|| inner.machine.poll_output()).collect();
         drop(inner);
-        for WatchReport { watcher: WaitingWatch { permit, answer }, result } in reports {
+        for (WaitingWatch { permit, answer }, result) in reports {
             let accessed = permit().and(result).map(VariableReply::from);
             answer.give(accessed.unwrap_or_else(|why| VariableReply::refused(&why)));
         }
@@ -497,7 +476,7 @@ mod tests {
     fn a_watch_that_waits_when_the_roster_closes_the_variable_gets_no_value_any_more() {
         let (store, rights) = (VariableStore::default(), AccessControl::default());
         let wheels = ObjectName::new("wheels").unwrap();
-        let limit = DeclaredVariable::new(&Limit(1), RestorePolicy::Restore, |_| Ok(()));
+        let limit = declared(&Limit(1), RestorePolicy::Restore, |_| Ok(()), None);
         let port = store.declare(&wheels, vec![limit], || false, rights.clone()).unwrap();
         let skeleton = port.into_skeleton();
         let identity = ContractIdentity::of::<Limit>().brief().encode();

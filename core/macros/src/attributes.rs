@@ -79,7 +79,7 @@ impl TypeAttributes {
             facade: parse_quote!(::blastema),
         };
         let mut seen = Vec::new();
-        for_each_key(attributes, |meta, key| {
+        for_each_key("contract", attributes, |meta, key| {
             if let Some(reason) = misplaced(key, derive) {
                 return Err(meta.error(reason));
             }
@@ -113,7 +113,7 @@ impl FieldAttributes {
         refuse_serde(attributes)?;
         let mut parsed = FieldAttributes::default();
         let mut seen = Vec::new();
-        for_each_key(attributes, |meta, key| {
+        for_each_key("contract", attributes, |meta, key| {
             if TYPE_KEYS.contains(&key) {
                 return Err(meta.error(format!("`{key}` belongs above the type, not to a field")));
             }
@@ -133,7 +133,7 @@ impl FieldAttributes {
 /// Refuses everything on a variant itself, where nothing can be declared.
 pub(crate) fn refuse_on_variant(attributes: &[Attribute]) -> Result<()> {
     refuse_serde(attributes)?;
-    for_each_key(attributes, |meta, key| {
+    for_each_key("contract", attributes, |meta, key| {
         Err(meta
             .error(format!("`{key}` cannot stand on a variant: put it on a field or on the type")))
     })
@@ -148,11 +148,13 @@ pub(crate) fn parse_crate(meta: &ParseNestedMeta<'_>, facade: &mut Path) -> Resu
     Ok(())
 }
 
-fn for_each_key(
+/// Takes each key of the attributes of this name.
+pub(crate) fn for_each_key(
+    name: &str,
     attributes: &[Attribute],
     mut take: impl FnMut(ParseNestedMeta<'_>, &str) -> Result<()>,
 ) -> Result<()> {
-    for attribute in attributes.iter().filter(|a| a.path().is_ident("contract")) {
+    for attribute in attributes.iter().filter(|a| a.path().is_ident(name)) {
         attribute.parse_nested_meta(|meta| {
             let key = match meta.path.get_ident() {
                 Some(ident) => ident.to_string(),
@@ -274,19 +276,16 @@ fn parse_name(meta: &ParseNestedMeta<'_>) -> Result<LitStr> {
     }
 }
 
-/// Paths of files and command lines take such a part for a folder or an option.
-fn is_mistaken(part: &str) -> bool {
-    part == "." || part == ".." || part.starts_with('-')
-}
-
 /// What is wrong with a contract's name, which obeys the rules for names of objects.
 pub(crate) fn wrong_name(name: &str) -> Option<String> {
+    // Paths of files and command lines take such a part for a folder or an option.
+    let is_mistaken = |part: &&str| *part == "." || *part == ".." || part.starts_with('-');
     let wrong = |c: &char| !(c.is_ascii_alphanumeric() || "_-./".contains(*c));
     if name.split('/').any(str::is_empty) {
         Some("a contract's name, or a part of it between slashes, is empty".into())
     } else if name.len() > NAME_LIMIT {
         Some(format!("a contract's name has at most {NAME_LIMIT} bytes"))
-    } else if let Some(part) = name.split('/').find(|part| is_mistaken(part)) {
+    } else if let Some(part) = name.split('/').find(is_mistaken) {
         Some(format!(
             "a part of a contract's name is not '.' or '..', and begins with no '-': not {part:?}"
         ))

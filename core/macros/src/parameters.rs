@@ -1,8 +1,11 @@
 //! `#[derive(Parameters)]`: settings with defaults, units and ranges, which are a variable as well;
 //! and `#[derive(ParameterType)]` for those that take one of several names.
 
-use crate::attributes::{Derive, TypeAttributes, parse_text, refuse_repetition, unknown};
+use crate::attributes::{
+    Derive, TypeAttributes, for_each_key, parse_text, refuse_repetition, unknown,
+};
 use crate::contract::derive_variable;
+use crate::structure::option;
 use proc_macro2::TokenStream;
 use quote::{ToTokens, quote};
 use syn::ext::IdentExt;
@@ -22,19 +25,16 @@ impl ParameterAttributes {
     fn parse(attributes: &[syn::Attribute]) -> Result<Self> {
         let mut parsed = ParameterAttributes::default();
         let mut seen = Vec::new();
-        for attribute in attributes.iter().filter(|a| a.path().is_ident("parameter")) {
-            attribute.parse_nested_meta(|meta| {
-                let key = meta.path.get_ident().map(ToString::to_string).unwrap_or_default();
-                refuse_repetition(&mut seen, &meta, &key)?;
-                match key.as_str() {
-                    "default" => parsed.default = Some(meta.value()?.parse()?),
-                    "range" => parsed.range = Some(meta.value()?.parse()?),
-                    "unit" => parsed.unit = Some(parse_text(&meta, "unit")?),
-                    other => return Err(unknown(&meta, other, KEYS)),
-                }
-                Ok(())
-            })?;
-        }
+        for_each_key("parameter", attributes, |meta, key| {
+            refuse_repetition(&mut seen, &meta, key)?;
+            match key {
+                "default" => parsed.default = Some(meta.value()?.parse()?),
+                "range" => parsed.range = Some(meta.value()?.parse()?),
+                "unit" => parsed.unit = Some(parse_text(&meta, "unit")?),
+                other => return Err(unknown(&meta, other, KEYS)),
+            }
+            Ok(())
+        })?;
         Ok(parsed)
     }
 }
@@ -207,11 +207,4 @@ pub(crate) fn derive_type(input: &DeriveInput) -> Result<TokenStream> {
             }
         }
     })
-}
-
-fn option(tokens: Option<TokenStream>) -> TokenStream {
-    match tokens {
-        Some(tokens) => quote!(::std::option::Option::Some(#tokens)),
-        None => quote!(::std::option::Option::None),
-    }
 }

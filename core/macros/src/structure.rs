@@ -130,7 +130,8 @@ fn fields(fields: &Fields, facade: &syn::Path) -> Result<TokenStream> {
     };
     let fields = all(fields.iter().enumerate().map(|(index, field)| {
         let FieldAttributes { unit, frame, at_most } = FieldAttributes::parse(&field.attrs)?;
-        let (unit, frame) = (option(unit), option(frame));
+        let [unit, frame] = [unit, frame]
+            .map(|text| option(text.map(|text| quote!(::std::borrow::Cow::Borrowed(#text)))));
         let name =
             field.ident.as_ref().map_or_else(|| index.to_string(), |i| i.unraw().to_string());
         let described = match at_most {
@@ -154,9 +155,10 @@ fn fields(fields: &Fields, facade: &syn::Path) -> Result<TokenStream> {
     })
 }
 
-fn option(text: Option<LitStr>) -> TokenStream {
-    match text {
-        Some(text) => quote!(::std::option::Option::Some(::std::borrow::Cow::Borrowed(#text))),
+/// A value that may be there.
+pub(crate) fn option(tokens: Option<TokenStream>) -> TokenStream {
+    match tokens {
+        Some(tokens) => quote!(::std::option::Option::Some(#tokens)),
         None => quote!(::std::option::Option::None),
     }
 }

@@ -274,7 +274,7 @@ fn our_own_address_is_nobody_elses_and_a_neighbours_is_one_of_the_medium() {
         let memory = || Network::memory("mem", &MemoryMedium::default(), "a");
         let link = Link::new("b", at("10.0.0.1:1"));
         refused(node().network(memory().link(link)), &["Link::in_memory"]).await;
-        refused(node().network(memory().peer("b", "a")), &["our own end"]).await;
+        refused(node().network(memory().peer("b", "a")), &["our own address"]).await;
         refused(node().network(memory().peer("b", "")), &["write the name of its end"]).await;
         let nameless = Network::memory("mem", &MemoryMedium::default(), "");
         refused(node().network(nameless), &["has no name"]).await;

@@ -1,7 +1,6 @@
 //! The media that an endpoint may name.
 
-use super::EndpointProblem;
-use blastema_core::suggestion::nearest;
+use super::error::suggest;
 
 /// A medium, the feature of the package `blastema` that it needs, and whether this program was
 /// built with it.
@@ -18,18 +17,17 @@ pub(super) const MEDIA: [KnownMedium; 7] = [
 ];
 
 /// The medium of this name.
-pub(super) fn find(known: &[KnownMedium], name: &str) -> Result<&'static str, EndpointProblem> {
+pub(super) fn find(known: &[KnownMedium], name: &str) -> Result<&'static str, String> {
     match known.iter().find(|(medium, ..)| *medium == name) {
         Some((medium, _, true)) => Ok(medium),
-        Some((medium, feature, false)) => Err(EndpointProblem::NotCompiled { medium, feature }),
+        Some((medium, feature, false)) => Err(format!(
+            "this program was built without `{medium}`: add the feature `{feature}` to the \
+             dependency on blastema"
+        )),
         None => {
             let media = known.iter().filter(|(_, _, is_compiled)| *is_compiled);
-            let media = media.map(|(medium, ..)| *medium);
-            Err(EndpointProblem::UnknownMedium {
-                found: name.to_owned(),
-                nearest: nearest(name, media.clone()).map(str::to_owned),
-                known: media.map(str::to_owned).collect(),
-            })
+            let media: Vec<_> = media.map(|(medium, ..)| *medium).collect();
+            Err(format!("no medium is called `{name}`: {}", suggest(name, &media)))
         }
     }
 }

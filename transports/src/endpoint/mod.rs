@@ -19,7 +19,7 @@ mod settings;
 mod validation;
 
 pub use self::can::{CanConfig, CanNodeConfig, SLCAN_BIT_RATES, SLCAN_DATA_RATES, SlcanConfig};
-pub use self::error::{EndpointError, EndpointProblem};
+pub use self::error::EndpointError;
 pub use self::host::NamedHost;
 pub use self::settings::is_interface;
 
@@ -39,6 +39,8 @@ use std::net::Ipv4Addr;
 #[cfg(any(feature = "udp", feature = "tcp"))]
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::ops::Range;
+#[cfg(any(feature = "tcp", feature = "unix", feature = "serial"))]
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
@@ -47,9 +49,9 @@ use std::time::Duration;
 const MOST_BYTES: u64 = 1 << 24;
 /// The smallest largest frame, in bytes: what routers tell each other must fit.
 const LEAST_BYTES: u64 = MTU_MIN as u64;
-/// The longest time that a setting may name.
+/// The shortest and the longest time that a setting may name.
 #[cfg(any(feature = "tcp", feature = "unix", feature = "serial"))]
-const LONGEST: Duration = Duration::from_secs(3600);
+const TIMEOUT: RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_secs(3600);
 
 /// A medium and its settings.
 ///
@@ -118,7 +120,8 @@ impl Endpoint {
     /// The text is no endpoint.
     pub fn parse(text: &str) -> Result<(Self, bool), EndpointError> {
         let Some((medium, rest)) = text.split_once("://") else {
-            return Err(EndpointError::new(text, 0..0, EndpointProblem::NoMedium));
+            let problem = "an endpoint begins with its medium, as in udp://0.0.0.0:7400";
+            return Err(EndpointError::new(text, 0..0, problem));
         };
         let split = rest.split_once('?');
         let (place, query) = split.map_or((rest, None), |(place, query)| (place, Some(query)));
@@ -147,19 +150,7 @@ impl Endpoint {
 
     /// The medium's name, as it stands before `://`.
     pub fn medium(&self) -> &'static str {
-        match self {
-            #[cfg(feature = "udp")]
-            Endpoint::Udp(_) => "udp",
-            #[cfg(feature = "tcp")]
-            Endpoint::Tcp(_) => "tcp",
-            #[cfg(feature = "unix")]
-            Endpoint::Unix(_) => "unix",
-            #[cfg(feature = "serial")]
-            Endpoint::Serial(_) => "serial",
-            Endpoint::Can(_) => "can",
-            Endpoint::Slcan(_) => "slcan",
-            Endpoint::Memory(_) => "memory",
-        }
+        self.shown().0
     }
 
     /// Reads a peer's address as this medium writes it: `10.0.0.2:7400`, a path, a number on the
@@ -169,18 +160,15 @@ impl Endpoint {
     /// # Errors
     /// The text is no address there.
     pub fn peer(&self, text: &str) -> Result<MediumAddress, EndpointError> {
+        let error = |problem| EndpointError::new(text, 0..text.len(), problem);
         let parsed = match self {
             #[cfg(feature = "udp")]
-            Endpoint::Udp(_) => ip(text, 0..text.len(), text).map(MediumAddress::Ip).map(Ok)?,
+            Endpoint::Udp(_) => Ok(MediumAddress::Ip(ip(text, 0..text.len(), text)?)),
             #[cfg(feature = "tcp")]
-            Endpoint::Tcp(_) => ip(text, 0..text.len(), text).map(MediumAddress::Ip).map(Ok)?,
+            Endpoint::Tcp(_) => Ok(MediumAddress::Ip(ip(text, 0..text.len(), text)?)),
             #[cfg(feature = "unix")]
             Endpoint::Unix(_) => {
-                if text.len() > SOCKET_PATH {
-                    let problem =
-                        EndpointProblem::LongPath { length: text.len(), limit: SOCKET_PATH };
-                    return Err(EndpointError::new(text, 0..text.len(), problem));
-                }
+                check_socket_path(text.len()).map_err(error)?;
                 let path = text.starts_with('/').then(|| PathBuf::from(text).into());
                 path.map(MediumAddress::Unix)
                     .ok_or("write the path of its socket, as in /run/b.sock")
@@ -197,20 +185,11 @@ impl Endpoint {
                 };
                 number.map(MediumAddress::Can).map_err(|_| "write its number on the bus, 0 to 255")
             }
-            Endpoint::Memory(_) => match text {
-                "" => Err("write the name of its end"),
-                name => Ok(MediumAddress::Memory(name.into())),
-            },
+            Endpoint::Memory(_) => Ok(MediumAddress::Memory(text.into())),
         };
-        let checked = parsed.and_then(|peer| match self.objection(&peer) {
-            Some(expected) => Err(expected),
-            None => Ok(peer),
-        });
-        checked.map_err(|expected| {
-            let (medium, found) = (self.medium(), text.to_owned());
-            let problem = EndpointProblem::NotPeer { medium, found, expected };
-            EndpointError::new(text, 0..text.len(), problem)
-        })
+        let checked = parsed.and_then(|peer| self.objection(&peer).map_or(Ok(peer), Err));
+        let medium = self.medium();
+        checked.map_err(|expected| error(format!("`{text}` is no peer on {medium}: {expected}")))
     }
 
     /// How many connections may be open there beside those of peers.
@@ -224,17 +203,19 @@ impl Endpoint {
         }
     }
 
-    /// Finds what is wrong with settings that were not read from a text, such as an address of our
-    /// own that no node can have.
+    /// Finds what is wrong with an address of our own that was not read from a text.
     ///
     /// # Errors
     /// What is wrong, and what to write.
     pub fn check(&self) -> Result<(), String> {
         match self {
             #[cfg(feature = "udp")]
-            Endpoint::Udp(config) => validation::check_udp(config),
+            Endpoint::Udp(config) => validation::check_own(config.bind),
             #[cfg(feature = "tcp")]
-            Endpoint::Tcp(config) => validation::check_tcp(config),
+            Endpoint::Tcp(config) => validation::check_own(config.bind),
+            Endpoint::Memory(name) if name.is_empty() => {
+                Err("our own end of the memory medium has no name: give it one".to_owned())
+            }
             _ => Ok(()),
         }
     }
@@ -266,8 +247,14 @@ impl Endpoint {
                     None
                 }
             }
+            (Endpoint::Memory(_), MediumAddress::Memory(peer)) if peer.is_empty() => {
+                Some("write the name of its end")
+            }
             (Endpoint::Memory(own), MediumAddress::Memory(peer)) => {
                 (own.as_str() == &**peer).then_some(OURSELVES)
+            }
+            (Endpoint::Memory(_), _) => {
+                Some("it is no end of a memory medium: name it by Link::in_memory")
             }
             #[cfg(feature = "serial")]
             (Endpoint::Serial(_), MediumAddress::Line) => None,
@@ -278,7 +265,23 @@ impl Endpoint {
 
 /// The longest path of a Unix-domain socket on Linux, in bytes, without the closing zero.
 #[cfg(feature = "unix")]
-pub const SOCKET_PATH: usize = 107;
+const SOCKET_PATH: usize = 107;
+
+/// Finds a path of a Unix-domain socket that is too long, by its length in bytes.
+///
+/// # Errors
+/// What is wrong with it, and what to do.
+#[cfg(feature = "unix")]
+pub fn check_socket_path(length: usize) -> Result<(), String> {
+    match length <= SOCKET_PATH {
+        true => Ok(()),
+        false => Err(format!(
+            "the path has {length} bytes, and a socket's has at most {SOCKET_PATH}: choose a \
+             shorter one"
+        )),
+    }
+}
+
 /// The largest number on a bus with identifiers of 11 bits.
 const SHORT_MOST: u8 = 30;
 
@@ -291,22 +294,25 @@ struct Parts<'a> {
 }
 
 impl Parts<'_> {
-    fn error(&self, problem: EndpointProblem) -> EndpointError {
+    fn error(&self, problem: impl Into<Box<str>>) -> EndpointError {
         EndpointError::new(self.text, self.at.clone(), problem)
     }
 
     #[cfg(any(feature = "udp", feature = "tcp"))]
     fn no_broadcast(&self, address: SocketAddr) -> Result<(), EndpointError> {
         if validation::is_broadcast(address.ip()) {
-            let found = address.ip().to_string();
-            return Err(self.error(EndpointProblem::Broadcast { found }));
+            return Err(self.error(format!(
+                "`{}` is the address of all on a network, and no computer's own: write 0.0.0.0 or \
+                 one of this computer's",
+                address.ip()
+            )));
         }
         Ok(())
     }
 
     fn path(&self, example: &'static str) -> Result<PathBuf, EndpointError> {
         if !self.place.starts_with('/') {
-            return Err(self.error(EndpointProblem::NoPath { example }));
+            return Err(self.error(format!("a path begins with a slash, as in {example}")));
         }
         let mut bytes = Vec::with_capacity(self.place.len());
         let mut rest = self.place.bytes().enumerate();
@@ -318,7 +324,7 @@ impl Parts<'_> {
             let mut digit = || rest.next().and_then(|(_, byte)| char::from(byte).to_digit(16));
             let (Some(high), Some(low)) = (digit(), digit()) else {
                 let start = self.at.start + place;
-                let problem = EndpointProblem::BadEscape;
+                let problem = "after % there are two hexadecimal digits, as in %20 for a space";
                 return Err(EndpointError::new(self.text, start..start + 1, problem));
             };
             bytes.push((high * 16 + low) as u8);
@@ -326,13 +332,9 @@ impl Parts<'_> {
         // Escapes can spell what is no UTF-8, and a zero, which no path holds.
         match String::from_utf8(bytes) {
             Ok(path) if !path.contains('\0') => Ok(path.into()),
-            Ok(_) => {
-                let why = "no path holds a zero byte: leave %00 out";
-                Err(self.error(EndpointProblem::BadPath { why }))
-            }
+            Ok(_) => Err(self.error("no path holds a zero byte: leave %00 out")),
             Err(_) => {
-                let why = "what the escapes spell is no UTF-8: write the letters themselves";
-                Err(self.error(EndpointProblem::BadPath { why }))
+                Err(self.error("what the escapes spell is no UTF-8: write the letters themselves"))
             }
         }
     }
@@ -345,34 +347,45 @@ fn ip(text: &str, at: Range<usize>, found: &str) -> Result<SocketAddr, EndpointE
         return Ok(address);
     }
     let whole = |problem| Err(EndpointError::new(text, at.clone(), problem));
+    let no_ip = |found: &str| {
+        format!(
+            "`{found}` is no IP address: write it in numbers, as in 10.0.0.1:7400 or [fd00::1]:7400"
+        )
+    };
     let bare = found.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(found);
     if let Ok(address) = bare.parse::<IpAddr>() {
-        let example = SocketAddr::new(address, 7400).to_string();
+        let example = SocketAddr::new(address, 7400);
         // Where the last group could be a port, both are shown: only the writer knows.
         if let Some((host, port)) = bare.rsplit_once(':')
             && bare.len() == found.len()
             && let (Ok(host), Ok(port)) = (host.parse::<Ipv6Addr>(), port.parse::<u16>())
         {
-            let example = format!("{}, or {example}", SocketAddr::new(host.into(), port));
-            return whole(EndpointProblem::NoBrackets { example });
+            let meant = SocketAddr::new(host.into(), port);
+            return whole(format!(
+                "an IPv6 address stands in brackets: write {meant}, or {example}"
+            ));
         }
-        return whole(EndpointProblem::NoPort { example });
+        return whole(no_port(example));
     }
     let Some((host, port)) = found.rsplit_once(':') else {
-        return match host::is_host(found) {
-            true => whole(EndpointProblem::NoPort { example: format!("{found}:7400") }),
-            false => whole(EndpointProblem::NotIp { found: found.to_owned() }),
-        };
+        return whole(match host::is_host(found) {
+            true => no_port(format_args!("{found}:7400")),
+            false => no_ip(found),
+        });
     };
     let inner = host.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(host);
+    let end = at.start + host.len();
     if inner.parse::<IpAddr>().is_err() && (port.parse::<u16>().is_ok() || !host::is_host(host)) {
-        let end = at.start + host.len();
-        let problem = EndpointProblem::NotIp { found: host.to_owned() };
-        return Err(EndpointError::new(text, at.start..end, problem));
+        return Err(EndpointError::new(text, at.start..end, no_ip(host)));
     }
-    let start = at.start + host.len() + 1;
-    let problem = EndpointProblem::NotPort { found: port.to_owned() };
-    Err(EndpointError::new(text, start..at.end, problem))
+    let problem = format!("`{port}` is no port: ports are 0 (any) to 65535");
+    Err(EndpointError::new(text, end + 1..at.end, problem))
+}
+
+/// An IP address stands there without a port.
+#[cfg(any(feature = "udp", feature = "tcp"))]
+fn no_port(example: impl std::fmt::Display) -> String {
+    format!("the port is missing: write {example}")
 }
 
 #[cfg(feature = "udp")]
@@ -382,12 +395,14 @@ fn udp(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, Endpo
     let mut config = UdpConfig { bind: address, ..UdpConfig::default() };
     if address.ip().is_multicast() {
         if address.port() == 0 {
-            let example = SocketAddr::new(address.ip(), 7400).to_string();
-            return Err(parts.error(EndpointProblem::NoPort { example }));
+            return Err(parts.error(no_port(SocketAddr::new(address.ip(), 7400))));
         }
         if validation::is_reserved(address.ip()) {
-            let found = address.ip().to_string();
-            return Err(parts.error(EndpointProblem::ReservedGroup { found }));
+            return Err(parts.error(format!(
+                "`{}` is a group of the network's own protocols: write one for your own use, as in \
+                 239.255.0.1 or ff15::1",
+                address.ip()
+            )));
         }
         let any: IpAddr = match address {
             SocketAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
@@ -417,28 +432,33 @@ fn tcp(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, Endpo
     let bind = ip(parts.text, parts.at.clone(), parts.place)?;
     parts.no_broadcast(bind)?;
     if bind.ip().is_multicast() {
-        let why = "a group is heard by UDP only: write udp:// before it";
-        return Err(parts.error(EndpointProblem::Contradiction { why }));
+        return Err(parts.error("a group is heard by UDP only: write udp:// before it"));
     }
     let mut config = TcpConfig { bind, interface: settings.interface()?, ..TcpConfig::default() };
-    settings.number("mtu", LEAST_BYTES..=MOST_BYTES, &mut config.mtu)?;
-    settings.number("peers", 1..=65_536, &mut config.peers)?;
-    settings.number("strangers", 1..=65_536, &mut config.strangers)?;
-    settings.number("queue_bytes", LEAST_BYTES..=1 << 30, &mut config.queue_bytes)?;
-    let times = Duration::from_millis(1)..=LONGEST;
-    settings.span("connect_timeout", times.clone(), &mut config.connect_timeout)?;
-    settings.span("hello_timeout", times.clone(), &mut config.hello_timeout)?;
-    settings.span("user_timeout", times, &mut config.user_timeout)?;
+    let TcpConfig { mtu, peers, strangers, queue_bytes, .. } = &mut config;
+    connections(settings, [mtu, peers, strangers, queue_bytes])?;
+    settings.span("connect_timeout", TIMEOUT, &mut config.connect_timeout)?;
+    settings.span("hello_timeout", TIMEOUT, &mut config.hello_timeout)?;
+    settings.span("user_timeout", TIMEOUT, &mut config.user_timeout)?;
     Ok(Endpoint::Tcp(config))
+}
+
+/// How much a medium of connections holds: `mtu`, `peers`, `strangers` and `queue_bytes`.
+#[cfg(any(feature = "tcp", feature = "unix"))]
+fn connections(
+    settings: &mut Settings<'_>,
+    [mtu, peers, strangers, queue_bytes]: [&mut usize; 4],
+) -> Result<(), EndpointError> {
+    settings.number("mtu", LEAST_BYTES..=MOST_BYTES, mtu)?;
+    settings.number("peers", 1..=65_536, peers)?;
+    settings.number("strangers", 1..=65_536, strangers)?;
+    settings.number("queue_bytes", LEAST_BYTES..=1 << 30, queue_bytes)
 }
 
 #[cfg(feature = "unix")]
 fn unix(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
     let path = parts.path("unix:///run/robot.sock")?;
-    let length = path.as_os_str().len();
-    if length > SOCKET_PATH {
-        return Err(parts.error(EndpointProblem::LongPath { length, limit: SOCKET_PATH }));
-    }
+    check_socket_path(path.as_os_str().len()).map_err(|problem| parts.error(problem))?;
     let mut config = UnixConfig::new(path);
     let mode = settings.take("mode", "permissions in octal, as in 660", |text| {
         u32::from_str_radix(text, 8).ok().filter(|mode| *mode <= 0o777)
@@ -448,13 +468,10 @@ fn unix(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, Endp
         text.split(',').map(|user| user.parse().ok()).collect()
     })?;
     config.users = users.unwrap_or_default();
-    settings.number("mtu", LEAST_BYTES..=MOST_BYTES, &mut config.mtu)?;
-    settings.number("peers", 1..=65_536, &mut config.peers)?;
-    settings.number("strangers", 1..=65_536, &mut config.strangers)?;
-    settings.number("queue_bytes", LEAST_BYTES..=1 << 30, &mut config.queue_bytes)?;
-    let times = Duration::from_millis(1)..=LONGEST;
-    settings.span("connect_timeout", times.clone(), &mut config.connect_timeout)?;
-    settings.span("hello_timeout", times, &mut config.hello_timeout)?;
+    let UnixConfig { mtu, peers, strangers, queue_bytes, .. } = &mut config;
+    connections(settings, [mtu, peers, strangers, queue_bytes])?;
+    settings.span("connect_timeout", TIMEOUT, &mut config.connect_timeout)?;
+    settings.span("hello_timeout", TIMEOUT, &mut config.hello_timeout)?;
     Ok(Endpoint::Unix(config))
 }
 
@@ -476,7 +493,7 @@ fn serial(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, En
         );
     }
     config.mtu = largest_frame(settings, 65_535)?;
-    settings.span("queue_time", Duration::from_millis(1)..=LONGEST, &mut config.queue_time)?;
+    settings.span("queue_time", TIMEOUT, &mut config.queue_time)?;
     Ok(Endpoint::Serial(config))
 }
 
@@ -511,17 +528,26 @@ const BAUD: std::ops::RangeInclusive<u64> = 50..=50_000_000;
 
 const ONLY_FD: &str = "only CAN FD frames can switch the bit rate: add fd=true";
 
+/// Whether frames are those of CAN FD, and switch the bit rate.
+fn can_fd(
+    settings: &mut Settings<'_>,
+    fd: &mut bool,
+    bit_rate_switch: &mut bool,
+) -> Result<(), EndpointError> {
+    settings.switch("fd", fd)?;
+    settings.switch("bit_rate_switch", bit_rate_switch)?;
+    match *bit_rate_switch && !*fd {
+        true => Err(settings.contradiction("bit_rate_switch", ONLY_FD)),
+        false => Ok(()),
+    }
+}
+
 fn can(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
     if !is_interface(parts.place) {
-        let (what, example) = ("an interface", "can://can0");
-        return Err(parts.error(EndpointProblem::NoName { what, example }));
+        return Err(parts.error("the name of an interface is missing, as in can://can0"));
     }
     let mut config = CanConfig::new(parts.place);
-    settings.switch("fd", &mut config.fd)?;
-    settings.switch("bit_rate_switch", &mut config.bit_rate_switch)?;
-    if config.bit_rate_switch && !config.fd {
-        return Err(settings.contradiction("bit_rate_switch", ONLY_FD));
-    }
+    can_fd(settings, &mut config.fd, &mut config.bit_rate_switch)?;
     settings.number("bitrate", 10_000..=1_000_000, &mut config.bitrate)?;
     can_node(settings, &mut config.node)?;
     Ok(Endpoint::Can(config))
@@ -529,17 +555,10 @@ fn can(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, Endpo
 
 fn slcan(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
     let mut config = SlcanConfig::new(parts.path("slcan:///dev/ttyACM0")?);
-    let rates = SLCAN_BIT_RATES.map(|rate| rate.to_string()).join(", ");
-    let known = |text: &str| text.parse().ok().filter(|rate| SLCAN_BIT_RATES.contains(rate));
-    config.bitrate = settings.take("bitrate", rates, known)?.unwrap_or(config.bitrate);
-    settings.switch("fd", &mut config.fd)?;
-    settings.switch("bit_rate_switch", &mut config.bit_rate_switch)?;
-    if config.bit_rate_switch && !config.fd {
-        return Err(settings.contradiction("bit_rate_switch", ONLY_FD));
-    }
-    let rates = SLCAN_DATA_RATES.map(|rate| rate.to_string()).join(", ");
-    let known = |text: &str| text.parse().ok().filter(|rate| SLCAN_DATA_RATES.contains(rate));
-    if let Some(rate) = settings.take("data_bitrate", rates, known)? {
+    let rate = settings.one_of("bitrate", &SLCAN_BIT_RATES)?;
+    config.bitrate = rate.unwrap_or(config.bitrate);
+    can_fd(settings, &mut config.fd, &mut config.bit_rate_switch)?;
+    if let Some(rate) = settings.one_of("data_bitrate", &SLCAN_DATA_RATES)? {
         if !config.fd {
             return Err(settings.contradiction("data_bitrate", ONLY_FD));
         }
@@ -576,8 +595,7 @@ fn can_node(settings: &mut Settings<'_>, node: &mut CanNodeConfig) -> Result<(),
 
 fn memory(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     if parts.place.is_empty() {
-        let (what, example) = ("our end", "memory://left");
-        return Err(parts.error(EndpointProblem::NoName { what, example }));
+        return Err(parts.error("the name of our end is missing, as in memory://left"));
     }
     Ok(Endpoint::Memory(parts.place.to_owned()))
 }

@@ -35,23 +35,30 @@ fn reach_of(own: IpAddr) -> Reach {
     if own.to_canonical().is_loopback() { Reach::Computer } else { Reach::Network }
 }
 
+impl Endpoint {
+    /// The medium and the place, as they stand before and behind `://`.
+    pub(super) fn shown(&self) -> (&'static str, String) {
+        match self {
+            #[cfg(feature = "udp")]
+            Endpoint::Udp(config) => ("udp", config.group.unwrap_or(config.bind).to_string()),
+            #[cfg(feature = "tcp")]
+            Endpoint::Tcp(config) => ("tcp", config.bind.to_string()),
+            #[cfg(feature = "unix")]
+            Endpoint::Unix(config) => ("unix", config.path.display().to_string()),
+            #[cfg(feature = "serial")]
+            Endpoint::Serial(config) => ("serial", config.path.display().to_string()),
+            Endpoint::Can(CanConfig { interface, .. }) => ("can", interface.clone()),
+            Endpoint::Slcan(SlcanConfig { path, .. }) => ("slcan", path.display().to_string()),
+            Endpoint::Memory(name) => ("memory", name.clone()),
+        }
+    }
+}
+
 /// The medium and the place, without settings: `udp://0.0.0.0:7400`.
 impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}://", self.medium())?;
-        match self {
-            #[cfg(feature = "udp")]
-            Endpoint::Udp(config) => write!(f, "{}", config.group.unwrap_or(config.bind)),
-            #[cfg(feature = "tcp")]
-            Endpoint::Tcp(config) => write!(f, "{}", config.bind),
-            #[cfg(feature = "unix")]
-            Endpoint::Unix(config) => write!(f, "{}", config.path.display()),
-            #[cfg(feature = "serial")]
-            Endpoint::Serial(config) => write!(f, "{}", config.path.display()),
-            Endpoint::Can(CanConfig { interface, .. }) => f.write_str(interface),
-            Endpoint::Slcan(SlcanConfig { path, .. }) => write!(f, "{}", path.display()),
-            Endpoint::Memory(name) => f.write_str(name),
-        }
+        let (medium, place) = self.shown();
+        write!(f, "{medium}://{place}")
     }
 }
 

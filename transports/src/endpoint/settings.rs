@@ -1,7 +1,7 @@
 //! The part of an endpoint string behind the question mark: pairs of keys and values.
 
-use super::error::{EndpointError, EndpointProblem};
-use blastema_core::suggestion::nearest;
+use super::error::{EndpointError, suggest};
+use std::fmt;
 use std::ops::{Range, RangeInclusive};
 use std::time::Duration;
 
@@ -38,15 +38,12 @@ impl<'a> Settings<'a> {
         for piece in query.into_iter().flat_map(|query| query.split('&')) {
             let (key, value) = piece.split_once('=').unwrap_or_else(|| piece.split_at(piece.len()));
             let (key_at, value_at) = (place(text, key), place(text, value));
-            let problem = if key.is_empty() {
-                let what = "a setting";
-                Some(EndpointProblem::NoName { what, example: "?mtu=1000" })
-            } else if pairs.iter().any(|pair| pair.key == key) {
-                Some(EndpointProblem::Twice { key: key.to_owned() })
-            } else {
-                None
-            };
-            if let Some(problem) = problem {
+            if key.is_empty() {
+                let problem = "the name of a setting is missing, as in ?mtu=1000";
+                return Err(EndpointError::new(text, key_at, problem));
+            }
+            if pairs.iter().any(|pair| pair.key == key) {
+                let problem = format!("`{key}` is said twice: leave one of them out");
                 return Err(EndpointError::new(text, key_at, problem));
             }
             pairs.push(Pair { key, key_at, value, value_at });
@@ -58,23 +55,19 @@ impl<'a> Settings<'a> {
     pub(super) fn take<T>(
         &mut self,
         key: &'static str,
-        expected: impl Into<String>,
+        expected: impl fmt::Display,
         parse: impl FnOnce(&str) -> Option<T>,
     ) -> Result<Option<T>, EndpointError> {
         self.asked.push(key);
         let Some(pair) = self.pairs.iter().find(|pair| pair.key == key) else { return Ok(None) };
         if pair.value.is_empty() {
-            let problem = EndpointProblem::NoValue { key: key.to_owned() };
+            let problem = format!("`{key}` has no value: write {key}=…");
             return Err(EndpointError::new(self.text, pair.key_at.clone(), problem));
         }
-        match parse(pair.value) {
-            Some(value) => Ok(Some(value)),
-            None => {
-                let (key, found) = (key.to_owned(), pair.value.to_owned());
-                let problem = EndpointProblem::BadValue { key, found, expected: expected.into() };
-                Err(EndpointError::new(self.text, pair.value_at.clone(), problem))
-            }
-        }
+        parse(pair.value).map(Some).ok_or_else(|| {
+            let problem = format!("`{key}` cannot be `{}`: it takes {expected}", pair.value);
+            EndpointError::new(self.text, pair.value_at.clone(), problem)
+        })
     }
 
     /// Puts a whole number in place of `target`, if one is given.
@@ -132,6 +125,17 @@ impl<'a> Settings<'a> {
         Ok(())
     }
 
+    /// One of several numbers.
+    pub(super) fn one_of(
+        &mut self,
+        key: &'static str,
+        known: &[u32],
+    ) -> Result<Option<u32>, EndpointError> {
+        let numbers: Vec<String> = known.iter().map(u32::to_string).collect();
+        let parse = |text: &str| text.parse().ok().filter(|number| known.contains(number));
+        self.take(key, numbers.join(", "), parse)
+    }
+
     /// Puts one of several words' meanings in place of `target`, if one is given.
     #[cfg(feature = "serial")]
     pub(super) fn choice<T: Copy>(
@@ -164,7 +168,7 @@ impl<'a> Settings<'a> {
         let pair = self.pairs.iter().find(|pair| pair.key == key);
         let at = pair
             .map_or(self.text.len()..self.text.len(), |pair| pair.key_at.start..pair.value_at.end);
-        EndpointError::new(self.text, at, EndpointProblem::Contradiction { why })
+        EndpointError::new(self.text, at, why)
     }
 
     /// Refuses the keys that no transport has asked for.
@@ -172,12 +176,8 @@ impl<'a> Settings<'a> {
         let Some(pair) = self.pairs.iter().find(|pair| !self.asked.contains(&pair.key)) else {
             return Ok(());
         };
-        let problem = EndpointProblem::UnknownKey {
-            medium: self.medium,
-            key: pair.key.to_owned(),
-            nearest: nearest(pair.key, self.asked.iter().copied()).map(str::to_owned),
-            known: self.asked.iter().map(|key| (*key).to_owned()).collect(),
-        };
+        let hint = suggest(pair.key, &self.asked);
+        let problem = format!("{} has no key `{}`: {hint}", self.medium, pair.key);
         Err(EndpointError::new(self.text, pair.key_at.clone(), problem))
     }
 }

@@ -1,14 +1,6 @@
-//! What can be no address of our own, or of a neighbour, and other settings that make no sense
-//! wherever they come from.
+//! What can be no address of our own, or of a neighbour.
 
-use super::{LEAST_BYTES, is_interface};
-#[cfg(feature = "tcp")]
-use crate::tcp::TcpConfig;
-#[cfg(feature = "udp")]
-use crate::udp::UdpConfig;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-#[cfg(feature = "tcp")]
-use std::time::Duration;
 
 /// Whether it is the broadcast address of every network (RFC 919). Only the interface knows the
 /// broadcast address of one network, such as 10.0.0.255.
@@ -51,7 +43,7 @@ pub(super) fn is_own(bind: SocketAddr, peer: SocketAddr) -> bool {
 }
 
 /// Only a group, or all of a network, has such an address.
-fn check_own(own: SocketAddr) -> Result<(), String> {
+pub(super) fn check_own(own: SocketAddr) -> Result<(), String> {
     let whose = if own.ip().is_multicast() {
         "a group's"
     } else if is_broadcast(own.ip()) {
@@ -63,73 +55,4 @@ fn check_own(own: SocketAddr) -> Result<(), String> {
         "{own} is {whose}, and no computer's own address: write 0.0.0.0 or one of this computer's; a \
          group is heard by an endpoint such as udp://239.255.0.1:7400"
     ))
-}
-
-fn check_interface(interface: Option<&str>) -> Result<(), String> {
-    match interface.filter(|name| !is_interface(name)) {
-        None => Ok(()),
-        Some(name) => Err(format!("{name:?} is no name of an interface: write one as in eth0")),
-    }
-}
-
-fn check_frame(mtu: usize) -> Result<(), String> {
-    if mtu as u64 >= LEAST_BYTES {
-        return Ok(());
-    }
-    Err(format!(
-        "an mtu of {mtu} holds no announcement of a router: give it {LEAST_BYTES} bytes at least"
-    ))
-}
-
-/// Of these, none may be zero: nothing would ever get through.
-fn check_bounds<const N: usize>(bounds: [(&str, usize); N]) -> Result<(), String> {
-    match bounds.into_iter().find(|(_, bound)| *bound == 0) {
-        None => Ok(()),
-        Some((name, _)) => Err(format!("{name} is 0, so that nothing gets through: 1 at least")),
-    }
-}
-
-#[cfg(feature = "udp")]
-pub(super) fn check_udp(config: &UdpConfig) -> Result<(), String> {
-    check_own(config.bind)?;
-    check_interface(config.interface.as_deref())?;
-    check_frame(config.mtu.unwrap_or(LEAST_BYTES as usize))?;
-    check_bounds([
-        ("receive_buffer", config.receive_buffer),
-        ("send_buffer", config.send_buffer),
-        ("queue_frames", config.queue_frames),
-    ])?;
-    let Some(group) = config.group else { return Ok(()) };
-    if !group.ip().is_multicast() || is_reserved(group.ip()) || group.port() == 0 {
-        return Err(format!(
-            "{group} is no group for one's own use with a port: write one as in 239.255.0.1:7400"
-        ));
-    }
-    match config.hops {
-        0 => Err("hops is 0, so that nothing leaves this computer: 1 at least".into()),
-        _ => Ok(()),
-    }
-}
-
-#[cfg(feature = "tcp")]
-pub(super) fn check_tcp(config: &TcpConfig) -> Result<(), String> {
-    check_own(config.bind)?;
-    check_interface(config.interface.as_deref())?;
-    check_frame(config.mtu)?;
-    check_bounds([
-        ("peers", config.peers),
-        ("strangers", config.strangers),
-        ("queue_bytes", config.queue_bytes),
-    ])?;
-    let spans = [
-        ("connect_timeout", config.connect_timeout, "every connection fails"),
-        ("hello_timeout", config.hello_timeout, "every connection fails"),
-        ("user_timeout", config.user_timeout, "the system takes its own, a quarter of an hour"),
-    ];
-    match spans.into_iter().find(|(_, span, _)| *span < Duration::from_millis(1)) {
-        None => Ok(()),
-        Some((name, span, then)) => {
-            Err(format!("{name} is {span:?}, and {then}: give it 1 ms at least"))
-        }
-    }
 }

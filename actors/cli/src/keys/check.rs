@@ -1,20 +1,12 @@
 //! `blastema keys check`: what the nodes of a robot say of their keys.
 
-use super::said;
 use crate::args::KeysCheckOptions;
-use crate::monitor::tables::{Column, WIDEST, table};
+use crate::monitor::tables::{WIDEST, table};
 use crate::operator::{OperatorKey, OperatorSession};
+use crate::print;
 use blastema::KeyStatus;
 use blastema::core::net::trust::roster::RosterNode;
 use serde_json::{Value, json};
-
-const COLUMNS: [Column; 5] = [
-    ("node", "node"),
-    ("roster", "serial"),
-    ("fingerprint", "fingerprint"),
-    ("networks", "shown_networks"),
-    ("problem", "problem"),
-];
 
 /// Shows the keys of all nodes that the roster lists, and returns whether nothing is wrong.
 ///
@@ -28,8 +20,7 @@ pub(super) fn run(options: &KeysCheckOptions) -> Result<bool, String> {
         for listed in key.others() {
             let answer = match session.reaches(&listed.name).await {
                 true => {
-                    let asked =
-                        session.node().key_status_of(listed.name.as_str(), session.within());
+                    let asked = session.node.key_status_of(listed.name.as_str(), session.within);
                     asked.await.map_err(|error| error.to_string())
                 }
                 false => Err("it is off, or no path leads to it".to_owned()),
@@ -40,20 +31,27 @@ pub(super) fn run(options: &KeysCheckOptions) -> Result<bool, String> {
         Ok::<_, String>(answers)
     })?;
     let serials = answers.iter().filter_map(|(_, answer)| Some(answer.as_ref().ok()?.serial));
-    let newest = serials.chain([key.roster().serial]).max().expect("there is our own");
+    let newest = serials.chain([key.roster.serial]).max().expect("there is our own");
     let rows: Vec<_> = answers.iter().map(|(listed, answer)| row(listed, answer, newest)).collect();
     let is_well = rows.iter().all(|row| row["problem"].is_null());
-    let robot = key.roster().robot.as_str();
+    let robot = key.roster.robot.as_str();
     if options.json {
         let mut nodes = rows;
         for node in nodes.iter_mut().filter_map(Value::as_object_mut) {
             node.remove("shown_networks");
         }
         let document = json!({ "robot": robot, "serial": newest, "well": is_well, "nodes": nodes });
-        said(&format!("{document}\n"))?;
+        print(&format!("{document}\n"))?;
     } else {
         let head = format!("robot {robot}, newest roster {newest}\n");
-        said(&(head + &table(&COLUMNS, &rows, WIDEST)))?;
+        print(
+            &(head
+                + &table(
+                    "node, roster=serial, fingerprint, networks=shown_networks, problem",
+                    &rows,
+                    WIDEST,
+                )),
+        )?;
     }
     Ok(is_well)
 }

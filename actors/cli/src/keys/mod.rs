@@ -9,8 +9,9 @@ mod push;
 mod show;
 
 use self::files::{Existing, PUBLIC, SECRET, check_absent, write};
-use self::push::{PushedRoster, RosterPush};
-use crate::args::{KeysJob, PushOptions, RobotOption};
+use self::push::RosterPush;
+use crate::args::{KeysJob, ListedNodes, PushOptions, RobotOption};
+use crate::print;
 use blastema::core::NodeName;
 use blastema::core::net::trust::crypto::Seed;
 use blastema::core::net::trust::key_file::{KeyFile, RobotFile};
@@ -18,7 +19,6 @@ use blastema::core::net::trust::policy::Role;
 use blastema::core::net::trust::roster::{NodeRoster, ROSTER_BYTES, RosterNode, RosterOrder};
 use blastema::keys::{folder_of, random_bytes, read_public, read_secret};
 use std::fs;
-use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use zeroize::Zeroizing;
 
@@ -31,13 +31,13 @@ pub(crate) fn run(job: &KeysJob) -> Result<bool, String> {
         KeysJob::New { robot, nodes, out, roles } => new(robot, nodes, out, roles).map(|()| true),
         KeysJob::Show { files } => show::run(files).map(|()| true),
         KeysJob::Check(options) => check::run(options),
-        KeysJob::Add { nodes, robot, push, roles } => {
+        KeysJob::Add { listed: ListedNodes { nodes, robot, push }, roles } => {
             Signer::open(robot)?.change(push, |signer| signer.add(nodes, roles))
         }
-        KeysJob::Revoke { nodes, robot, push } => {
+        KeysJob::Revoke(ListedNodes { nodes, robot, push }) => {
             Signer::open(robot)?.change(push, |signer| signer.revoke(nodes))
         }
-        KeysJob::Replace { nodes, robot, push } => {
+        KeysJob::Replace(ListedNodes { nodes, robot, push }) => {
             Signer::open(robot)?.change(push, |signer| signer.replace(nodes))
         }
         KeysJob::Edit { robot, push, text } => {
@@ -60,15 +60,15 @@ fn new(robot: &str, nodes: &[String], out: &Path, roles: &[String]) -> Result<()
     let mut signer = Signer { path, robot: RobotFile { seed: random_seed()?, roster } };
     let keys = signer.add(nodes, roles)?;
     write(&signer.path, &signer.robot.to_text(), SECRET, Existing::Keep)?;
-    said(&format!(
+    print(&format!(
         "{}: keep it off the robot, and a copy in a safe place\n",
         signer.path.display()
     ))?;
     write_keys(&keys)?;
     let (path, _) = signer.write_roster(Existing::Keep)?;
     let (path, count) = (path.display(), nodes.len());
-    said(&format!("{path}: serial 1, {count} nodes: copy it beside each node's key\n"))?;
-    said(&format!(
+    print(&format!("{path}: serial 1, {count} nodes: copy it beside each node's key\n"))?;
+    print(&format!(
         "in each node's program write its key, with {robot}.roster beside it: .keys(\"{}.key\")\n",
         nodes[0]
     ))
@@ -108,7 +108,7 @@ impl Signer {
         let before = self.robot.roster.clone();
         let keys = change(&mut self)?;
         if self.robot.roster == before {
-            said("nothing was changed\n")?;
+            print("nothing was changed\n")?;
             return Ok(true);
         }
         let serial = self.robot.roster.serial.checked_add(1);
@@ -119,15 +119,12 @@ impl Signer {
         write_keys(&keys)?;
         write(&self.path, &self.robot.to_text(), SECRET, Existing::Replace)?;
         let (path, text) = self.write_roster(Existing::Replace)?;
-        let NodeRoster { robot, serial, .. } = &self.robot.roster;
         match push {
-            Some(push) => {
-                let roster = PushedRoster { robot, serial: *serial, text: &text, path: &path };
-                push.hand_over(&roster)
-            }
+            Some(push) => push.hand_over(&self.robot.roster, &path, &text),
             None => {
+                let NodeRoster { serial, .. } = &self.robot.roster;
                 let (path, nodes) = (path.display(), self.robot.roster.nodes().len());
-                said(&format!(
+                print(&format!(
                     "{path}: serial {serial}, {nodes} nodes: copy it beside the key of one node that \
                      runs, which gives it to the others, or use --push\n"
                 ))?;
@@ -231,7 +228,10 @@ impl Signer {
 fn write_keys(keys: &NewKeys) -> Result<(), String> {
     for (path, text) in keys {
         write(path, text, SECRET, Existing::Keep)?;
-        said(&format!("{}: copy it to the node's computer, for its user alone\n", path.display()))?;
+        print(&format!(
+            "{}: copy it to the node's computer, for its user alone\n",
+            path.display()
+        ))?;
     }
     Ok(())
 }
@@ -267,10 +267,4 @@ fn random_seed() -> Result<Seed, String> {
         format!("the system gives no random numbers (getrandom: {error}): no key can be made")
     })?;
     Ok(Seed::new(*bytes))
-}
-
-/// Prints on standard output.
-fn said(text: &str) -> Result<(), String> {
-    let written = io::stdout().write_all(text.as_bytes());
-    written.map_err(|error| format!("standard output cannot be written: {error}"))
 }

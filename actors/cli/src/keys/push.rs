@@ -1,23 +1,15 @@
 //! `--push`: hands a changed roster over to a node that runs.
 
 use super::files::{Existing, PUBLIC, write};
-use super::said;
 use crate::args::PushOptions;
 use crate::operator::{OperatorKey, OperatorSession, roster_beside};
-use blastema::core::NodeName;
+use crate::print;
+use blastema::core::net::trust::roster::NodeRoster;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// How often the node is asked whether it has the roster.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
-
-/// The roster that is handed over.
-pub(super) struct PushedRoster<'a> {
-    pub(super) robot: &'a NodeName,
-    pub(super) serial: u64,
-    pub(super) text: &'a str,
-    pub(super) path: &'a Path,
-}
 
 /// What is to be handed over to whom, as far as it can be checked before anything is changed.
 pub(super) struct RosterPush<'a> {
@@ -42,21 +34,26 @@ impl<'a> RosterPush<'a> {
     ///
     /// # Errors
     /// The roster cannot be written beside the operator's key.
-    pub(super) fn hand_over(self, roster: &PushedRoster<'_>) -> Result<bool, String> {
-        let beside = roster_beside(&self.key, roster.robot);
-        if beside != roster.path {
+    pub(super) fn hand_over(
+        self,
+        roster: &NodeRoster,
+        path: &Path,
+        text: &str,
+    ) -> Result<bool, String> {
+        let beside = roster_beside(&self.key, &roster.robot);
+        if beside != path {
             // The operator's own node uses it, and gives it to the other one.
-            write(&beside, roster.text, PUBLIC, Existing::Replace)?;
+            write(&beside, text, PUBLIC, Existing::Replace)?;
         }
         let to = self.options.push.as_ref().expect("it was checked");
         match blastema::run(self.wait(roster.serial)) {
             Ok(()) => {
                 let (node, serial) = (&to.node, roster.serial);
-                said(&format!("{node} has roster {serial}, and gives it to the others\n"))?;
+                print(&format!("{node} has roster {serial}, and gives it to the others\n"))?;
                 Ok(true)
             }
             Err(why) => {
-                said(&format!(
+                print(&format!(
                     "the roster was changed and signed, and was not handed over: {why}; then run \
                      `blastema keys check {}@{}`, which hands it over as well\n",
                     to.node, to.address
@@ -70,9 +67,9 @@ impl<'a> RosterPush<'a> {
         let key = OperatorKey::read(self.key.clone())?;
         let to = self.options.push.as_ref().expect("it was checked");
         let session = OperatorSession::open(&key, to, &self.options.operator).await?;
-        let until = Instant::now() + session.within();
+        let until = Instant::now() + session.within;
         let outcome = loop {
-            let asked = session.node().key_status_of(&to.node, session.within()).await;
+            let asked = session.node.key_status_of(&to.node, session.within).await;
             match asked {
                 Ok(status) if status.serial >= serial => break Ok(()),
                 Ok(status) if Instant::now() >= until => {

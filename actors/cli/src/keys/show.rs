@@ -1,6 +1,6 @@
 //! What files of keys hold, without any secret.
 
-use super::said;
+use crate::print;
 use blastema::core::NodeName;
 use blastema::core::net::trust::crypto::PublicKey;
 use blastema::core::net::trust::key_file::{KeyFile, RobotFile};
@@ -56,7 +56,7 @@ pub(super) fn run(named: &[PathBuf]) -> Result<(), String> {
     for path in rosters {
         roster(&mut text, path, &signers)?;
     }
-    said(&text)
+    print(&text)
 }
 
 fn roster(text: &mut String, path: &Path, signers: &[(NodeName, PublicKey)]) -> Result<(), String> {
@@ -96,14 +96,10 @@ fn kind_of(path: &Path) -> Option<&str> {
 /// The files of keys in this folder, in the order of their names.
 pub(super) fn files_here() -> Result<Vec<PathBuf>, String> {
     let failed = |error| format!("this folder cannot be read: {error}");
-    let entries = fs::read_dir(".").map_err(failed)?;
-    let mut paths = Vec::new();
-    for entry in entries {
-        let path = PathBuf::from(entry.map_err(failed)?.file_name());
-        if kind_of(&path).is_some() {
-            paths.push(path);
-        }
-    }
+    let names = fs::read_dir(".").map_err(failed)?.map(|entry| entry.map(|of| of.file_name()));
+    let names: Vec<_> = names.collect::<Result<_, _>>().map_err(failed)?;
+    let mut paths: Vec<_> = names.into_iter().map(PathBuf::from).collect();
+    paths.retain(|path| kind_of(path).is_some());
     paths.sort();
     Ok(paths)
 }

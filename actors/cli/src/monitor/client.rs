@@ -3,7 +3,7 @@
 use rustix::io::Errno;
 use serde_json::Value;
 use std::os::unix::fs::FileTypeExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 use std::{fs, io};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -17,43 +17,13 @@ const LONGEST_PATH: usize = 107;
 /// The pause after which a socket with a full listen backlog is tried again.
 const PAUSE: Duration = Duration::from_millis(10);
 
-/// Why a node cannot be shown.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum InspectError {
-    /// No node serves the socket.
-    #[error("no node answers at {}: {reason}", path.display())]
-    NoAnswer {
-        /// The path.
-        path: PathBuf,
-        /// The cause, and what to do.
-        reason: String,
-    },
-    /// The process at the socket has not answered in time.
-    #[error("the node at {} did not answer within {}: {reason}", path.display(), span(.within))]
-    Silent {
-        /// The path.
-        path: PathBuf,
-        /// The time limit.
-        within: Duration,
-        /// A hint.
-        reason: String,
-    },
-    /// The process at the socket is not a node.
-    #[error(
+/// Says that the process at this path is not a node.
+pub(crate) fn no_node(path: &Path, reason: &str) -> String {
+    format!(
         "this is no inspection socket of a node: {} shows {reason}; give the path that \
          NodeBuilder::inspection_socket was given",
         path.display()
-    )]
-    NoNode {
-        /// The path.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-}
-
-fn span(within: &Duration) -> String {
-    format!("{} s", within.as_secs_f64())
+    )
 }
 
 /// The snapshot of a node: as received, and as a document.
@@ -75,20 +45,15 @@ enum Peer {
 ///
 /// # Errors
 /// The cause, and what to do.
-pub(crate) async fn look(path: &Path, within: Duration) -> Result<ReceivedSnapshot, InspectError> {
-    let bytes = ask(path, "", within).await?;
-    read(bytes).map_err(|reason| InspectError::NoNode { path: path.to_owned(), reason })
+pub(crate) async fn look(path: &Path, within: Duration) -> Result<ReceivedSnapshot, String> {
+    read(ask(path, "", within).await?).map_err(|reason| no_node(path, &reason))
 }
 
 /// Sends a line, or nothing, and returns what the node sends.
 ///
 /// # Errors
 /// The cause, and what to do.
-pub(crate) async fn ask(
-    path: &Path,
-    line: &str,
-    within: Duration,
-) -> Result<Vec<u8>, InspectError> {
+pub(crate) async fn ask(path: &Path, line: &str, within: Duration) -> Result<Vec<u8>, String> {
     let mut peer = Peer::Unreached;
     let asked = timeout(within, async {
         let mut socket = connect(path).await?;
@@ -104,11 +69,14 @@ pub(crate) async fn ask(
     match asked.await {
         Ok(Ok(bytes)) => Ok(bytes),
         Ok(Err(error)) => {
-            Err(InspectError::NoAnswer { path: path.to_owned(), reason: explain(path, &error) })
+            Err(format!("no node answers at {}: {}", path.display(), explain(path, &error)))
         }
-        Err(_) => {
-            Err(InspectError::Silent { path: path.to_owned(), within, reason: silence_of(peer) })
-        }
+        Err(_) => Err(format!(
+            "the node at {} did not answer within {} s: {}",
+            path.display(),
+            within.as_secs_f64(),
+            silence_of(peer)
+        )),
     }
 }
 

@@ -2,264 +2,54 @@
 
 use comfy_table::{CellAlignment, Table, presets};
 use serde_json::Value;
+use std::borrow::Cow;
 use std::fmt::Write;
 
-/// A column: its heading, and the key of its value in the snapshot.
-pub(crate) type Column = (&'static str, &'static str);
-
-/// The tables in their order: the title, the key in the snapshot, the columns.
-const TABLES: [(&str, &str, &[Column]); 17] = [
-    (
-        "objects",
-        "table",
-        &[
-            ("location", "location"),
-            ("kind", "kind"),
-            ("incarnation", "incarnation"),
-            ("state", "state"),
-            ("opinion", "opinion"),
-            ("last sign", "last_sign_ms"),
-            ("restarts", "restarts"),
-            ("suspicions", "suspicions"),
-            ("missed rounds", "missed_rounds"),
-            ("late p50", "late_p50_ms"),
-            ("late p99", "late_p99_ms"),
-            ("late max", "late_max_ms"),
-            ("queued", "queued"),
-            ("oldest", "oldest_ms"),
-            ("doing", "current"),
-            ("for", "current_ms"),
-            ("isolated", "isolated"),
-            ("note", "note"),
-        ],
-    ),
-    (
-        "threads",
-        "threads",
-        &[
-            ("thread", "number"),
-            ("kind", "kind"),
-            ("state", "state"),
-            ("by", "by"),
-            ("for", "blocked_ms"),
-            ("busy", "busy"),
-            ("last beat", "last_beat_ms"),
-            ("running", "running"),
-            ("queued", "queued"),
-            ("components", "components"),
-        ],
-    ),
-    (
-        "networks",
-        "networks",
-        &[
-            ("network", "network"),
-            ("medium", "medium"),
-            ("reach", "reach"),
-            ("sealed", "sealed"),
-            ("insecure", "insecure"),
-        ],
-    ),
-    (
-        "media",
-        "media",
-        &[
-            ("network", "network"),
-            ("sent", "frames_sent"),
-            ("received", "frames_received"),
-            ("dropped", "frames_dropped"),
-            ("refused", "refused"),
-            ("errors", "errors"),
-            ("queued", "queued"),
-            ("oldest", "oldest_ms"),
-        ],
-    ),
-    ("roster", "roster", &[("robot", "robot"), ("serial", "serial"), ("nodes", "nodes")]),
-    (
-        "links",
-        "links",
-        &[
-            ("network", "network"),
-            ("link", "link"),
-            ("state", "state"),
-            ("neighbour", "neighbour"),
-            ("last sign", "last_sign_ms"),
-            ("round trip", "round_trip_ms"),
-            ("jitter", "jitter_ms"),
-            ("loss in 1000", "loss_permille"),
-            ("cost", "cost"),
-            ("sent", "frames_sent"),
-            ("bytes sent", "bytes_sent"),
-            ("received", "frames_received"),
-            ("bytes received", "bytes_received"),
-            ("B/s sent", "bytes_sent_per_s"),
-            ("B/s received", "bytes_received_per_s"),
-            ("dropped", "frames_dropped"),
-            ("refused", "refused"),
-            ("seal", "seal"),
-            ("key age", "key_age_ms"),
-        ],
-    ),
-    (
-        "routes",
-        "routes",
-        &[
-            ("node", "node"),
-            ("incarnation", "incarnation"),
-            ("network", "network"),
-            ("link", "link"),
-            ("else network", "alternate_network"),
-            ("else link", "alternate_link"),
-            ("cost", "cost"),
-            ("largest frame", "mtu_bytes"),
-            ("nodes between", "relays"),
-        ],
-    ),
-    (
-        "sessions",
-        "sessions",
-        &[
-            ("node", "node"),
-            ("state", "state"),
-            ("incarnation", "incarnation"),
-            ("round trip", "round_trip_ms"),
-            ("unacknowledged", "unacknowledged"),
-            ("in flight", "in_flight"),
-            ("window", "window"),
-            ("queueing", "queueing_ms"),
-            ("sent", "sent"),
-            ("bytes sent", "bytes_sent"),
-            ("bytes received", "bytes_received"),
-            ("B/s sent", "bytes_sent_per_s"),
-            ("B/s received", "bytes_received_per_s"),
-            ("retransmitted", "retransmitted"),
-            ("duplicates", "duplicates"),
-            ("superseded", "superseded"),
-            ("replaced", "replaced"),
-            ("incomplete", "incomplete"),
-            ("returned", "returned"),
-            ("refused", "refused"),
-            ("differences", "differences"),
-        ],
-    ),
-    (
-        "forbidden",
-        "forbidden",
-        &[
-            ("node", "node"),
-            ("wanted to", "verb"),
-            ("object", "object"),
-            ("contract", "contract"),
-            ("policy line", "policy_line"),
-            ("times", "times"),
-            ("last", "last_ms"),
-        ],
-    ),
-    (
-        "global names",
-        "global_names",
-        &[
-            ("name", "name"),
-            ("node", "node"),
-            ("object", "object"),
-            ("epoch", "epoch"),
-            ("known for", "age_ms"),
-        ],
-    ),
-    (
-        "services",
-        "services",
-        &[
-            ("service", "name"),
-            ("state", "state"),
-            ("for", "since_ms"),
-            ("standbys", "kind"),
-            ("epoch", "epoch"),
-            ("primary", "primary"),
-            ("nodes", "members"),
-            ("missing", "missing_members"),
-            ("unreplicated", "unreplicated"),
-            ("seen before", "seen_ms"),
-        ],
-    ),
-    (
-        "actuators",
-        "actuators",
-        &[
-            ("object", "object"),
-            ("contract", "contract"),
-            ("state", "state"),
-            ("commander", "commander"),
-            ("incarnation", "incarnation"),
-            ("epoch", "epoch"),
-            ("lease left", "left_ms"),
-        ],
-    ),
-    (
-        "topics",
-        "topics",
-        &[
-            ("topic", "topic"),
-            ("contract", "contract"),
-            ("publishers", "publishers"),
-            ("listeners", "listeners"),
-            ("publishing nodes", "publishing_nodes"),
-            ("listening nodes", "listening_nodes"),
-            ("events", "events"),
-            ("in a second", "rate_hz"),
-            ("bytes", "bytes"),
-            ("latched", "latched"),
-            ("similar name", "similar"),
-        ],
-    ),
-    (
-        "trees",
-        "trees",
-        &[
-            ("tree", "tree"),
-            ("node", "path"),
-            ("type", "type_name"),
-            ("depth", "depth"),
-            ("answer", "answer"),
-            ("called now", "called"),
-        ],
-    ),
-    (
-        "changes of trees",
-        "tree_changes",
-        &[("tree", "tree"), ("tick", "tick"), ("before", "age_ms"), ("changes", "changes")],
-    ),
-    (
-        "dead letters",
-        "dead_letters",
-        &[
-            ("node", "node"),
-            ("object", "object"),
-            ("contract", "contract"),
-            ("reason", "reason"),
-            ("times", "count"),
-        ],
-    ),
-    (
-        "faults",
-        "faults",
-        &[
-            ("fault", "id"),
-            ("code", "code"),
-            ("kind", "kind"),
-            ("location", "location"),
-            ("incarnation", "incarnation"),
-            ("times", "count"),
-            ("symptom of", "symptom_of"),
-            ("found before", "age_ms"),
-            ("action", "action"),
-            ("status", "status"),
-            ("service restored before", "recovered_ms"),
-            ("part repaired before", "repaired_ms"),
-            ("detail", "detail"),
-        ],
-    ),
+/// The tables in their order: the title of each, and its columns by their headings. The key of each
+/// in the snapshot is behind `=`, unless it is the same with `_` for spaces.
+const TABLES: [&str; 17] = [
+    "objects=table: location, kind, incarnation, state, opinion, last sign=last_sign_ms, \
+     restarts, suspicions, missed rounds, late p50=late_p50_ms, late p99=late_p99_ms, \
+     late max=late_max_ms, queued, oldest=oldest_ms, doing=current, for=current_ms, isolated, \
+     note",
+    "threads: thread=number, kind, state, by, for=blocked_ms, busy, last beat=last_beat_ms, \
+     running, queued, components",
+    "networks: network, medium, reach, sealed, insecure",
+    "media: network, sent=frames_sent, received=frames_received, dropped=frames_dropped, refused, \
+     errors, queued, oldest=oldest_ms",
+    "roster: robot, serial, nodes",
+    "links: network, link, state, neighbour, last sign=last_sign_ms, round trip=round_trip_ms, \
+     jitter=jitter_ms, loss in 1000=loss_permille, cost, sent=frames_sent, bytes sent, \
+     received=frames_received, bytes received, B/s sent=bytes_sent_per_s, \
+     B/s received=bytes_received_per_s, dropped=frames_dropped, refused, seal, key age=key_age_ms",
+    "routes: node, incarnation, network, link, else network=alternate_network, \
+     else link=alternate_link, cost, largest frame=mtu_bytes, nodes between=relays",
+    "sessions: node, state, incarnation, round trip=round_trip_ms, unacknowledged, in flight, \
+     window, queueing=queueing_ms, sent, bytes sent, bytes received, B/s sent=bytes_sent_per_s, \
+     B/s received=bytes_received_per_s, retransmitted, duplicates, superseded, replaced, \
+     incomplete, returned, refused, differences",
+    "forbidden: node, wanted to=verb, object, contract, policy line, times, last=last_ms",
+    "global names: name, node, object, epoch, known for=age_ms",
+    "services: service=name, state, for=since_ms, standbys=kind, epoch, primary, nodes=members, \
+     missing=missing_members, unreplicated, seen before=seen_ms",
+    "actuators: object, contract, state, commander, incarnation, epoch, lease left=left_ms",
+    "topics: topic, contract, publishers, listeners, publishing nodes, listening nodes, events, \
+     in a second=rate_hz, bytes, latched, similar name=similar",
+    "trees: tree, node=path, type=type_name, depth, answer, called now=called",
+    "changes of trees=tree_changes: tree, tick, before=age_ms, changes",
+    "dead letters: node, object, contract, reason, times=count",
+    "faults: fault=id, code, kind, location, incarnation, times=count, symptom of, \
+     found before=age_ms, action, status, service restored before=recovered_ms, \
+     part repaired before=repaired_ms, detail",
 ];
+
+/// The heading and the key of a table or a column.
+fn parts(named: &str) -> (&str, Cow<'_, str>) {
+    match named.split_once('=') {
+        Some((heading, key)) => (heading, key.into()),
+        None => (named, named.replace(' ', "_").into()),
+    }
+}
 
 /// The longest text of a cell. The JSON document has longer texts in full.
 pub(crate) const WIDEST: usize = 60;
@@ -297,11 +87,13 @@ pub(crate) fn draw(picture: &Value, colour: Colour) -> String {
             let _ = writeln!(text, "{}", colour.red(&line));
         }
     }
-    for (title, name, columns) in TABLES {
-        if picture.get(name).is_some_and(Value::is_null) {
+    for described in TABLES {
+        let (named, columns) = described.split_once(": ").unwrap_or((described, ""));
+        let (title, name) = parts(named);
+        if picture.get(&*name).is_some_and(Value::is_null) {
             let _ = write!(text, "\n{title}: not answered\n");
         }
-        let rows = picture[name].as_array().map(Vec::as_slice).unwrap_or_default();
+        let rows = picture[&*name].as_array().map(Vec::as_slice).unwrap_or_default();
         if !rows.is_empty() {
             let _ = writeln!(text, "\n{title}");
             // Each row is one line, below that of the headings.
@@ -316,12 +108,14 @@ pub(crate) fn draw(picture: &Value, colour: Colour) -> String {
     text
 }
 
-/// One table as lines of text, whose cells have at most `widest` characters.
-pub(crate) fn table(columns: &[Column], rows: &[Value], widest: usize) -> String {
+/// One table as lines of text, whose cells have at most `widest` characters. The columns are
+/// headings with commas between them, each with its key behind `=` where that is another.
+pub(crate) fn table(columns: &str, rows: &[Value], widest: usize) -> String {
+    let columns: Vec<_> = columns.split(", ").map(parts).collect();
     let mut table = Table::new();
     table.load_style(presets::NOTHING).set_header(columns.iter().map(|(heading, _)| *heading));
     for (at, (_, name)) in columns.iter().enumerate() {
-        let is_figure = |row: &Value| row[*name].is_number() || row[*name].is_null();
+        let is_figure = |row: &Value| row[&**name].is_number() || row[&**name].is_null();
         if let Some(column) = table.column_mut(at)
             && rows.iter().all(is_figure)
         {
@@ -329,7 +123,7 @@ pub(crate) fn table(columns: &[Column], rows: &[Value], widest: usize) -> String
         }
     }
     table.add_rows(
-        rows.iter().map(|row| columns.iter().map(|(_, name)| cell(name, &row[*name], widest))),
+        rows.iter().map(|row| columns.iter().map(|(_, name)| cell(name, &row[&**name], widest))),
     );
     table.trim_fmt() + "\n"
 }

@@ -2,21 +2,13 @@
 
 use super::{OperatorKey, OperatorSession};
 use crate::args::{ComponentJob, NodeAddress, OrderOptions};
-use crate::monitor::client::{InspectError, ask};
-use crate::monitor::tables::{Column, table};
+use crate::monitor::client::{ask, no_node};
+use crate::monitor::tables::table;
+use crate::print;
 use blastema::core::NodeName;
 use blastema::{ComponentOrder, OrderReply, OrderVerb};
-use std::io::{self, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
-
-const COLUMNS: [Column; 5] = [
-    ("name", "name"),
-    ("kind", "kind"),
-    ("incarnation", "incarnation"),
-    ("state", "state"),
-    ("note", "note"),
-];
 
 /// Gives the order, and prints what is so then.
 ///
@@ -28,7 +20,9 @@ pub(crate) fn run(job: &ComponentJob) -> Result<(), String> {
             let reply = give(OrderVerb::List, name.as_deref(), to)?;
             let rows = serde_json::to_value(&reply.rows).map_err(|error| error.to_string())?;
             return print(&match (json, rows.as_array()) {
-                (false, Some(rows)) => table(&COLUMNS, rows, usize::MAX),
+                (false, Some(rows)) => {
+                    table("name, kind, incarnation, state, note", rows, usize::MAX)
+                }
                 _ => format!("{rows}\n"),
             });
         }
@@ -57,11 +51,6 @@ fn report(reply: OrderReply, name: &str) -> Result<(), String> {
     print(if text.is_empty() { format!("{name}: done\n") } else { text }.as_str())
 }
 
-fn print(text: &str) -> Result<(), String> {
-    let written = io::stdout().write_all(text.as_bytes());
-    written.map_err(|error| format!("standard output cannot be written: {error}"))
-}
-
 fn give(verb: OrderVerb, name: Option<&str>, to: &OrderOptions) -> Result<OrderReply, String> {
     let order = ComponentOrder { verb, name: name.map(str::to_owned) };
     let reply = match (&to.socket, &to.via) {
@@ -85,7 +74,7 @@ async fn by_socket(
     let until = Instant::now() + within;
     loop {
         let left = until.saturating_duration_since(Instant::now());
-        let bytes = ask(path, &line, left).await.map_err(|error| error.to_string())?;
+        let bytes = ask(path, &line, left).await?;
         if bytes.is_empty() {
             return Err("the node has ended, or has closed the connection before its answer: \
                         whether the order is carried out is unknown"
@@ -95,10 +84,7 @@ async fn by_socket(
             Ok(reply) => return Ok(reply),
             // A node that the line reaches too late shows itself, and has not read it.
             Err(_) if is_snapshot(&bytes) && until > Instant::now() => {}
-            Err(_) => {
-                let (path, reason) = (path.to_owned(), "what is no answer to an order".to_owned());
-                return Err(InspectError::NoNode { path, reason }.to_string());
-            }
+            Err(_) => return Err(no_node(path, "what is no answer to an order")),
         }
     }
 }
@@ -120,7 +106,7 @@ async fn by_network(
         if !session.reaches(&name).await {
             return Err(format!("{node} is not reached by way of {}", via.node));
         }
-        let reply = session.node().order_at(node, order, session.within()).await;
+        let reply = session.node.order_at(node, order, session.within).await;
         reply.map_err(|error| format!("{node}: {error}"))
     };
     let reply = reply.await;

@@ -3,7 +3,6 @@
 use super::{OperatorKey, OperatorSession};
 use crate::args::NodeJob;
 use blastema::core::net::trust::policy::Role;
-use std::io::{self, Write};
 
 /// Orders all nodes that are reached, and returns whether each has done it.
 ///
@@ -25,18 +24,16 @@ pub(crate) fn run(job: &NodeJob) -> Result<bool, String> {
         let session = OperatorSession::open(&key, &options.via, &options.operator).await?;
         let (mut all_done, mut text) = (true, String::new());
         for to in key.others().filter(|to| to.name.as_str() != node && to.role != Role::Guest) {
-            let (name, reason, within) = (to.name.as_str(), &options.reason, session.within());
-            let outcome = match session.reaches(&to.name).await {
-                false => Err("not reached".to_owned()),
-                true if isolated => {
-                    let ordered = session.node().order_isolation(name, node, reason, within).await;
-                    ordered.map_err(|error| error.to_string())
-                }
-                true => {
-                    let ordered = session.node().order_admission(name, node, reason, within).await;
-                    ordered.map_err(|error| error.to_string())
-                }
+            let (name, reason, within) = (to.name.as_str(), &options.reason, session.within);
+            let by = &session.node;
+            let ordered = match session.reaches(&to.name).await {
+                false => None,
+                true if isolated => Some(by.order_isolation(name, node, reason, within).await),
+                true => Some(by.order_admission(name, node, reason, within).await),
             };
+            let outcome = ordered.map_or(Err("not reached".to_owned()), |ordered| {
+                ordered.map_err(|error| error.to_string())
+            });
             all_done &= outcome.is_ok();
             let done = if isolated { "isolates" } else { "admits" };
             text += &match outcome {
@@ -47,7 +44,5 @@ pub(crate) fn run(job: &NodeJob) -> Result<bool, String> {
         session.close().await;
         Ok::<_, String>((all_done, text))
     })?;
-    let written = io::stdout().write_all(text.as_bytes());
-    written.map_err(|error| format!("standard output cannot be written: {error}"))?;
-    Ok(all_done)
+    crate::print(&text).map(|()| all_done)
 }

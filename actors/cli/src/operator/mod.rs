@@ -28,7 +28,8 @@ const OTHERS_WITHIN: Duration = Duration::from_secs(3);
 pub(crate) struct OperatorKey {
     file: PathBuf,
     own: NodeName,
-    roster: NodeRoster,
+    /// The list of nodes.
+    pub(crate) roster: NodeRoster,
 }
 
 impl OperatorKey {
@@ -57,11 +58,6 @@ impl OperatorKey {
         Ok(OperatorKey { file, own: key.node, roster })
     }
 
-    /// The list of nodes.
-    pub(crate) fn roster(&self) -> &NodeRoster {
-        &self.roster
-    }
-
     /// All nodes but the operator's own.
     pub(crate) fn others(&self) -> impl Iterator<Item = &RosterNode> {
         self.roster.nodes().iter().filter(|node| node.name != self.own)
@@ -75,9 +71,11 @@ pub(crate) fn roster_beside(key: &Path, robot: &NodeName) -> PathBuf {
 
 /// A session with one node of the robot, and by way of it with the others.
 pub(crate) struct OperatorSession {
-    node: Node,
+    /// The operator's node.
+    pub(crate) node: Node,
     until: Instant,
-    within: Duration,
+    /// How long an answer may take.
+    pub(crate) within: Duration,
 }
 
 impl OperatorSession {
@@ -110,16 +108,6 @@ impl OperatorSession {
         let reason = why_not(&node, key, to, options).await;
         node.shutdown().await;
         Err(reason)
-    }
-
-    /// The operator's node.
-    pub(crate) fn node(&self) -> &Node {
-        &self.node
-    }
-
-    /// How long an answer may take.
-    pub(crate) fn within(&self) -> Duration {
-        self.within
     }
 
     /// Whether the node is connected, which it is within seconds after the first one.

@@ -1,7 +1,8 @@
 //! Robot files: their programs are started, the schema is printed, and a first robot is written.
 
 use crate::args::{NewOptions, RobotOptions};
-use blastema_robot::{XSD, program_of};
+use crate::print;
+use blastema_robot::program_of;
 use std::io::{self, Write};
 use std::os::unix::fs::MetadataExt;
 use std::os::unix::process::CommandExt;
@@ -52,18 +53,8 @@ pub(crate) fn run(command: &str, options: &RobotOptions) -> Result<bool, String>
     Err(format!("the program {} of the file does not start: {error}: build it", program.display()))
 }
 
-/// Prints the schema.
-pub(crate) fn schema() -> Result<bool, String> {
-    print(XSD)
-}
-
-fn print(text: &str) -> Result<bool, String> {
-    io::stdout().lock().write_all(text.as_bytes()).map_err(|error| error.to_string())?;
-    Ok(true)
-}
-
 /// Writes a robot.
-pub(crate) fn new(options: &NewOptions) -> Result<bool, String> {
+pub(crate) fn new(options: &NewOptions) -> Result<(), String> {
     let folder = &options.folder;
     let name = folder.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let is_package = name.starts_with(|c: char| c.is_ascii_lowercase())

@@ -180,7 +180,6 @@ fn fault_report(entry: &FaultEntry) -> FaultReport {
         found_at: fault.found_at.as_nanos(),
         detail: fault.detail,
         symptom_of: fault.symptom_of,
-        decided: entry.decided.as_ref().map(|(_, action)| action.clone()),
         recovered: entry.recovered_at.or(entry.repaired_at).is_some(),
         given_up: entry.given_up.as_ref().map(|(_, reason)| reason.clone()),
     }

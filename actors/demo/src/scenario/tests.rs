@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::faults::{Blow, DemoFault};
+use crate::flow_account::FlowLosses;
 use crate::messages::{SinkReport, Strike};
 use crate::robot_state::fake;
 use blastema::core::{NodeName, ObjectAddress, ObjectName};

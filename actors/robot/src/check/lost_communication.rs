@@ -6,8 +6,8 @@ use crate::description::{
     NeedChannel, NeedDescription, NodeDescription, RungAction, RungDescription,
 };
 use crate::finding::ElementPart;
-use crate::types::{UnknownPort, network_of};
-use crate::value::hint;
+use crate::types::network_of;
+use crate::value::{ValueError, hint};
 use blastema::PolicyPart;
 use blastema::core::port::{ConnectionRole, PortConnection};
 use blastema::recovery::Restart;
@@ -71,8 +71,8 @@ impl<'a> RobotChecker<'a> {
     fn rung(&mut self, node: &'a NodeDescription, rung: &RungDescription) {
         for command in &rung.commands {
             let port = self.types.port(self.robot, &command.actuator, false);
-            if let Err(UnknownPort { sentence, help, label }) = port {
-                self.find(CODE, sentence, (command.origin, "actuator"), help, label);
+            if let Err(ValueError { sentence, help, label }) = port {
+                self.find(CODE, sentence, (command.origin, "actuator"), help, &label);
             }
         }
         let runs = matches!(rung.action, RungAction::Return | RungAction::Continue);

@@ -53,7 +53,7 @@ fn without_lock(path: &Path, requests: &Arc<AtomicU32>) -> (JournalActor, Journa
     let record = Record { requests: requests.clone() }.start().recipient();
     let (incarnation, reports) = (Incarnation::FIRST, FaultReports::default());
     let (path, lock) = (path.to_owned(), None);
-    JournalActor::new(JournalSetup { path, lock, node, incarnation, record, reports })
+    JournalActor::new(path, lock, (node, incarnation), record, reports)
 }
 
 #[test]
@@ -160,7 +160,7 @@ mod real {
         paused(async {
             let (mut actor, guard) = journal(&path, &Arc::default());
             for id in 1..=QUEUE as u64 {
-                let step = Work::Step(Box::new(step(id)));
+                let step = Work::Lines { lines: vec![step(id)], whole: false };
                 assert!(actor.queue.try_send(step).is_ok());
             }
             guard.ends.set("a test".to_owned()).unwrap();

@@ -23,8 +23,7 @@ use crate::runtime::callbacks::Callbacks;
 use crate::runtime::guardian::Guardian;
 use crate::runtime::reports::FaultReports;
 use actix::prelude::*;
-use blastema_contract::detector::{ReadRecord, Subscribe};
-use blastema_contract::monitor::{NodeEnding, ReadTable, Register, Unregister};
+use blastema_contract::monitor::{NodeEnding, Register, Unregister};
 use blastema_contract::notifier::AddPort;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::AreYouAlive;
@@ -40,16 +39,11 @@ use tokio::sync::watch;
 
 /// The fault chain as the rest of the node sees it.
 pub(in crate::node) struct FaultChain {
-    pub(in crate::node) table: Recipient<ReadTable>,
-    pub(in crate::node) record: Recipient<ReadRecord>,
-    pub(in crate::node) subscribe: Recipient<Subscribe>,
-    pub(super) enrol: Recipient<Register>,
-    dismiss: Recipient<Unregister>,
-    ending: Recipient<NodeEnding>,
+    /// Observes, judges and tells; reads the table and the record.
+    pub(in crate::node) monitor: Addr<DetectionActor>,
     pub(in crate::node) arbiter: Option<ArbiterHandle>,
     /// Where its actors answer.
     pub(super) pings: Vec<(ObjectName, Recipient<AreYouAlive>)>,
-    pub(super) notifier: Recipient<AddPort>,
     pub(super) recoverer: Recipient<Recover>,
     /// Looks at arbiters and components; it ends when it is dropped.
     sampler: Mutex<Option<SamplerGuard>>,
@@ -69,7 +63,7 @@ impl FaultChain {
     pub(super) async fn enrol_all(&self, enrolments: Vec<Register>) -> Result<(), StartError> {
         for enrolment in enrolments {
             // The chain's mailboxes close only when the node has ended.
-            if let Ok(answer) = self.enrol.send(enrolment).await {
+            if let Ok(answer) = self.monitor.send(enrolment).await {
                 answer?;
             }
         }
@@ -83,12 +77,12 @@ impl FaultChain {
         let components = tree.components.iter().filter_map(|facts| enrolment(node, facts).ok());
         for registration in supervisors.chain(components) {
             // An object that cannot be watched as it wishes still has its guard.
-            let _: Result<Result<_, RegistrationError>, _> = self.enrol.send(registration).await;
+            let _: Result<Result<_, RegistrationError>, _> = self.monitor.send(registration).await;
         }
     }
 
     pub(in crate::node) fn dismiss(&self, object: ObjectName) {
-        self.dismiss.do_send(Unregister { object });
+        self.monitor.do_send(Unregister { object });
     }
 
     /// What an actor of the chain answers; `None` where it has ended, or the chain stands.
@@ -106,7 +100,7 @@ impl FaultChain {
 
     /// The node ends: what goes away with it from now on is no fault.
     pub(in crate::node) fn expect_end(&self) {
-        self.ending.do_send(NodeEnding);
+        self.monitor.do_send(NodeEnding);
     }
 
     /// Ends its threads for this reason; in order, unless the process is not to be thought of as
@@ -143,17 +137,12 @@ impl FaultChain {
     pub(super) fn start_sampler(&self, sampler: Option<SamplerGuard>) {
         *self.sampler.lock().unwrap_or_else(PoisonError::into_inner) = sampler;
     }
-
-    pub(super) fn watch_from_outside(&self, outside: ChainWatch) {
-        *self.outside.lock().unwrap_or_else(PoisonError::into_inner) = Some(outside);
-    }
 }
 
 /// Everything between the threads and the components.
 pub(super) struct FaultChainParts {
     pub(super) guardian: Guardian,
     pub(super) chain: FaultChain,
-    pub(super) monitor: Addr<DetectionActor>,
     pub(super) controller: Addr<NodeController>,
     pub(super) state: watch::Receiver<NodeState>,
     pub(super) directory: SupervisorDirectory,
@@ -246,12 +235,7 @@ pub(super) fn make_chain(
     ];
     let (stands, seen) = watch::channel(false);
     let chain = FaultChain {
-        table: monitor.clone().recipient(),
-        record: monitor.clone().recipient(),
-        subscribe: monitor.clone().recipient(),
-        enrol: monitor.clone().recipient(),
-        dismiss: monitor.clone().recipient(),
-        ending: monitor.clone().recipient(),
+        monitor,
         arbiter,
         pings,
         sampler: Mutex::default(),
@@ -261,14 +245,12 @@ pub(super) fn make_chain(
         callbacks,
         #[cfg(feature = "journal")]
         journal: Mutex::default(),
-        notifier: monitor.clone().recipient(),
         recoverer: recoverer.recipient(),
         router,
     };
     Ok(FaultChainParts {
         guardian,
         chain,
-        monitor,
         controller,
         state,
         directory,
@@ -330,7 +312,7 @@ impl FaultChainParts {
             stop_limit: Box::new(stop_limit),
             last_resort: Box::new(last_resort),
         })?;
-        self.chain.watch_from_outside(outside);
+        *self.chain.outside.lock().unwrap_or_else(PoisonError::into_inner) = Some(outside);
         Ok(())
     }
 }

@@ -1,7 +1,7 @@
 //! The journal of faults as a part of the node.
 
 use super::{NodeAssembly, middleware, named};
-use crate::journal::{JOURNAL, JournalActor, JournalLock, JournalSetup};
+use crate::journal::{JOURNAL, JournalActor, JournalLock};
 use crate::node::error::StartError;
 use crate::platform::file_lock::{FileLock, LockError, without_links};
 use actix::prelude::*;
@@ -25,15 +25,14 @@ impl NodeAssembly {
         };
         let path = without_links(&path);
         self.held.push(path.clone());
-        let (node, incarnation) = (self.node.clone(), self.incarnation);
-        let record = self.parts.chain.record.clone();
-        let setup = JournalSetup { path, lock, node, incarnation, record, reports };
-        let (journal, guard) = JournalActor::new(setup);
+        let own = (self.node.clone(), self.incarnation);
+        let record = self.parts.chain.monitor.clone().recipient();
+        let (journal, guard) = JournalActor::new(path, lock, own, record, reports);
         let arbiter = self.parts.chain.arbiter.as_ref();
         let guardian = &self.parts.guardian;
         let journal =
             guardian.start(name.clone(), arbiter, |_: &mut Context<JournalActor>| journal);
-        self.parts.chain.subscribe.do_send(Subscribe(journal.clone().recipient()));
+        self.parts.chain.monitor.do_send(Subscribe(journal.clone().recipient()));
         self.parts.chain.keep_journal(guard);
         self.enrolments.push(middleware(name, Some(journal.recipient())));
         Ok(())

@@ -12,7 +12,7 @@ use crate::node::controller::SubscribeSafeState;
 use crate::node::error::StartError;
 use crate::node::network::Cable;
 use crate::node::network::description::NetworkDescription;
-use crate::node::network_row::NetworkRow;
+use crate::node::network_rows::NetworkRow;
 use crate::platform::own_arbiter;
 use crate::service::{Carried, ReplicaActor, ServiceSpecError};
 use actix::prelude::*;
@@ -128,7 +128,7 @@ impl NodeAssembly {
             hold: None,
         });
         let faults = rows.filter_map(NetworkRow::fault).chain(of_keys);
-        faults.for_each(|fault| self.parts.monitor.do_send(fault));
+        faults.for_each(|fault| self.parts.chain.monitor.do_send(fault));
     }
 
     pub(super) fn carry_services(
@@ -159,7 +159,8 @@ fn make_networks(
     parts: &FaultChainParts,
     environment: &ComponentEnvironment,
 ) -> Result<(Networks, Vec<Register>), StartError> {
-    let FaultChainParts { guardian, chain, monitor, .. } = parts;
+    let FaultChainParts { guardian, chain, .. } = parts;
+    let monitor = &chain.monitor;
     let may_be_away = description.may_be_away.iter().filter_map(|node| NodeName::new(node).ok());
     let may_be_away: SortedSet<_> = may_be_away.collect();
     for node in may_be_away.iter().cloned() {
@@ -243,7 +244,7 @@ fn make_networks(
     for neighbour in neighbours {
         let recover = handle.recoverer_of(&neighbour);
         let port = RecovererPort::Remote(neighbour);
-        chain.notifier.do_send(AddPort { port, recover, stand_down: None });
+        monitor.do_send(AddPort { port, recover, stand_down: None });
     }
     let transports = transports.clone();
     let networks =
@@ -265,8 +266,8 @@ fn directory_setup(
         registry: environment.registry.clone(),
         topics: environment.topics().clone(),
         names: environment.directory().clone(),
-        faults: Some(parts.monitor.clone().recipient()),
-        cleared: Some(parts.monitor.clone().recipient()),
+        faults: Some(parts.chain.monitor.clone().recipient()),
+        cleared: Some(parts.chain.monitor.clone().recipient()),
     }
 }
 

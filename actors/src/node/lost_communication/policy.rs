@@ -1,13 +1,14 @@
 //! The description of a policy for lost communication.
 
 use crate::actuator::table::{DeclaredActuator, FieldError, FieldTexts};
-use crate::actuator::{ActuatorKey, ActuatorTable, encoded};
+use crate::actuator::{ActuatorKey, ActuatorTable};
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
 use crate::condition::{ConditionError, Connected};
 use crate::host::spec::ChildSpec;
 use crate::node::conditions::{NodeSlot, keep_while};
 use crate::node::error::PolicyPart;
+use crate::registry::encoding::encoded;
 use crate::settings::LAST_RUNG_AFTER;
 use blastema_core::connection::LostCommunicationEnd;
 use blastema_core::sorted::SortedSet;

@@ -3,13 +3,9 @@
 #[cfg(feature = "ip")]
 use super::Medium;
 use super::Network;
+use super::start::TransportPlace;
 use crate::node::error::StartError;
-use crate::runtime::guardian::Guardian;
-use actix::ArbiterHandle;
-#[cfg(feature = "ip")]
-use actix::Context;
 use blastema_contract::transport::Transport;
-use blastema_core::ObjectName;
 use blastema_transports::Reach;
 #[cfg(feature = "ip")]
 use blastema_transports::{Endpoint, Udp, UdpConfig};
@@ -29,7 +25,7 @@ pub(super) struct Beacons {
 impl Network {
     /// The socket of its beacons, if it has some.
     pub(super) fn beacon_socket(&self) -> Result<Option<Beacons>, StartError> {
-        let Some(group) = &self.beacons else { return Ok(None) };
+        let Some(group) = &self.told.beacons else { return Ok(None) };
         let wrong = |what| Err(StartError::Network(format!("network {}: {what}", self.name)));
         #[cfg(feature = "ip")]
         if let Medium::At(Endpoint::Udp(UdpConfig { group: Some(_), .. })) = &self.medium {
@@ -60,14 +56,9 @@ impl Beacons {
         Endpoint::Udp(self.socket.clone()).reach()
     }
 
-    pub(super) fn start(
-        self,
-        object: ObjectName,
-        guardian: &Guardian,
-        arbiter: Option<&ArbiterHandle>,
-    ) -> (Transport, SocketAddr) {
-        let make = move |_: &mut Context<Udp>| Udp::new(self.socket);
-        (Transport::from(guardian.start(object, arbiter, make)), self.group)
+    pub(super) fn start(self, place: TransportPlace<'_>) -> (Transport, SocketAddr) {
+        let Beacons { socket, group } = self;
+        (place.start(|| Udp::new(socket)), group)
     }
 }
 
@@ -77,12 +68,7 @@ impl Beacons {
         match self.none {}
     }
 
-    pub(super) fn start(
-        self,
-        _: ObjectName,
-        _: &Guardian,
-        _: Option<&ArbiterHandle>,
-    ) -> (Transport, SocketAddr) {
+    pub(super) fn start(self, _: TransportPlace<'_>) -> (Transport, SocketAddr) {
         match self.none {}
     }
 }

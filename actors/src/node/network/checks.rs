@@ -1,13 +1,11 @@
 //! What can be known to be wrong with a network before anything is started.
 
-use super::{Admitted, Link, Medium, Network, Remote};
-use crate::net::Interface;
+use super::{Admitted, Link, LinkSettings, Medium, Network, Remote};
 use crate::net::keys::NodeKeys;
 use crate::node::error::StartError;
 use crate::platform;
 use crate::settings::SettingError;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
-use blastema_contract::transport::MediumAddress;
 use blastema_core::NodeName;
 use blastema_core::net::routing::MTU_MIN;
 use blastema_core::net::wire::advertisement::NEIGHBOURS_MAX;
@@ -71,7 +69,8 @@ pub(in crate::node) fn check_files(networks: &[Network]) -> Result<(), StartErro
         _ => 0,
     };
     let listening = networks.iter().filter(|network| strangers(network) > 0);
-    let needed: usize = listening.map(|network| strangers(network) + network.links.len()).sum();
+    let needed: usize =
+        listening.map(|network| strangers(network) + network.told.links.len()).sum();
     let Some(left) = platform::files_left() else { return Ok(()) };
     if needed == 0 || needed + FILES_OF_NODE <= left {
         return Ok(());
@@ -91,31 +90,31 @@ impl Network {
 
     /// Whom its links lead to.
     pub(in crate::node) fn neighbours(&self) -> impl Iterator<Item = &str> {
-        self.links.iter().map(|link| link.neighbour.as_str())
+        self.told.links.iter().map(|link| link.neighbour.as_str())
     }
 
     /// The nodes that it names: its neighbours, and those that are discovered.
     pub(in crate::node) fn named_nodes(&self) -> impl Iterator<Item = &str> + Clone {
-        let admitted = match &self.admission {
+        let admitted = match &self.told.discover {
             Some(Admitted::Only(nodes)) => nodes.as_slice(),
-            Some(Admitted::AnyNode) | None => &[],
+            Some(Admitted::AnyNode(_)) | None => &[],
         };
-        let neighbours = self.links.iter().map(|link| link.neighbour.as_str());
+        let neighbours = self.told.links.iter().map(|link| link.neighbour.as_str());
         neighbours.chain(admitted.iter().map(String::as_str))
     }
 
     /// What people call its links.
     pub fn link_names(&self) -> impl Iterator<Item = String> {
-        self.links.iter().map(|link| self.link_name(link))
+        self.told.links.iter().map(|link| self.link_name(link))
     }
 
     /// What people call one of its links.
     pub(super) fn link_name(&self, link: &Link) -> String {
-        let usual = || match self.links.len() {
+        let usual = || match self.told.links.len() {
             1 => self.name.clone(),
             _ => format!("{}/{}", self.name, link.neighbour),
         };
-        link.name.clone().unwrap_or_else(usual)
+        link.told.name.clone().unwrap_or_else(usual)
     }
 
     /// Finds what can be known to be wrong before anything is started.
@@ -131,7 +130,7 @@ impl Network {
         if let Some(what) = self.own_fault() {
             return wrong(what);
         }
-        for link in &self.links {
+        for link in &self.told.links {
             self.check_settings(link)?;
             let what = self.link_fault(link, node).or_else(|| self.remote_fault(link));
             if let Some(what) = what {
@@ -160,7 +159,7 @@ impl Network {
             )));
         }
         let mut neighbours = SortedSet::new();
-        for Link { neighbour, .. } in &self.links {
+        for Link { neighbour, .. } in &self.told.links {
             let known = NodeName::new(neighbour).is_ok_and(|node| keys.key_of(&node).is_some());
             if !known {
                 let (robot, serial) = (keys.robot(), keys.serial());
@@ -188,10 +187,7 @@ impl Network {
         {
             return Some(why);
         }
-        if matches!(&self.medium, Medium::Memory(config) if config.name.is_empty()) {
-            return Some("our own end of the memory medium has no name: give it one".to_owned());
-        }
-        let Some(Interface::Named(name)) = &self.interface else { return None };
+        let name = self.told.interface.as_ref()?;
         if !is_interface(name) {
             return Some(format!(
                 "{name:?} is no name of an interface: write one as in eth0, 1 to 15 letters without \
@@ -206,7 +202,7 @@ impl Network {
     }
 
     fn link_fault(&self, link: &Link, node: &NodeName) -> Option<String> {
-        let Link { name, neighbour, .. } = link;
+        let Link { neighbour, told: LinkSettings { name, .. } } = link;
         if neighbour == node.as_str() {
             return Some(format!(
                 "{neighbour} is this node itself, and no neighbour: write the neighbour's name, or \
@@ -218,17 +214,17 @@ impl Network {
     }
 
     fn check_settings(&self, link: &Link) -> Result<(), StartError> {
-        let Link { neighbour, cost, hello_interval, expected_within, .. } = link;
+        let (Link { neighbour, .. }, [hello_interval, expected_within]) = (link, link.times());
         let refused = |SettingError { setting, value, cure }| {
             let (network, neighbour) = (self.name.clone(), neighbour.clone());
             Err(StartError::Link { network, neighbour, setting, value, cure })
         };
         // Over a link that costs nothing, two nodes may each take the other for the shorter way.
-        if *cost == Some(0) {
+        if link.told.cost == Some(0) {
             let (value, cure) = ("0".to_owned(), "a link costs 1 at least");
             return refused(SettingError { setting: "cost", value, cure });
         }
-        HELLO_INTERVAL.check(*hello_interval).or_else(refused)?;
+        HELLO_INTERVAL.check(hello_interval).or_else(refused)?;
         if expected_within < hello_interval {
             let value = format!("{expected_within:?}, less than its {hello_interval:?}");
             return refused(EXPECTED_WITHIN.refuse(value, EXPECTED_WITHIN.cure));
@@ -236,35 +232,16 @@ impl Network {
         Ok(())
     }
 
-    /// Why the neighbour cannot be where the link leads.
+    /// Why the neighbour cannot be where the link leads. What is written is read with the medium.
     fn remote_fault(&self, link: &Link) -> Option<String> {
-        let Link { neighbour, remote, .. } = link;
-        let why = match (remote, &self.medium) {
-            (Remote::At(address), Medium::At(endpoint)) => endpoint.objection(address)?,
-            (Remote::At(MediumAddress::Memory(end)), Medium::Memory(config)) => {
-                memory_objection(end, &config.name)?
-            }
-            (Remote::Written(end), Medium::Memory(config)) => memory_objection(end, &config.name)?,
-            (Remote::At(_), Medium::Memory(_)) => {
-                "it is no end of a memory medium: name it by Link::in_memory"
-            }
-            _ => return None,
+        let (Remote::At(address), Medium::At(endpoint)) = (&link.told.address, &self.medium) else {
+            return None;
         };
-        let address = match remote {
-            Remote::At(address) => address.to_string(),
-            Remote::Written(text) => text.clone(),
+        let why = endpoint.objection(address)?;
+        let shown = match address.to_string() {
+            empty if empty.is_empty() => "\"\"".to_owned(),
+            shown => shown,
         };
-        let address = if address.is_empty() { "\"\"".to_owned() } else { address };
-        Some(format!("{address} is not where {neighbour} is: {why}"))
-    }
-}
-
-fn memory_objection(end: &str, own: &str) -> Option<&'static str> {
-    if end.is_empty() {
-        Some("write the name of its end")
-    } else if end == own {
-        Some("it is our own end: write the neighbour's")
-    } else {
-        None
+        Some(format!("{shown} is not where {} is: {why}", link.neighbour))
     }
 }

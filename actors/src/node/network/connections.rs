@@ -3,7 +3,8 @@
 use super::Cable;
 use crate::directory::NodeRow;
 use crate::net::RosterRow;
-use crate::node::{MediumRow, Node};
+use crate::node::Node;
+use crate::node::network_rows::MediumRow;
 use crate::topic::TopicRow;
 use blastema_contract::link::LinkRow;
 use blastema_contract::router::InjectPanic;

@@ -4,7 +4,7 @@ use super::{Medium, Network};
 use crate::net::keys::SealTerms;
 use crate::node::Node;
 use crate::node::error::StartError;
-use crate::node::network_row::NetworkRow;
+use crate::node::network_rows::NetworkRow;
 use blastema_core::net::seal::SealProfile;
 use blastema_transports::{Endpoint, Reach};
 
@@ -13,8 +13,8 @@ impl Medium {
         match self {
             Medium::At(endpoint) => endpoint.reach(),
             Medium::Own { reach, .. } => *reach,
-            // The second is refused for another reason.
-            Medium::Memory(_) | Medium::Unreadable(_) => Reach::Process,
+            // It is refused for another reason.
+            Medium::Unreadable(_) => Reach::Process,
         }
     }
 
@@ -23,7 +23,6 @@ impl Medium {
         match self {
             Medium::At(endpoint) => endpoint.to_string(),
             Medium::Own { name, .. } => name.clone(),
-            Medium::Memory(config) => format!("memory://{}", config.name),
             Medium::Unreadable(error) => error.to_string(),
         }
     }
@@ -102,14 +101,14 @@ impl Network {
     /// and one that is insecure beside keys: what comes over it would speak with the authority of
     /// the others.
     pub(super) fn check_exposure(&self, has_keys: bool) -> Result<(), StartError> {
-        if self.insecure && has_keys {
+        if self.told.insecure && has_keys {
             return Err(StartError::Network(format!(
                 "network {0} is insecure and the node has keys: leave `insecure` out and give the \
                  other nodes on {0} keys, or run a node of its own for it",
                 self.name
             )));
         }
-        if has_keys || self.insecure || !self.reach().leaves_computer() {
+        if has_keys || self.told.insecure || !self.reach().leaves_computer() {
             return Ok(());
         }
         let (network, medium) = (self.name.clone(), self.medium.place());

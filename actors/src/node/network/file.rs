@@ -13,11 +13,11 @@
 //!
 //! The table is put together first, from the file and the overrides, and then read as one.
 
-use super::{Link, MediumKind, Network};
+use super::{Link, LinkSettings, Network, NetworkSettings, Remote};
 use crate::net::keys::KeysPermissions;
 use crate::node::error::StartError;
 use serde::de::value::MapAccessDeserializer;
-use serde::de::{self, MapAccess, SeqAccess, Visitor};
+use serde::de::{self, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -50,44 +50,8 @@ pub(super) struct DescribedNetworks {
     #[serde(default)]
     pub(super) may_be_away: Vec<String>,
     #[serde(default)]
-    networks: BTreeMap<String, DescribedNetwork>,
+    networks: BTreeMap<String, NetworkSettings>,
 }
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct DescribedNetwork {
-    endpoint: String,
-    #[serde(default)]
-    insecure: bool,
-    interface: Option<String>,
-    beacons: Option<String>,
-    medium: Option<MediumKind>,
-    discover: Option<Discover>,
-    #[serde(default)]
-    peers: BTreeMap<String, WrittenPeer>,
-}
-
-/// `"any"`, or a list of nodes.
-#[derive(Debug)]
-enum Discover {
-    AnyNode,
-    Only(Vec<String>),
-}
-
-/// An address, or a table with one.
-#[derive(Debug, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct DescribedPeer {
-    address: String,
-    link: Option<String>,
-    cost: Option<u16>,
-    hello_every: Option<Span>,
-    expected_within: Option<Span>,
-}
-
-/// A number and its unit, such as `20ms`, or `never`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Span(Duration);
 
 impl NetworkFile {
     /// Reads the file and the overrides; `None` if there is neither.
@@ -164,70 +128,23 @@ fn set(table: &mut Table, one: &str) -> Result<(), &'static str> {
 impl DescribedNetworks {
     /// The networks, in the order of their names.
     pub(super) fn into_networks(self) -> impl Iterator<Item = Network> {
-        self.networks.into_iter().map(|(name, described)| described.into_network(&name))
+        self.networks.into_iter().map(|(name, described)| Network::described(&name, described))
     }
 }
 
-impl DescribedNetwork {
-    fn into_network(self, name: &str) -> Network {
-        let network = Network::new(name, &self.endpoint);
-        let network = if self.insecure { network.insecure() } else { network };
-        let network = match &self.interface {
-            Some(interface) => network.interface(interface),
-            None => network,
-        };
-        let network = match &self.beacons {
-            Some(group) => network.beacons(group),
-            None => network,
-        };
-        let network = match self.medium {
-            Some(kind) => network.medium(kind),
-            None => network,
-        };
-        let network = match &self.discover {
-            Some(Discover::AnyNode) => network.discover_anybody(),
-            Some(Discover::Only(nodes)) => network.discover(nodes.iter().map(String::as_str)),
-            None => network,
-        };
-        self.peers
-            .into_iter()
-            .fold(network, |network, (node, WrittenPeer(peer))| network.link(peer.into_link(&node)))
-    }
+/// A number and its unit, such as `20ms`, or `never`.
+pub(super) fn span<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Duration>, D::Error> {
+    let text = String::deserialize(from)?;
+    duration(&text).map(Some).ok_or_else(|| {
+        de::Error::custom(format!(
+            "`{text}` is no time: write a number and its unit (us, ms, s, min, h), such as 20ms, or never"
+        ))
+    })
 }
 
-impl DescribedPeer {
-    fn into_link(self, node: &str) -> Link {
-        let mut link = Link::to(node, &self.address);
-        if let Some(name) = &self.link {
-            link = link.named(name);
-        }
-        if let Some(cost) = self.cost {
-            link = link.cost(cost);
-        }
-        if let Some(Span(interval)) = self.hello_every {
-            link = link.hello_every(interval);
-        }
-        if let Some(Span(span)) = self.expected_within {
-            link = link.expected_within(span);
-        }
-        link
-    }
-}
-
-impl<'de> Deserialize<'de> for Span {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        let text = String::deserialize(from)?;
-        span(&text).ok_or_else(|| {
-            de::Error::custom(format!(
-                "`{text}` is no time: write a number and its unit (us, ms, s, min, h), such as 20ms, or never"
-            ))
-        })
-    }
-}
-
-fn span(text: &str) -> Option<Span> {
+fn duration(text: &str) -> Option<Duration> {
     if text == "never" {
-        return Some(Span(Duration::MAX));
+        return Some(Duration::MAX);
     }
     let digits = text.find(|c: char| !c.is_ascii_digit() && c != '.')?;
     let (number, unit) = text.split_at(digits);
@@ -240,33 +157,36 @@ fn span(text: &str) -> Option<Span> {
         _ => return None,
     };
     let number: f64 = number.parse().ok()?;
-    Duration::try_from_secs_f64(number * seconds).ok().map(Span)
+    Duration::try_from_secs_f64(number * seconds).ok()
 }
 
-impl<'de> Deserialize<'de> for Discover {
+/// Neighbours by their names.
+pub(super) fn links<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Link>, D::Error> {
+    let written = BTreeMap::<String, WrittenPeer>::deserialize(from)?;
+    let link = |(neighbour, WrittenPeer(told))| Link { neighbour, told };
+    Ok(written.into_iter().map(link).collect())
+}
+
+/// An address, or a table with one: what stands for a peer in the file.
+struct WrittenPeer(LinkSettings);
+
+impl<'de> Deserialize<'de> for WrittenPeer {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
         struct Written;
 
         impl<'de> Visitor<'de> for Written {
-            type Value = Discover;
+            type Value = WrittenPeer;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("\"any\", or a list of nodes such as [\"arm\", \"head\"]")
+                f.write_str("an address such as \"10.0.0.2:7400\", or a table with one")
             }
 
-            fn visit_str<E: de::Error>(self, text: &str) -> Result<Discover, E> {
-                match text {
-                    "any" => Ok(Discover::AnyNode),
-                    other => Err(E::invalid_value(de::Unexpected::Str(other), &self)),
-                }
+            fn visit_str<E: de::Error>(self, address: &str) -> Result<WrittenPeer, E> {
+                Ok(WrittenPeer(Remote::Written(address.to_owned()).into()))
             }
 
-            fn visit_seq<A: SeqAccess<'de>>(self, mut nodes: A) -> Result<Discover, A::Error> {
-                let mut listed = Vec::new();
-                while let Some(node) = nodes.next_element()? {
-                    listed.push(node);
-                }
-                Ok(Discover::Only(listed))
+            fn visit_map<A: MapAccess<'de>>(self, table: A) -> Result<WrittenPeer, A::Error> {
+                LinkSettings::deserialize(MapAccessDeserializer::new(table)).map(WrittenPeer)
             }
         }
 
@@ -274,36 +194,9 @@ impl<'de> Deserialize<'de> for Discover {
     }
 }
 
-/// An address, or a table: what stands for a peer in the file.
-#[derive(Debug)]
-struct WrittenPeer(DescribedPeer);
-
-impl<'de> Deserialize<'de> for WrittenPeer {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        struct Written;
-
-        impl<'de> Visitor<'de> for Written {
-            type Value = DescribedPeer;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("an address such as \"10.0.0.2:7400\", or a table with one")
-            }
-
-            fn visit_str<E: de::Error>(self, address: &str) -> Result<DescribedPeer, E> {
-                Ok(DescribedPeer { address: address.to_owned(), ..DescribedPeer::default() })
-            }
-
-            fn visit_map<A: MapAccess<'de>>(self, table: A) -> Result<DescribedPeer, A::Error> {
-                DescribedPeer::deserialize(MapAccessDeserializer::new(table))
-            }
-        }
-
-        from.deserialize_any(Written).map(WrittenPeer)
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::MediumKind;
     use super::*;
     use std::io::Write;
 
@@ -357,10 +250,7 @@ peers = { module2 = "" }
         ];
         assert_eq!(format!("{read:?}"), format!("{written:?}"));
         for (read, written) in read.iter().zip(&written) {
-            assert_eq!((read.insecure, &read.beacons), (written.insecure, &written.beacons));
-            assert_eq!(read.kind, written.kind);
-            let (ours, theirs) = (&read.admission, &written.admission);
-            assert_eq!(format!("{ours:?}"), format!("{theirs:?}"));
+            assert_eq!(format!("{:?}", read.told), format!("{:?}", written.told));
         }
     }
 
@@ -376,8 +266,10 @@ peers = { module2 = "" }
         let described = read(FILE, &overrides).expect("it is right");
         let ethernet = &described.networks["ethernet"];
         assert_eq!(ethernet.endpoint, "udp://127.0.0.1:2");
-        assert_eq!(ethernet.peers["module3"].0.cost, Some(30));
-        assert_eq!(ethernet.peers["module5"].0.address, "10.0.0.5:7400");
+        let peer = |name| ethernet.links.iter().find(|link| link.neighbour == name).expect(name);
+        assert_eq!(peer("module3").told.cost, Some(30));
+        let address = &peer("module5").told.address;
+        assert!(matches!(address, Remote::Written(text) if text == "10.0.0.5:7400"));
         assert!(!described.networks["line"].insecure);
         // Without a file there is only what they say.
         let only = super::described(None, &[("here", overrides[0])]).expect("it is right");

@@ -48,21 +48,18 @@ impl Hosts {
                  look whether its name server is reachable, or write its address in numbers"
             ))
         };
-        if let Some(text) = network.named_endpoint.take()
-            && let Some(named) = NamedHost::find(&text)
-        {
+        if let Some(named) = NamedHost::find(&network.told.endpoint) {
             let addresses = self.addresses(named);
             let addresses = addresses
                 .map_err(|error| failed(named.name(), &network.name, error.to_string()))?;
             // A text that is wrong elsewhere is refused by the check.
             if let Some(Ok((endpoint, _))) = addresses.first().map(|first| named.parse(*first)) {
                 network.medium = Medium::At(endpoint);
-                network.interface = network.interface.take().or_else(|| network.medium.interface());
             }
         }
         let Some((_, own)) = network.medium.socket() else { return Ok(()) };
-        for link in &mut network.links {
-            let Remote::Written(text) = &link.remote else { continue };
+        for link in &mut network.told.links {
+            let Remote::Written(text) = &link.told.address else { continue };
             let Some(named) = NamedHost::find(text) else { continue };
             let fitting = self.addresses(named).and_then(|all| {
                 let fits = |address: &SocketAddr| address.is_ipv4() == own.is_ipv4();
@@ -73,7 +70,7 @@ impl Hosts {
             });
             let address =
                 fitting.map_err(|error| failed(named.name(), &network.name, error.to_string()))?;
-            link.remote = Remote::Written(address.to_string());
+            link.told.address = Remote::Written(address.to_string());
         }
         Ok(())
     }

@@ -39,9 +39,6 @@ impl Medium {
             (Remote::At(address), _) => Ok(address.clone()),
             (Remote::Written(text), Medium::At(endpoint)) => endpoint.peer(text),
             (Remote::Written(_), Medium::Unreadable(error)) => unreachable!("{REFUSED}: {error}"),
-            (Remote::Written(text), Medium::Memory(_)) => {
-                Ok(MediumAddress::Memory(text.as_str().into()))
-            }
             (Remote::Written(text), Medium::Own { .. }) if text.is_empty() => {
                 Ok(MediumAddress::Line)
             }
@@ -73,50 +70,30 @@ impl Medium {
     fn start(
         self,
         network: &str,
-        object: ObjectName,
-        guardian: &Guardian,
-        arbiter: Option<&ArbiterHandle>,
+        memory: MemoryMedium,
+        place: TransportPlace<'_>,
     ) -> Result<Transport, StartError> {
         Ok(match self {
             #[cfg(feature = "ip")]
-            Medium::At(Endpoint::Udp(config)) => {
-                let make = move |_: &mut Context<Udp>| Udp::new(config);
-                Transport::from(guardian.start(object, arbiter, make))
-            }
+            Medium::At(Endpoint::Udp(config)) => place.start(|| Udp::new(config)),
             #[cfg(feature = "ip")]
-            Medium::At(Endpoint::Tcp(config)) => {
-                let make = move |_: &mut Context<Tcp>| Tcp::new(config);
-                Transport::from(guardian.start(object, arbiter, make))
-            }
+            Medium::At(Endpoint::Tcp(config)) => place.start(|| Tcp::new(config)),
             #[cfg(feature = "unix")]
-            Medium::At(Endpoint::Unix(config)) => {
-                let make = move |_: &mut Context<Unix>| Unix::new(config);
-                Transport::from(guardian.start(object, arbiter, make))
-            }
+            Medium::At(Endpoint::Unix(config)) => place.start(|| Unix::new(config)),
             #[cfg(feature = "serial")]
-            Medium::At(Endpoint::Serial(config)) => {
-                let make = move |_: &mut Context<FrameTransport>| {
-                    FrameTransport::new(blastema_transports::SerialLine::new(config, platform::now))
-                };
-                Transport::from(guardian.start(object, arbiter, make))
-            }
+            Medium::At(Endpoint::Serial(config)) => place.start(|| {
+                FrameTransport::new(blastema_transports::SerialLine::new(config, platform::now))
+            }),
             #[cfg(all(feature = "can", target_os = "linux"))]
-            Medium::At(Endpoint::Can(config)) => {
-                let make = move |_: &mut Context<FrameTransport>| {
-                    FrameTransport::new(blastema_transports::CanBus::new(config, platform::now))
-                };
-                Transport::from(guardian.start(object, arbiter, make))
-            }
+            Medium::At(Endpoint::Can(config)) => place.start(|| {
+                FrameTransport::new(blastema_transports::CanBus::new(config, platform::now))
+            }),
             #[cfg(feature = "slcan")]
-            Medium::At(Endpoint::Slcan(config)) => {
-                let make = move |_: &mut Context<FrameTransport>| {
-                    FrameTransport::new(blastema_transports::SlcanBus::new(config, platform::now))
-                };
-                Transport::from(guardian.start(object, arbiter, make))
-            }
+            Medium::At(Endpoint::Slcan(config)) => place.start(|| {
+                FrameTransport::new(blastema_transports::SlcanBus::new(config, platform::now))
+            }),
             Medium::At(Endpoint::Memory(end)) => {
-                let config = MemoryConfig::new(&MemoryMedium::of_this_process(), &end);
-                return Medium::Memory(config).start(network, object, guardian, arbiter);
+                place.start(move || Memory::new(MemoryConfig::new(&memory, &end)))
             }
             Medium::At(other) => {
                 let text = format!(
@@ -126,16 +103,26 @@ impl Medium {
                 );
                 return Err(StartError::Network(text));
             }
-            Medium::Memory(config) => {
-                let make = move |_: &mut Context<Memory>| Memory::new(config);
-                Transport::from(guardian.start(object, arbiter, make))
-            }
-            Medium::Own { make, .. } => {
-                let make = move |_: &mut Context<FrameTransport>| make();
-                Transport::from(guardian.start(object, arbiter, make))
-            }
+            Medium::Own { make, .. } => place.start(make),
             Medium::Unreadable(error) => unreachable!("{REFUSED}: {error}"),
         })
+    }
+}
+
+/// Where the actor of a transport is started, and its name.
+pub(super) struct TransportPlace<'a> {
+    pub(super) object: ObjectName,
+    pub(super) guardian: &'a Guardian,
+    pub(super) arbiter: Option<&'a ArbiterHandle>,
+}
+
+impl TransportPlace<'_> {
+    pub(super) fn start<A>(self, make: impl FnOnce() -> A + Send + 'static) -> Transport
+    where
+        A: Actor<Context = Context<A>> + Supervised,
+        Transport: From<Addr<A>>,
+    {
+        self.guardian.start(self.object, self.arbiter, |_: &mut Context<A>| make()).into()
     }
 }
 
@@ -153,17 +140,19 @@ impl Network {
         let links = self.link_specs()?;
         let beacons = self.beacon_socket()?;
         let admission = self.admission()?;
-        let Network { name, mut medium, faults, interface, .. } = self;
+        let interface = self.used_interface();
+        let Network { name, mut medium, memory, faults, .. } = self;
         medium.name_node(own);
         #[cfg(feature = "serial")]
         if let Some(seal) = seal {
             medium.make_room_for(seal);
         }
         let mut transports = vec![object.clone()];
-        let mut transport = medium.start(&name, object, guardian, arbiter)?;
+        let place = |object| TransportPlace { object, guardian, arbiter };
+        let mut transport = medium.start(&name, memory, place(object))?;
         let discovery = beacons.zip(admission).map(|(beacons, admission)| {
             transports.push(sender.clone());
-            let beacons = beacons.start(sender, guardian, arbiter);
+            let beacons = beacons.start(place(sender));
             DiscoverySpec { admission, hello_interval: HELLO_INTERVAL.default, beacons }
         });
         let cable = faults.map(|seed| {
@@ -192,17 +181,18 @@ impl Network {
         let spec = |link: &Link| {
             let of = format!("the name of a neighbour on network {}", self.name);
             let neighbour = NodeName::new(&link.neighbour).map_err(StartError::name_of(of))?;
-            let remote = self.medium.remote(&link.remote);
+            let [hello_interval, expected_within] = link.times();
+            let remote = self.medium.remote(&link.told.address);
             Ok(LinkSpec {
                 name: self.link_name(link).into(),
                 remote: remote.map_err(|error| self.endpoint_error(Some(&neighbour), error))?,
                 neighbour: Some(neighbour),
-                cost: link.cost,
-                hello_interval: link.hello_interval,
-                expected_within: link.expected_within,
+                cost: link.told.cost,
+                hello_interval,
+                expected_within,
             })
         };
-        self.links.iter().map(spec).collect()
+        self.told.links.iter().map(spec).collect()
     }
 
     /// An address is wrong: our own, or that of a neighbour.
@@ -218,17 +208,17 @@ impl Network {
     /// Who is admitted, but for those that are described.
     pub(super) fn admission(&self) -> Result<Option<DiscoveryAdmission>, StartError> {
         let name = &self.name;
-        match &self.admission {
-            None if self.beacons.is_some() => {
+        match &self.told.discover {
+            None if self.told.beacons.is_some() => {
                 let text = format!("network {name}: say whom the beacons are for, by discover()");
                 Err(StartError::Network(text))
             }
             None => Ok(None),
-            Some(_) if self.beacons.is_none() => Err(StartError::Network(format!(
+            Some(_) if self.told.beacons.is_none() => Err(StartError::Network(format!(
                 "network {name}: nodes are discovered by their beacons: give the network a group by \
                  `.beacons(\"239.255.0.1:7399\")`, or describe each neighbour by `.peer`"
             ))),
-            Some(Admitted::AnyNode) => Ok(Some(DiscoveryAdmission::AnyNode)),
+            Some(Admitted::AnyNode(_)) => Ok(Some(DiscoveryAdmission::AnyNode)),
             Some(Admitted::Only(nodes)) => {
                 let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
                 let of = format!("the name of a node that network {name} is discovered by");

@@ -4,9 +4,7 @@ use crate::AccessRefusal;
 use crate::directory::ClaimRow;
 use crate::net::RosterRow;
 use crate::node::Node;
-use crate::node::medium_row::MediumRow;
-use crate::node::network_row::NetworkRow;
-use crate::node::route_row::{LinkName, RouteRow};
+use crate::node::network_rows::{LinkName, MediumRow, NetworkRow, RouteRow};
 use crate::node::snapshot::{in_time, millis, rows_of};
 use crate::service::ServiceRow;
 use blastema_contract::link::LinkRow;
@@ -70,7 +68,7 @@ impl NetworkSnapshot {
 
     /// Completes the node's JSON document.
     pub(in crate::node) fn shown_in(&self, mut document: Value) -> Value {
-        document["networks"] = rows_of(&self.networks, network).into();
+        document["networks"] = json!(self.networks);
         document["links"] = self.links.as_deref().map(|rows| rows_of(rows, link)).into();
         document["media"] = self.media.as_deref().map(|rows| rows_of(rows, medium)).into();
         document["roster"] = json!(self.roster);
@@ -81,16 +79,6 @@ impl NetworkSnapshot {
         document["forbidden"] = rows_of(&self.forbidden, forbidden).into();
         document
     }
-}
-
-fn network(row: &NetworkRow) -> Value {
-    json!({
-        "network": &*row.network,
-        "medium": row.medium,
-        "reach": row.reach.to_string(),
-        "sealed": row.sealed,
-        "insecure": row.insecure,
-    })
 }
 
 fn medium(row: &MediumRow) -> Value {

@@ -1,90 +1,44 @@
 //! `blastema fault list`.
 
 use crate::args::FaultListOptions;
-use crate::monitor::client::{InspectError, look};
-use crate::monitor::tables::{Column, WIDEST, table};
-use blastema::journal::{self, JournalEntry, ReadError};
+use crate::monitor::client::look;
+use crate::monitor::tables::{WIDEST, table};
+use crate::print;
+use blastema::journal::{self, JournalEntry};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
-use std::io::{self, IsTerminal, Write};
-use std::path::{Path, PathBuf};
+use std::io::{self, IsTerminal};
+use std::path::Path;
 use std::time::Duration;
 
-/// Why the list cannot be shown.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum FaultListError {
-    /// A running node does not show itself.
-    #[error(transparent)]
-    Look(#[from] InspectError),
-    /// The detector of a running node did not answer in time.
-    #[error(
-        "the node at {} shows itself, but its list of faults did not answer: try again, or read \
-         its journal",
-        .0.display()
-    )]
-    Unanswered(PathBuf),
-    /// The journal cannot be read.
-    #[error(transparent)]
-    Journal(#[from] ReadError),
-    /// A misspelt node would look like one without faults.
-    #[error("nothing is known of a node `{wanted}` here, but of {}", .known.join(", "))]
-    UnknownNode {
-        /// The node that was asked for.
-        wanted: String,
-        /// Those that there are.
-        known: Vec<String>,
-    },
-    /// No reader takes what is printed.
-    #[error("the list could not be printed: {0}")]
-    Print(io::Error),
-}
-
 /// The columns after those that say when the fault was found.
-const COLUMNS: [Column; 12] = [
-    ("node", "node"),
-    ("fault", "id"),
-    ("code", "code"),
-    ("kind", "kind"),
-    ("location", "location"),
-    ("times", "count"),
-    ("status", "status"),
-    ("symptom of", "symptom_of"),
-    ("action", "action"),
-    ("service restored after", "recovered_after_ms"),
-    ("part repaired after", "repaired_after_ms"),
-    ("detail", "detail"),
-];
+const COLUMNS: &str = "node, fault=id, code, kind, location, times=count, status, symptom of, action, \
+     service restored after=recovered_after_ms, part repaired after=repaired_after_ms, detail";
 
 /// Prints the list that is asked for.
 ///
 /// # Errors
 /// A source of it cannot be read.
-pub(crate) fn run(options: &FaultListOptions) -> Result<(), FaultListError> {
-    let (found, rows): (Column, _) = match &options.journal {
-        Some(path) => (("found", "found_at"), of_journal(path, options)?),
-        None => (("found before", "age_ms"), of_nodes(options)?),
+pub(crate) fn run(options: &FaultListOptions) -> Result<(), String> {
+    let (found, rows) = match &options.journal {
+        Some(path) => ("found=found_at", of_journal(path, options)?),
+        None => ("found before=age_ms", of_nodes(options)?),
     };
     let text = match (options.json, rows.is_empty()) {
         (true, _) => format!("{}\n", Value::from(rows)),
         (false, true) if options.all => "no faults\n".to_owned(),
         (false, true) => "no fault stands\n".to_owned(),
         (false, false) => {
-            let columns: Vec<Column> = std::iter::once(found).chain(COLUMNS).collect();
             // Programs read files and pipes, and want the texts in full.
             let widest = if io::stdout().is_terminal() { WIDEST } else { usize::MAX };
-            table(&columns, &rows, widest)
+            table(&format!("{found}, {COLUMNS}"), &rows, widest)
         }
     };
-    let printed = io::stdout().write_all(text.as_bytes()).and_then(|()| io::stdout().flush());
-    match printed {
-        // The reader has seen enough, as `head` has.
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        printed => printed.map_err(FaultListError::Print),
-    }
+    print(&text)
 }
 
-fn of_journal(path: &Path, options: &FaultListOptions) -> Result<Vec<Value>, FaultListError> {
-    let entries = journal::read(path)?;
+fn of_journal(path: &Path, options: &FaultListOptions) -> Result<Vec<Value>, String> {
+    let entries = journal::read(path).map_err(|error| error.to_string())?;
     check_node(options, entries.iter().map(|entry| entry.node.as_str()))?;
     let wanted = |entry: &JournalEntry| {
         (options.all || entry.status.stands())
@@ -97,14 +51,15 @@ fn of_journal(path: &Path, options: &FaultListOptions) -> Result<Vec<Value>, Fau
 fn check_node<'a>(
     options: &FaultListOptions,
     known: impl Iterator<Item = &'a str>,
-) -> Result<(), FaultListError> {
+) -> Result<(), String> {
     let Some(wanted) = &options.node else { return Ok(()) };
     let known: BTreeSet<&str> = known.collect();
     if known.is_empty() || known.contains(wanted.as_str()) {
         return Ok(());
     }
-    let known = known.into_iter().map(str::to_owned).collect();
-    Err(FaultListError::UnknownNode { wanted: wanted.clone(), known })
+    // A misspelt node would look like one without faults.
+    let known = known.into_iter().collect::<Vec<_>>().join(", ");
+    Err(format!("nothing is known of a node `{wanted}` here, but of {known}"))
 }
 
 /// The keys are those of a node's picture, where that has the same.
@@ -135,7 +90,7 @@ fn row(entry: &JournalEntry) -> Value {
     })
 }
 
-fn of_nodes(options: &FaultListOptions) -> Result<Vec<Value>, FaultListError> {
+fn of_nodes(options: &FaultListOptions) -> Result<Vec<Value>, String> {
     let (mut rows, mut nodes) = (Vec::new(), Vec::new());
     for path in &options.sockets {
         let seen = blastema::run(look(path, options.within))?;
@@ -145,7 +100,11 @@ fn of_nodes(options: &FaultListOptions) -> Result<Vec<Value>, FaultListError> {
             continue;
         }
         let Some(faults) = seen.picture["faults"].as_array() else {
-            return Err(FaultListError::Unanswered(path.clone()));
+            return Err(format!(
+                "the node at {} shows itself, but its list of faults did not answer: try again, or \
+                 read its journal",
+                path.display()
+            ));
         };
         for fault in faults.iter().filter(|fault| options.all || fault["status"] != "closed") {
             let mut row = fault.clone();
