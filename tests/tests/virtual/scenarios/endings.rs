@@ -165,13 +165,6 @@ async fn ends_by_its_pilot(node: &Node, pilot: &Pilot) {
     carried_out.expect("it ends although the handler that waited for it was cut off");
 }
 
-#[blastema_testkit::test]
-async fn a_shutdown_from_a_handler_that_is_cut_off_is_carried_out() {
-    let pilot = Pilot::default();
-    let node = TestNode::start(Node::builder("module1").child(pilot.spec())).await;
-    ends_by_its_pilot(&node, &pilot).await;
-}
-
 /// On real threads.
 mod real {
     use super::*;

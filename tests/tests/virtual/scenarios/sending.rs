@@ -57,17 +57,6 @@ async fn between_two_incarnations_a_full_queue_says_restarting() {
     assert_eq!(strings.lines("note"), ["arm#2 note 1", "arm#2 note 2", "arm#2 note 3"]);
 }
 
-#[blastema_testkit::test]
-async fn who_is_unknown_is_told_before_anything_is_sent() {
-    let (_, node) = Strings::robot(["arm"]).await;
-
-    for name in ["leg", "not a name", "module1:leg"] {
-        let why = node.sender::<Do>(name).expect_err("no such object");
-        assert!(matches!(&why, DeliveryError::Unknown { name: named } if named == name), "{why}");
-    }
-    assert_eq!(node.sender::<Do>("module1:arm").unwrap().ask(Do(Deed::Nothing)).await.unwrap(), 1);
-}
-
 #[derive(Clone, Debug, Event)]
 #[contract(name = "test/unheard")]
 struct Unheard;
