@@ -298,19 +298,21 @@ fn our_own_address_is_nobody_elses_and_a_neighbours_is_one_of_the_medium() {
 #[test]
 fn a_node_that_cannot_be_away_is_refused_with_a_reason() {
     let _turn = blastema_doubles::turn();
-    let with = |peer: &str| {
-        let network = Network::memory("mem", &MemoryMedium::default(), "module1");
-        node().network(network.peer("laptop", "laptop")).may_be_away(peer)
-    };
-    for (builder, why) in [
-        (with("module1"), "module1 may be away, as is described: it is this node"),
-        (with("a b"), "the name of a node that may be away"),
-        (node().may_be_away("laptop"), "laptop may be away, as is described: this node has no"),
-    ] {
-        let refused = builder.check();
-        assert!(refused.len() == 1 && refused[0].to_string().contains(why), "{refused:?}");
-    }
-    assert!(with("laptop").check().is_empty());
+    blastema::run(async {
+        let with = |peer: &str| {
+            let network = Network::memory("mem", &MemoryMedium::default(), "module1");
+            node().network(network.peer("laptop", "laptop")).may_be_away(peer)
+        };
+        for (builder, why) in [
+            (with("module1"), "module1 may be away, as is described: it is this node"),
+            (with("a b"), "the name of a node that may be away"),
+            (node().may_be_away("laptop"), "laptop may be away, as is described: this node has no"),
+        ] {
+            let refused = builder.check();
+            assert!(refused.len() == 1 && refused[0].to_string().contains(why), "{refused:?}");
+        }
+        assert!(with("laptop").check().is_empty());
+    });
 }
 
 #[test]
