@@ -1,18 +1,57 @@
 //! Whole systems under test.
 
+mod log;
+mod parts;
+
+pub use log::{LogLine, LogLines};
+pub use parts::{Act, Notes, Part, State, accepts, listens, moves, on_ethernet, part, serves};
+
 use blastema::core::NodeName;
 use blastema::core::net::trust::crypto::Seed;
 use blastema::core::net::trust::key_file::KeyFile;
 use blastema::core::net::trust::policy::Role;
 use blastema::core::net::trust::roster::{NodeRoster, RosterNode};
-use blastema::{Component, Context, Handle, Link, Network, Ports, Request};
+use blastema::{ChildSpec, Link, Network, Request};
+use std::fmt::Display;
 use std::fs::{self, File, Permissions};
-use std::net::{SocketAddr, UdpSocket};
+use std::net::{SocketAddr, TcpListener, UdpSocket};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::str::FromStr;
+use std::time::Duration;
 use tokio::sync::watch;
+
+/// A millisecond.
+pub const MS: Duration = Duration::from_millis(1);
+/// How long real nodes may take for what they do, on a computer that is busy with other tests.
+pub const PATIENCE: Duration = Duration::from_secs(120);
+
+/// What was looked for, once it is there. The look is repeated until then.
+///
+/// # Panics
+/// After [`PATIENCE`], with what was looked for.
+pub async fn found<T>(mut look: impl AsyncFnMut() -> Option<T>, what: &str) -> T {
+    let looking = async {
+        loop {
+            if let Some(found) = look().await {
+                return found;
+            }
+            blastema::sleep(2 * MS).await;
+        }
+    };
+    let found = tokio::time::timeout(PATIENCE, looking).await;
+    found.unwrap_or_else(|_| panic!("{what}: not within {} s", PATIENCE.as_secs()))
+}
+
+/// Waits until it is so.
+///
+/// # Panics
+/// After [`PATIENCE`], with what it should have been.
+pub async fn until(mut is_so: impl AsyncFnMut() -> bool, what: &str) {
+    found(async || is_so().await.then_some(()), what).await;
+}
 
 /// The role of a process that was started by a test.
 const ROLE: &str = "BLASTEMA_TEST_ROLE";
@@ -26,11 +65,16 @@ const ADDRESSES: &str = "BLASTEMA_TEST_ADDRESSES";
 pub struct Process(Child);
 
 impl Process {
-    /// Starts the role with the addresses of all nodes and more variables of the environment.
+    /// Starts the role with the addresses of all nodes.
+    pub fn start(module: &str, role: &str, addresses: &[impl Display]) -> Self {
+        Process::start_with(module, role, addresses, &[])
+    }
+
+    /// The same, with more variables of the environment.
     pub fn start_with(
         module: &str,
         role: &str,
-        addresses: &[String],
+        addresses: &[impl Display],
         more: &[(&str, &String)],
     ) -> Self {
         let program = std::env::current_exe().expect("a running program has a path");
@@ -38,7 +82,7 @@ impl Process {
     }
 
     /// The same, with its standard error in a file.
-    pub fn start_into(errors: File, module: &str, role: &str, addresses: &[String]) -> Self {
+    pub fn start_into(errors: File, module: &str, role: &str, addresses: &[impl Display]) -> Self {
         let program = std::env::current_exe().expect("a running program has a path");
         let mut program = Command::new(program);
         program.stderr(errors);
@@ -51,7 +95,7 @@ impl Process {
         folder: &Path,
         module: &str,
         role: &str,
-        addresses: &[String],
+        addresses: &[impl Display],
         more: &[(&str, &String)],
     ) -> Self {
         let own = std::env::current_exe().expect("a running program has a path");
@@ -64,9 +108,10 @@ impl Process {
         mut program: Command,
         module: &str,
         role: &str,
-        addresses: &[String],
+        addresses: &[impl Display],
         more: &[(&str, &String)],
     ) -> Self {
+        let addresses: Vec<String> = addresses.iter().map(ToString::to_string).collect();
         let child = program
             .args(["--exact", &role_test(module), "--nocapture"])
             .env(ROLE, role)
@@ -175,28 +220,15 @@ fn seed_of(node: &str, robot: u8) -> Seed {
     Seed::new(bytes)
 }
 
-/// Answers `R` with what a channel holds.
-pub struct Answers<R: Request>(
-    /// What is answered.
-    pub watch::Receiver<R::Reply>,
-);
-
-impl<R: Request> Component for Answers<R>
+/// A component that answers `R` with what a channel holds.
+pub fn answers<R: Request>(
+    name: &str,
+    answer: watch::Receiver<R::Reply>,
+) -> ChildSpec<Part<watch::Receiver<R::Reply>, R>>
 where
     R::Reply: Clone + Sync,
 {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<R>();
-    }
-}
-
-impl<R: Request> Handle<R> for Answers<R>
-where
-    R::Reply: Clone + Sync,
-{
-    async fn handle(&mut self, _: R, _: &mut Context<Self>) -> R::Reply {
-        self.0.borrow().clone()
-    }
+    serves(name, answer, |answer, _: R, _| answer.borrow().clone())
 }
 
 /// The name of the test that plays the roles of a module, which is `module_path!()` there.
@@ -205,28 +237,37 @@ pub fn role_test(module: &str) -> String {
     format!("{within}::a_process_plays_its_role")
 }
 
-/// The role that this process was started for, if it was.
+/// The role that this process was started for, if it was. It ends with the process of the test.
 pub fn role() -> Option<String> {
-    std::env::var(ROLE).ok()
+    let role = std::env::var(ROLE).ok()?;
+    let parent = std::os::unix::process::parent_id();
+    blastema::platform::end_with_parent(parent).expect("it may be told of its parent's end");
+    Some(role)
 }
 
 /// The addresses of all nodes, in a process with a role.
-pub fn addresses() -> Vec<String> {
+pub fn addresses<A: FromStr>() -> Vec<A> {
     let text = std::env::var(ADDRESSES).expect("a process with a role has addresses");
-    text.split(',').map(str::to_owned).collect()
+    let address = |text: &str| text.parse().ok().expect("it was an address when it was started");
+    text.split(',').map(address).collect()
 }
 
-/// Free UDP addresses of this computer.
+/// Free addresses of this computer, for UDP and for TCP.
 pub fn free_addresses(count: usize) -> Vec<SocketAddr> {
-    let held: Vec<_> = (0..count)
-        .map(|_| UdpSocket::bind("127.0.0.1:0").expect("the loopback interface has free ports"))
-        .collect();
-    held.iter().map(|socket| socket.local_addr().expect("it is bound")).collect()
+    let hold = || loop {
+        let tcp = TcpListener::bind("127.0.0.1:0").expect("the loopback interface has free ports");
+        let address = tcp.local_addr().expect("it is bound");
+        if let Ok(udp) = UdpSocket::bind(address) {
+            return (tcp, udp, address);
+        }
+    };
+    let held: Vec<_> = (0..count).map(|_| hold()).collect();
+    held.iter().map(|(.., address)| *address).collect()
 }
 
 /// The network of `left` (0) and `right` (1), as the one of them describes it whose number is `own`.
-pub fn pair_network(scheme: &str, own: usize, at: &[String]) -> Network {
+pub fn pair_network(scheme: &str, own: usize, at: &[SocketAddr]) -> Network {
     let other = 1 - own;
-    let link = Link::new(["left", "right"][other], at[other].parse().expect("an address"));
+    let link = Link::new(["left", "right"][other], at[other]);
     Network::new("lan", &format!("{scheme}://{}", at[own])).link(link)
 }

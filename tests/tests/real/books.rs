@@ -5,14 +5,12 @@
 use blastema::core::detection::FaultEntry;
 use blastema::prelude::*;
 use blastema::{Blob, Contract, DeadLetterLog};
-use blastema_tests::{Process, addresses, free_addresses, pair_network, role};
+use blastema_tests::{MS, PATIENCE, Process, addresses, free_addresses, pair_network, role, until};
 use std::cell::Cell;
 use std::rc::Rc;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
-const PATIENCE: Duration = Duration::from_secs(60);
-const MS: Duration = Duration::from_millis(1);
 /// Longer than the session waits for its peer.
 const OUTAGE: Duration = Duration::from_secs(4);
 /// So many messages arrive before the outage, and after it.
@@ -83,7 +81,6 @@ fn lost(dead_letters: &DeadLetterLog) -> u64 {
 #[test]
 fn a_process_plays_its_role() {
     let Some(scheme) = role() else { return };
-    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
     blastema::run(async {
         let dead_letters = Arc::new(OnceLock::new());
         let theirs = dead_letters.clone();
@@ -114,36 +111,36 @@ impl Observer<'_> {
 
     /// Waits until so many have arrived.
     async fn arrived(&self, some: u64) {
-        let arrive = async {
-            while self.look().await.is_none_or(|(arrived, _)| arrived < some) {
-                sleep(20 * MS).await;
-            }
-        };
-        tokio::time::timeout(PATIENCE, arrive).await.expect("they arrive");
+        let have = async || self.look().await.is_some_and(|(arrived, _)| arrived >= some);
+        until(have, "they arrive").await;
     }
 
     /// The books once twenty looks in a row find the same.
     async fn settled(&self) -> (u64, u64) {
         let (mut last, mut same) = (None, 0);
-        let settle = async {
-            while same < 20 {
-                sleep(50 * MS).await;
-                let next = self.look().await;
-                same = if next.is_some() && next == last { same + 1 } else { 0 };
-                last = next;
-            }
+        let is_settled = async || {
+            sleep(50 * MS).await;
+            let next = self.look().await;
+            same = if next.is_some() && next == last { same + 1 } else { 0 };
+            last = next;
+            same == 20
         };
-        tokio::time::timeout(PATIENCE, settle).await.expect("nothing is in flight for ever");
+        until(is_settled, "nothing is in flight for ever").await;
         last.expect("it was looked at")
     }
 }
 
-async fn stop_for_longer_than_a_session(scheme: &'static str) {
-    let at: Vec<_> = free_addresses(2).iter().map(ToString::to_string).collect();
+/// Two nodes that are connected, the other one in a process of its own.
+async fn pair(scheme: &'static str) -> (Node, Process) {
+    let at = free_addresses(2);
     let node = Node::builder("left").network(pair_network(scheme, 0, &at)).start().await;
-    let node = node.expect("it starts");
-    let right = Process::start_with(module_path!(), scheme, &at, &[]);
+    let (node, right) = (node.expect("it starts"), Process::start(module_path!(), scheme, &at));
     assert!(node.connected("right", PATIENCE).await);
+    (node, right)
+}
+
+async fn stop_for_longer_than_a_session(scheme: &'static str) {
+    let (node, right) = pair(scheme).await;
     let tally = node.sender("right:ledger").expect("a name");
     let observer = Observer { node: &node, tally };
 
@@ -186,18 +183,14 @@ async fn stop_for_longer_than_a_session(scheme: &'static str) {
 
 #[test]
 fn each_accepted_message_of_an_outage_arrived_or_is_counted_as_lost() {
-    let _turn = blastema_doubles::turn_within(6 * PATIENCE);
+    let _turn = blastema_doubles::turn_within(3 * PATIENCE);
     for scheme in ["udp", "tcp"] {
         blastema::run(stop_for_longer_than_a_session(scheme));
     }
 }
 
 async fn publish_to_a_slow_listener(scheme: &'static str) {
-    let at: Vec<_> = free_addresses(2).iter().map(ToString::to_string).collect();
-    let node = Node::builder("left").network(pair_network(scheme, 0, &at)).start().await;
-    let node = node.expect("it starts");
-    let _right = Process::start_with(module_path!(), scheme, &at, &[]);
-    assert!(node.connected("right", PATIENCE).await);
+    let (node, _right) = pair(scheme).await;
     let tally = node.sender("right:ledger").expect("a name");
     let observer = Observer { node: &node, tally };
     let news = node.publisher::<News>(News::NAME).expect("a topic");
@@ -224,12 +217,7 @@ async fn publish_to_a_slow_listener(scheme: &'static str) {
     };
     // The other node loses what this one is fast enough to send, and tells of it there.
     if lost(node.dead_letters()) * 10 >= handed_over {
-        let tell = async {
-            while told().await == 0 {
-                sleep(50 * MS).await;
-            }
-        };
-        tokio::time::timeout(PATIENCE, tell).await.expect("a tenth is lost here");
+        until(async || told().await > 0, "a tenth is lost here").await;
     }
     assert!(told().await <= 1, "{scheme}: it is told once");
     node.shutdown().await;
@@ -237,7 +225,7 @@ async fn publish_to_a_slow_listener(scheme: &'static str) {
 
 #[test]
 fn each_event_that_was_handed_over_arrived_or_is_counted_as_lost() {
-    let _turn = blastema_doubles::turn_within(6 * PATIENCE);
+    let _turn = blastema_doubles::turn_within(3 * PATIENCE);
     for scheme in ["udp", "tcp"] {
         blastema::run(publish_to_a_slow_listener(scheme));
     }

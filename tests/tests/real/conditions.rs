@@ -4,9 +4,8 @@ use blastema::prelude::*;
 use blastema::{
     ActuatorSpec, ConditionState, Connected, Hold, Link, LostCommunicationPolicy, Network, Rung,
 };
-use blastema_tests::{Process, free_addresses};
+use blastema_tests::{Notes, Process, addresses, free_addresses, moves, role, until};
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// For everything that takes time on a busy computer.
@@ -21,24 +20,6 @@ enum Drive {
     Stop,
 }
 
-/// Remembers each other command.
-struct Wheels(Arc<Mutex<Vec<Drive>>>);
-
-impl Component for Wheels {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive::Safe, Hold).lease(Duration::from_secs(2)));
-    }
-}
-
-impl Handle<Drive> for Wheels {
-    async fn handle(&mut self, drive: Drive, _: &mut Context<Self>) {
-        let mut seen = self.0.lock().unwrap();
-        if seen.last() != Some(&drive) {
-            seen.push(drive);
-        }
-    }
-}
-
 fn network(addresses: &[SocketAddr], own: usize) -> Network {
     let other = 1 - own;
     let link = Link::new(NODES[other], addresses[other]).hello_every(Duration::from_millis(100));
@@ -47,15 +28,11 @@ fn network(addresses: &[SocketAddr], own: usize) -> Network {
 
 #[test]
 fn a_process_plays_its_role() {
-    let Some(role) = blastema_tests::role() else { return };
-    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
+    let Some(role) = role() else { return };
     assert_eq!(role, "operator");
-    let addresses: Vec<SocketAddr> = blastema_tests::addresses()
-        .iter()
-        .map(|address| address.parse().expect("an address"))
-        .collect();
     blastema::run(async {
-        let node = Node::builder("operator").network(network(&addresses, 1)).start().await.unwrap();
+        let network = network(&addresses(), 1);
+        let node = Node::builder("operator").network(network).start().await.unwrap();
         let _beats = node.heartbeat("operator/beat", Duration::from_millis(50)).unwrap();
         let wheels = node.commander::<Drive>("rover:wheels", "console").unwrap();
         loop {
@@ -73,11 +50,16 @@ fn a_process_plays_its_role() {
 fn a_killed_operator_is_lost_the_robot_stops_by_itself_and_is_commanded_again_by_the_next() {
     let _turn = blastema_doubles::turn();
     let addresses = free_addresses(2);
-    let texts: Vec<String> = addresses.iter().map(SocketAddr::to_string).collect();
-    let start = || Process::start_with(module_path!(), "operator", &texts, &[]);
+    let start = || Process::start(module_path!(), "operator", &addresses);
     blastema::run(async {
-        let seen = Arc::<Mutex<Vec<Drive>>>::default();
-        let kept = seen.clone();
+        let seen = Notes::<Drive>::default();
+        let safe = ActuatorSpec::new(Drive::Safe, Hold).lease(Duration::from_secs(2));
+        // It remembers each other command.
+        let wheels = moves("wheels", safe, seen.clone(), |seen, drive, _| {
+            if seen.lock().last() != Some(&drive) {
+                seen.note(drive);
+            }
+        });
         let beat = || {
             let topic = Connected::heartbeat("operator/beat").timeout(Duration::from_secs(3));
             Connected::all([topic, Connected::session("operator").timeout(PATIENCE)])
@@ -88,21 +70,15 @@ fn a_killed_operator_is_lost_the_robot_stops_by_itself_and_is_commanded_again_by
             .until_stable_for(Duration::from_millis(500));
         let node = Node::builder("rover")
             .network(network(&addresses, 0))
-            .child(ChildSpec::new("wheels", move || Wheels(kept.clone())))
+            .child(wheels)
             .lost_communication(policy)
             .start()
             .await
             .unwrap();
         let condition = node.condition("operator", beat()).unwrap();
         let drives = async |wanted: Drive| {
-            let drives = async {
-                while seen.lock().unwrap().last() != Some(&wanted) {
-                    blastema::sleep(Duration::from_millis(5)).await;
-                }
-            };
-            tokio::time::timeout(PATIENCE, drives).await.unwrap_or_else(|_| {
-                panic!("no {wanted:?}: {:?}, {}", seen.lock().unwrap(), condition.status().cause)
-            });
+            let drives = async || seen.lock().last() == Some(&wanted);
+            until(drives, &format!("{wanted:?}")).await;
         };
         for _ in 0..2 {
             let mut operator = start();
@@ -113,12 +89,8 @@ fn a_killed_operator_is_lost_the_robot_stops_by_itself_and_is_commanded_again_by
             tokio::time::timeout(PATIENCE, condition.lost()).await.expect("it is silent");
             drives(Drive::Stop).await;
             // The safe command is the same, and comes first.
-            let stands = async {
-                while node.lost_communication()[0].rung.as_deref() != Some("stop") {
-                    blastema::sleep(Duration::from_millis(5)).await;
-                }
-            };
-            tokio::time::timeout(PATIENCE, stands).await.expect("the rung stands");
+            let stands = async || node.lost_communication()[0].rung.as_deref() == Some("stop");
+            until(stands, "the rung stands").await;
         }
         let mut lost = node.faults().await.entries;
         lost.retain(|entry| entry.fault.kind == FaultKind::ConnectionLost);

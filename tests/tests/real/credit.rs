@@ -3,12 +3,13 @@
 
 use blastema::Blob;
 use blastema::prelude::*;
-use blastema_tests::{Process, addresses, free_addresses, pair_network, role};
+use blastema_tests::{
+    PATIENCE, Process, accepts, addresses, free_addresses, pair_network, role, serves,
+};
 use std::cell::Cell;
 use std::rc::Rc;
 use std::time::Duration;
 
-const PATIENCE: Duration = Duration::from_secs(60);
 const REQUESTS: u64 = 300;
 /// The bytes of a message: many small ones, and few that are large.
 const SIZES: [usize; 2] = [8, 200_000];
@@ -21,49 +22,23 @@ struct Piece(Blob);
 #[contract(name = "credit/question", reply = u64)]
 struct Question(u64);
 
-struct Sink;
-
-impl Component for Sink {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Piece>();
-    }
-}
-
-impl Handle<Piece> for Sink {
-    async fn handle(&mut self, _: Piece, _: &mut Context<Self>) {}
-}
-
-struct Oracle;
-
-impl Component for Oracle {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Question>();
-    }
-}
-
-impl Handle<Question> for Oracle {
-    async fn handle(&mut self, Question(number): Question, _: &mut Context<Self>) -> u64 {
-        number
-    }
-}
-
 #[test]
 fn a_process_plays_its_role() {
     let Some(scheme) = role() else { return };
-    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
     blastema::run(async {
-        let sink = ChildSpec::new("sink", || Sink).queue(1024, WhenFull::Refuse);
-        let builder = Node::builder("right").child(sink).child(ChildSpec::new("oracle", || Oracle));
+        let sink = accepts("sink", (), |_, _: Piece, _| {}).queue(1024, WhenFull::Refuse);
+        let oracle = serves("oracle", (), |_, Question(number), _| number);
+        let builder = Node::builder("right").child(sink).child(oracle);
         let _node = builder.network(pair_network(&scheme, 1, &addresses())).start().await;
         std::future::pending::<()>().await;
     });
 }
 
 async fn ask_beside_a_stream(scheme: &'static str, size: usize) {
-    let at: Vec<_> = free_addresses(2).iter().map(ToString::to_string).collect();
+    let at = free_addresses(2);
     let node = Node::builder("left").network(pair_network(scheme, 0, &at)).start().await;
     let node = node.expect("it starts");
-    let _right = Process::start_with(module_path!(), scheme, &at, &[]);
+    let _right = Process::start(module_path!(), scheme, &at);
     assert!(node.connected("right", PATIENCE).await);
     let oracle = node.sender::<Question>("right:oracle").expect("a name");
     assert_eq!(oracle.ask_within(Question(0), PATIENCE).await.expect("it is served"), 0);
@@ -100,7 +75,7 @@ async fn ask_beside_a_stream(scheme: &'static str, size: usize) {
 
 #[test]
 fn a_stream_of_messages_refuses_no_request_of_another_component() {
-    let _turn = blastema_doubles::turn_within(6 * PATIENCE);
+    let _turn = blastema_doubles::turn_within(3 * PATIENCE);
     for scheme in ["udp", "tcp"] {
         for size in SIZES {
             blastema::run(ask_beside_a_stream(scheme, size));

@@ -2,46 +2,26 @@
 
 use blastema::prelude::*;
 use blastema::{Network, NodeBuilder};
-use std::net::{SocketAddr, TcpListener, UdpSocket};
+use blastema_tests::{PATIENCE, free_addresses, serves};
+use std::net::{SocketAddr, UdpSocket};
 use std::sync::mpsc::{self, RecvTimeoutError, channel};
 use std::time::Duration;
-
-/// For nodes to find each other on a computer that is busy with other tests.
-const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Adds one, and answers the sum.
 #[derive(Clone, Debug, Request)]
 #[contract(name = "sum/add", reply = u32, idempotent)]
 struct Add(u32);
 
-#[derive(Default)]
-struct Sum(u32);
-
-impl Component for Sum {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Add>();
-    }
-}
-
-impl Handle<Add> for Sum {
-    async fn handle(&mut self, add: Add, _: &mut Context<Self>) -> u32 {
-        self.0 += add.0;
-        self.0
-    }
-}
-
-/// Free addresses of this computer, for UDP and for TCP.
-fn free<const N: usize>() -> [SocketAddr; N] {
-    let held = [0; N].map(|_| {
-        let tcp = TcpListener::bind("127.0.0.1:0").expect("a free port");
-        let address = tcp.local_addr().expect("it is bound");
-        (UdpSocket::bind(address), tcp, address)
-    });
-    held.map(|(_, _, address)| address)
+fn free() -> [SocketAddr; 3] {
+    free_addresses(3).try_into().expect("three")
 }
 
 async fn start(node: NodeBuilder) -> Node {
-    node.child(ChildSpec::new("sum", Sum::default)).start().await.expect("it starts")
+    let sum = serves("sum", 0, |sum, Add(number), _| {
+        *sum += number;
+        *sum
+    });
+    node.child(sum).start().await.expect("it starts")
 }
 
 async fn add(node: &Node, to: &str) -> u32 {
@@ -53,7 +33,7 @@ async fn add(node: &Node, to: &str) -> u32 {
 fn nodes_that_know_nobody_find_each_other_by_beacons() {
     let _turn = blastema_doubles::turn();
     blastema::run(async {
-        let [a, b, group] = free::<3>();
+        let [a, b, group] = free();
         let group = format!("239.255.77.9:{}", group.port());
         let network = |medium: &str, own: SocketAddr| {
             Network::new("ethernet", &format!("{medium}://{own}")).beacons(&group)
@@ -74,7 +54,7 @@ fn nodes_that_know_nobody_find_each_other_by_beacons() {
 fn a_flood_of_forged_beacons_is_a_fault_and_harms_nobody() {
     let _turn = blastema_doubles::turn();
     blastema::run(async {
-        let [a, b, group] = free::<3>();
+        let [a, b, group] = free();
         let group = SocketAddr::from(([239, 255, 77, 10], group.port()));
         let network = |own: SocketAddr| {
             let network = Network::new("ethernet", &format!("udp://{own}"));

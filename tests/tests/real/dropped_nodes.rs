@@ -2,14 +2,12 @@
 //! nothing of that on standard error. One with threads of its own says why its outputs are safe.
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Hold, Link, MemoryMedium, Network, NodeBuilder};
+use blastema::{ActuatorSpec, Hold, MemoryMedium, NodeBuilder};
 use blastema_testkit::{TestNode, advance};
-use blastema_tests::{Process, role};
+use blastema_tests::{MS, Process, on_ethernet, role};
 use std::fs::File;
 use std::future::pending;
 use std::time::Duration;
-
-const MS: Duration = Duration::from_millis(1);
 
 #[derive(Clone, Debug, Request)]
 #[contract(name = "dropped/drive", reply = f32)]
@@ -67,9 +65,13 @@ impl Handle<Turned> for Driver {
 }
 
 fn robot() -> NodeBuilder {
+    with_robot(Node::builder("module1"))
+}
+
+fn with_robot(node: NodeBuilder) -> NodeBuilder {
     let wheels = ChildSpec::new("wheels", || Wheels).rate_hz(10.0);
     let driver = ChildSpec::new("driver", || Driver(None)).depends_on(["wheels"]);
-    Node::builder("module1").child(wheels).child(driver).safe_outputs(|_| {})
+    node.child(wheels).child(driver).safe_outputs(|_| {})
 }
 
 async fn started() -> TestNode {
@@ -81,12 +83,8 @@ async fn started() -> TestNode {
 /// Two nodes that are connected, while a component of one has died and another one is held.
 async fn pair() -> [TestNode; 2] {
     let medium = MemoryMedium::default();
-    let networked = |builder: NodeBuilder, own: &str, far: &str| {
-        builder.network(Network::memory("net", &medium, own).link(Link::in_memory(far, far)))
-    };
-    let one = TestNode::start(networked(robot(), "module1", "module2")).await;
-    let other = networked(Node::builder("module2"), "module2", "module1");
-    let other = TestNode::start(other).await;
+    let one = TestNode::start(with_robot(on_ethernet("module1", "module2", &medium))).await;
+    let other = TestNode::start(on_ethernet("module2", "module1", &medium)).await;
     advance(1500 * MS).await;
     one.kill("wheels");
     one.hang("driver");
@@ -129,7 +127,7 @@ fn said(role: &str) -> String {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("errors");
     let errors = File::create(&path).expect("a file");
-    let mut process = Process::start_into(errors, module_path!(), role, &[]);
+    let mut process = Process::start_into(errors, module_path!(), role, &[""; 0]);
     assert!(process.succeeds(), "{role}");
     std::fs::read_to_string(&path).expect("it is text")
 }

@@ -6,88 +6,38 @@ use blastema::medium::{
 };
 use blastema::prelude::*;
 use blastema::{MemoryMedium, Network, NodeBuilder, StartError};
-use blastema_tests::Process;
-use std::fmt::Debug;
+use blastema_tests::{LogLines, PATIENCE, Process, addresses, role, until};
 use std::fs::{self, Permissions};
 use std::io::{self, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
-use std::sync::{Mutex, OnceLock};
+use std::sync::OnceLock;
 use std::task::{self, Poll};
-use std::time::Duration;
 use tokio::io::AsyncReadExt;
 use tokio::net::UnixStream;
-use tracing::field::{Field, Visit};
-use tracing::span::{Attributes, Id, Record};
-use tracing::{Level, Metadata};
+use tracing::Level;
 
-/// For everything that takes time on a busy computer.
-const PATIENCE: Duration = Duration::from_secs(120);
 /// The user that owns no files, by its number on every Linux system.
 const OTHER_USER: u32 = 65_534;
 /// What the process of the other user accepts.
 const USERS: &str = "BLASTEMA_TEST_USERS";
 
-/// Every message that was logged at INFO and above.
-static LOG: Mutex<Vec<String>> = Mutex::new(Vec::new());
-
-struct Collector;
-
-struct Message(String);
-
-impl Visit for Message {
-    fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
-        if field.name() == "message" {
-            self.0 = format!("{value:?}");
-        }
-    }
-}
-
-impl tracing::Subscriber for Collector {
-    fn enabled(&self, metadata: &Metadata<'_>) -> bool {
-        *metadata.level() <= Level::INFO
-    }
-
-    fn new_span(&self, _: &Attributes<'_>) -> Id {
-        Id::from_u64(1)
-    }
-
-    fn record(&self, _: &Id, _: &Record<'_>) {}
-
-    fn record_follows_from(&self, _: &Id, _: &Id) {}
-
-    fn event(&self, event: &tracing::Event<'_>) {
-        let mut message = Message(String::new());
-        event.record(&mut message);
-        LOG.lock().unwrap().push(message.0);
-    }
-
-    fn enter(&self, _: &Id) {}
-
-    fn exit(&self, _: &Id) {}
-}
+/// What was logged at INFO and above.
+static LOG: OnceLock<LogLines> = OnceLock::new();
 
 fn keep_log() {
-    static KEPT: OnceLock<()> = OnceLock::new();
-    KEPT.get_or_init(|| {
-        tracing::subscriber::set_global_default(Collector).expect("it is the first")
+    LOG.get_or_init(|| {
+        let log = LogLines::of(|metadata| *metadata.level() <= Level::INFO);
+        tracing::subscriber::set_global_default(log.clone()).expect("it is the first");
+        log
     });
 }
 
+/// How many messages have all of these words.
 fn logged(words: &[&str]) -> usize {
-    let log = LOG.lock().unwrap();
-    log.iter().filter(|line| words.iter().all(|word| line.contains(word))).count()
-}
-
-async fn until(mut holds: impl AsyncFnMut() -> bool, what: &str) {
-    let held = async {
-        while !holds().await {
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
-    };
-    let in_time = tokio::time::timeout(PATIENCE, held).await;
-    let log = LOG.lock().unwrap().clone();
-    assert!(in_time.is_ok(), "{what}; the log: {log:#?}");
+    let log = LOG.get().expect("it is kept").lines.all();
+    let messages = log.iter().filter_map(|line| line.get("message"));
+    messages.filter(|line| words.iter().all(|word| line.contains(word))).count()
 }
 
 /// A medium that does not say how far it reaches.
@@ -252,10 +202,9 @@ fn open_folder() -> tempfile::TempDir {
 
 #[test]
 fn a_process_plays_its_role() {
-    let Some(role) = blastema_tests::role() else { return };
-    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
+    let Some(role) = role() else { return };
     keep_log();
-    let folder = blastema_tests::addresses().remove(0);
+    let folder = addresses::<String>().remove(0);
     let folder = Path::new(&folder);
     let users = std::env::var(USERS).unwrap_or_default();
     blastema::run(async {

@@ -2,6 +2,7 @@
 
 use blastema::StartError;
 use blastema::prelude::*;
+use blastema_tests::{Part, serves, until};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,24 +20,14 @@ const LONG: Duration = Duration::from_secs(30);
 #[contract(name = "inspection/strike", reply = ())]
 struct Strike;
 
-struct Lamp;
-
-impl Component for Lamp {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Strike>();
-    }
-}
-
-impl Handle<Strike> for Lamp {
-    async fn handle(&mut self, _: Strike, _: &mut Context<Self>) {
-        panic!("struck");
-    }
+fn lamp(name: &str) -> ChildSpec<Part<(), Strike>> {
+    serves(name, (), |_, _: Strike, _| panic!("struck"))
 }
 
 /// A node that enters the safe state at the first panic.
 fn fragile(socket: &Path) -> blastema::NodeBuilder {
     Node::builder("module1")
-        .child(ChildSpec::new("lamp", || Lamp).essential())
+        .child(lamp("lamp").essential())
         .intensity(0, Duration::from_secs(10))
         .inspection_socket(socket)
 }
@@ -76,16 +67,6 @@ impl Shown {
     }
 }
 
-/// Waits until it is so.
-async fn until(so: impl AsyncFn() -> bool) {
-    let waiting = async {
-        while !so().await {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
-    };
-    tokio::time::timeout(LONG, waiting).await.expect("it takes no such time");
-}
-
 #[test]
 fn a_node_is_seen_at_safe_rest_with_the_reason_and_not_once_it_is_shut_down() {
     let _turn = blastema_doubles::turn();
@@ -100,7 +81,7 @@ fn a_node_is_seen_at_safe_rest_with_the_reason_and_not_once_it_is_shut_down() {
         assert!(seen.contains(r#""state":"in safe state""#) && seen.contains("struck"), "{seen}");
 
         node.shutdown().await;
-        until(async || !socket.exists()).await;
+        until(async || !socket.exists(), "the socket goes").await;
     });
 }
 
@@ -131,7 +112,7 @@ fn a_picture_that_nobody_takes_keeps_nobody_from_taking_his() {
         let folder = tempfile::tempdir().unwrap();
         let socket = folder.path().join("module1.sock");
         // More than the system buffers for a client that does not read.
-        let lamps = (0..1500).map(|n| ChildSpec::new(&format!("lamp/{n}"), || Lamp));
+        let lamps = (0..1500).map(|n| lamp(&format!("lamp/{n}")));
         let node =
             lamps.fold(fragile(&socket), blastema::NodeBuilder::child).start().await.unwrap();
         let mut gazing = Vec::new();
@@ -154,7 +135,7 @@ fn a_socket_that_somebody_removes_is_made_again() {
 
         std::fs::remove_file(&socket).unwrap();
 
-        until(async || socket.exists()).await;
+        until(async || socket.exists(), "the socket comes").await;
         assert!(look(&socket).await.contains("module1"));
         assert!(node.faults().await.entries.is_empty(), "no user has to act");
         node.shutdown().await;
@@ -179,15 +160,15 @@ fn that_a_socket_cannot_be_made_again_is_a_fault_until_it_can() {
         };
 
         std::fs::remove_dir_all(folder.path()).unwrap();
-        until(async || !faults().await.is_empty()).await;
+        until(async || !faults().await.is_empty(), "a fault").await;
         let told = faults().await;
         assert!(told[0].0.contains("inspection") && told[0].0.contains("create it"), "{told:?}");
         assert!(!told[0].1, "{told:?}");
 
         std::fs::create_dir(folder.path()).unwrap();
-        until(async || socket.exists()).await;
+        until(async || socket.exists(), "the socket comes").await;
         assert!(look(&socket).await.contains("module1"));
-        until(async || faults().await[0].1).await;
+        until(async || faults().await[0].1, "it is over").await;
         assert_eq!(faults().await.len(), 1);
         node.shutdown().await;
     });

@@ -2,11 +2,9 @@
 
 use blastema::prelude::*;
 use blastema::{Blob, Link, Network};
-use std::net::{SocketAddr, TcpListener, UdpSocket};
-use std::time::Duration;
+use blastema_tests::{PATIENCE, free_addresses, serves, until};
+use std::net::SocketAddr;
 
-/// For two nodes to find each other on a computer that is busy with other tests.
-const PATIENCE: Duration = Duration::from_secs(30);
 const MEBIBYTE: usize = 1 << 20;
 /// Many times what a session holds.
 const IMAGES: u32 = 40;
@@ -31,24 +29,6 @@ struct Screen(u32);
 #[derive(Clone, Debug, Request)]
 #[contract(name = "large/order", reply = u32)]
 struct Order(u32);
-
-/// Counts orders.
-#[derive(Default)]
-struct Motor(u32);
-
-impl Component for Motor {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Order>();
-    }
-}
-
-impl Handle<Order> for Motor {
-    async fn handle(&mut self, Order(number): Order, _: &mut Context<Self>) -> u32 {
-        assert_eq!(number, self.0, "none is lost, doubled or overtaken");
-        self.0 += 1;
-        self.0
-    }
-}
 
 impl Component for Screen {
     fn ports(ports: &mut Ports<Self>) {
@@ -75,22 +55,20 @@ fn pixels(number: u32) -> Blob {
     (0..MEBIBYTE).map(|at| (at / 7 + number as usize) as u8).collect()
 }
 
-/// A free address.
-fn free() -> SocketAddr {
-    let tcp = TcpListener::bind("127.0.0.1:0").expect("a free port");
-    let address = tcp.local_addr().expect("it is bound");
-    UdpSocket::bind(address).map_or_else(|_| free(), |_| address)
-}
-
 /// All of them are given to the sender before the other node has heard of any; and orders are asked
 /// beside them.
 fn images_arrive_over(medium: fn(&'static str, SocketAddr) -> Network) {
     blastema::run(async {
-        let [here, there] = [free(), free()];
+        let [here, there] = free_addresses(2).try_into().expect("two");
+        let motor = serves("motor", 0, |next, Order(number), _| {
+            assert_eq!(number, *next, "none is lost, doubled or overtaken");
+            *next += 1;
+            *next
+        });
         let far = Node::builder("module2")
             .network(medium("net0", there).link(Link::new("module1", here)))
             .child(ChildSpec::new("screen", Screen::default).queue(4, WhenFull::Wait))
-            .child(ChildSpec::new("motor", Motor::default))
+            .child(motor)
             .start()
             .await
             .expect("module2 starts");
@@ -122,12 +100,8 @@ fn images_arrive_over(medium: fn(&'static str, SocketAddr) -> Network) {
         }
 
         let count: Sender<Count> = near.sender("module2:screen").expect("a name");
-        let all_have_come = async {
-            while count.ask(Count).await.ok() != Some(IMAGES) {
-                tokio::task::yield_now().await;
-            }
-        };
-        tokio::time::timeout(PATIENCE, all_have_come).await.expect("what was taken arrives");
+        let all_have_come = async || count.ask(Count).await.ok() == Some(IMAGES);
+        until(all_have_come, "what was taken arrives").await;
         near.shutdown().await;
         far.shutdown().await;
     });

@@ -3,49 +3,21 @@
 use blastema::prelude::*;
 use blastema::{Link, Network};
 use blastema_ptys::{Adapters, Cable};
-use std::net::{SocketAddr, TcpListener, UdpSocket};
+use blastema_tests::{PATIENCE, found, free_addresses, serves, until};
+use std::net::{TcpListener, UdpSocket};
 use std::path::Path;
 use std::time::Duration;
 use tempfile::TempDir;
-
-/// For two nodes to find each other on a computer that is busy with other tests.
-const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Gives back what it was sent, turned around.
 #[derive(Debug, Request)]
 #[contract(name = "media/mirror", reply = Vec<u8>)]
 struct Turn(Vec<u8>);
 
-struct Mirror;
-
-impl Component for Mirror {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Turn>();
-    }
-}
-
-impl Handle<Turn> for Mirror {
-    async fn handle(&mut self, turn: Turn, _: &mut Context<Self>) -> Vec<u8> {
-        turn.0.into_iter().rev().collect()
-    }
-}
-
 /// Goes every way, and waits for nothing that is said one way.
 #[derive(Debug, Request)]
 #[contract(name = "media/stop", reply = (), delivery = "redundant")]
 struct Halt;
-
-struct Brakes;
-
-impl Component for Brakes {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Halt>();
-    }
-}
-
-impl Handle<Halt> for Brakes {
-    async fn handle(&mut self, _: Halt, _: &mut Context<Self>) {}
-}
 
 /// Two nodes that have found each other.
 struct Pair {
@@ -57,10 +29,11 @@ struct Pair {
 impl Pair {
     /// Starts them on these networks.
     async fn on(here: Network, there: Network) -> Self {
+        let mirror = serves("mirror", (), |_, turn: Turn, _| turn.0.into_iter().rev().collect());
         let far = Node::builder("module2")
             .network(there)
-            .child(ChildSpec::new("mirror", || Mirror))
-            .child(ChildSpec::new("brakes", || Brakes))
+            .child(mirror)
+            .child(serves("brakes", (), |_, _: Halt, _| ()))
             .start()
             .await
             .expect("module2 starts");
@@ -104,20 +77,11 @@ async fn speak_over(here: Network, there: Network) {
     Pair::on(here, there).await.speak().await;
 }
 
-/// Two free addresses of this machine.
-fn free() -> [String; 2] {
-    let sockets = [0; 2].map(|_| {
-        let tcp = TcpListener::bind("127.0.0.1:0").expect("a free port");
-        let address: SocketAddr = tcp.local_addr().expect("it is bound");
-        (UdpSocket::bind(address), tcp, address)
-    });
-    sockets.map(|(_, _, address)| address.to_string())
-}
-
 /// Each is at a free address, of which the endpoint is made, and knows the other's.
 fn speak_at_addresses(endpoint: impl Fn(&str) -> String) {
     blastema::run(async {
-        let [a, b] = free();
+        let [a, b] = free_addresses(2).try_into().expect("two");
+        let [a, b] = [a, b].map(|address: std::net::SocketAddr| address.to_string());
         let at = |own: &str, peer: &str, far: &str| {
             Network::new("ethernet", &endpoint(own)).peer(peer, far)
         };
@@ -240,14 +204,8 @@ fn a_serial_cable_that_is_pulled_and_plugged_in_again_carries_on() {
 
         assert!(pair.near.connected("module2", PATIENCE).await, "{:?}", pair.near.links().await);
         let mirror = pair.mirror();
-        let patience = tokio::time::timeout(PATIENCE, async {
-            loop {
-                if let Ok(turned) = mirror.ask(Turn(vec![1, 2])).await {
-                    return turned;
-                }
-            }
-        });
-        assert_eq!(patience.await.expect("the link comes back"), [2, 1]);
+        let turned = async || mirror.ask(Turn(vec![1, 2])).await.ok();
+        assert_eq!(found(turned, "the link comes back").await, [2, 1]);
         pair.shutdown().await;
     });
 }
@@ -293,15 +251,13 @@ fn a_port_that_is_taken_is_a_fault_that_says_what_to_do_and_ends_when_the_port_i
 
                 drop((udp, tcp));
                 if peers == 0 {
-                    let cleared = async {
-                        while !node.table().await.iter().any(|row| {
+                    let is_open = async || {
+                        node.table().await.iter().any(|row| {
                             row.location.to_string().contains("ethernet")
                                 && row.opinion == blastema::Opinion::Trusted
-                        }) {
-                            tokio::task::yield_now().await;
-                        }
+                        })
                     };
-                    tokio::time::timeout(PATIENCE, cleared).await.expect("it opens");
+                    until(is_open, "it opens").await;
                 }
                 node.shutdown().await;
             }
@@ -374,17 +330,12 @@ fn two_nodes_with_one_address_on_a_bus_are_a_fault_on_both_that_names_them() {
             (&first, "node module2 claims the address 1, which this node, module1, has and keeps"),
             (&second, "node module1 has the address 1, which this node, module2, claims"),
         ] {
-            let found = async {
-                loop {
-                    let record = node.faults().await;
-                    let mut faults = record.entries.into_iter().map(|entry| entry.fault.detail);
-                    if let Some(detail) = faults.find(|detail| detail.contains(expected)) {
-                        return detail;
-                    }
-                    tokio::task::yield_now().await;
-                }
+            let detail = async || {
+                let record = node.faults().await;
+                let mut faults = record.entries.into_iter().map(|entry| entry.fault.detail);
+                faults.find(|detail| detail.contains(expected))
             };
-            let detail = tokio::time::timeout(PATIENCE, found).await.expect(expected);
+            let detail = found(detail, expected).await;
             assert!(detail.contains("slcan ") && detail.contains("give one of the two another"));
         }
         second.shutdown().await;

@@ -2,7 +2,7 @@
 
 use blastema::prelude::*;
 use blastema::{Link, LinkState, Network, NodeBuilder, NodeState};
-use blastema_tests::{Answers, Process, free_addresses};
+use blastema_tests::{Process, addresses, answers, free_addresses, role};
 use std::net::SocketAddr;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -43,16 +43,13 @@ async fn standing(node: &Node) -> (u32, u32) {
 
 #[test]
 fn a_process_plays_its_role() {
-    let Some(role) = blastema_tests::role() else { return };
-    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
-    let addresses: Vec<SocketAddr> =
-        blastema_tests::addresses().iter().map(|text| text.parse().expect("an address")).collect();
+    let Some(role) = role() else { return };
     let own: usize = role.parse().expect("a number");
     blastema::run(async {
         let (report, reported) = watch::channel((0, 0));
-        let witness = ChildSpec::new("witness", move || Answers::<Standing>(reported.clone()));
+        let witness = answers::<Standing>("witness", reported);
         let builder = Node::builder(&format!("module{own}")).child(witness);
-        let node = member(&addresses, own, builder).await;
+        let node = member(&addresses(), own, builder).await;
         loop {
             report.send_replace(standing(&node).await);
             blastema::sleep(Duration::from_millis(100)).await;
@@ -64,8 +61,7 @@ fn a_process_plays_its_role() {
 fn a_dozen_processes_are_all_connected_and_none_takes_another_for_lost() {
     let _turn = blastema_doubles::turn();
     let addresses = free_addresses(NODES);
-    let texts: Vec<_> = addresses.iter().map(SocketAddr::to_string).collect();
-    let start = |own: usize| Process::start_with(module_path!(), &own.to_string(), &texts, &[]);
+    let start = |own: usize| Process::start(module_path!(), &own.to_string(), &addresses);
     let _processes: Vec<_> = (1..NODES).map(start).collect();
     blastema::run(async {
         let node = member(&addresses, 0, Node::builder("module0")).await;

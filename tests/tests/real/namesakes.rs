@@ -6,38 +6,28 @@
 
 use blastema::prelude::*;
 use blastema::{Fault, FaultEvents, LinkState, Network, NodeBuilder};
-use blastema_tests::{Process, RobotKeys, addresses, free_addresses, role};
+use blastema_tests::{
+    PATIENCE, Part, Process, RobotKeys, addresses, found, free_addresses, role, serves, until,
+};
 use std::fs::File;
-use std::net::{SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::path::Path;
-use std::time::Duration;
-
-/// For nodes to find each other on a computer that is busy with other tests.
-const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Adds one, and answers the sum.
 #[derive(Clone, Debug, Request)]
 #[contract(name = "sum/add", reply = u32)]
 struct Add(u32);
 
-struct Sum(u32);
-
-impl Component for Sum {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Add>();
-    }
-}
-
-impl Handle<Add> for Sum {
-    async fn handle(&mut self, add: Add, _: &mut Context<Self>) -> u32 {
-        self.0 += add.0;
-        self.0
-    }
+/// Begins with this sum.
+fn sum(first: u32) -> ChildSpec<Part<u32, Add>> {
+    serves("sum", first, |sum, Add(number), _| {
+        *sum += number;
+        *sum
+    })
 }
 
 fn free<const N: usize>() -> [SocketAddr; N] {
-    let held = [0; N].map(|_| UdpSocket::bind("127.0.0.1:0").expect("a free port"));
-    held.map(|socket| socket.local_addr().expect("it is bound"))
+    free_addresses(N).try_into().expect("so many")
 }
 
 fn node(name: &str, own: SocketAddr, peers: &[(&str, SocketAddr)]) -> NodeBuilder {
@@ -49,7 +39,7 @@ fn node(name: &str, own: SocketAddr, peers: &[(&str, SocketAddr)]) -> NodeBuilde
 }
 
 async fn start_arm(own: SocketAddr, beside: (&str, SocketAddr), sum: u32) -> Node {
-    let arm = node("arm", own, &[beside]).child(ChildSpec::new("sum", move || Sum(sum)));
+    let arm = node("arm", own, &[beside]).child(self::sum(sum));
     arm.start().await.expect("the arm starts")
 }
 
@@ -65,24 +55,9 @@ async fn taken(mut faults: FaultEvents) -> Fault {
     tokio::time::timeout(PATIENCE, found).await.expect("the fault is found")
 }
 
-async fn until(mut holds: impl AsyncFnMut() -> bool, what: &str) {
-    let held = async {
-        while !holds().await {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
-    };
-    assert!(tokio::time::timeout(PATIENCE, held).await.is_ok(), "{what}");
-}
-
 /// Asks this sender until there is an answer.
 async fn first_answer(sum: &Sender<Add>) -> u32 {
-    let mut answer = None;
-    let answered = async || {
-        answer = sum.ask_within(Add(1), PATIENCE).await.ok();
-        answer.is_some()
-    };
-    until(answered, "there is an answer").await;
-    answer.expect("it came")
+    found(async || sum.ask_within(Add(1), PATIENCE).await.ok(), "an answer").await
 }
 
 #[test]
@@ -151,7 +126,7 @@ async fn second_on_the_other_network(keys: Option<&RobotKeys>) {
     let base = base.network(network("wifi", on_wifi, "arm", other));
     let base = base.start().await.expect("the base starts");
     let start_arm = async |network: Network, sum: u32| {
-        let arm = with_keys("arm").network(network).child(ChildSpec::new("sum", move || Sum(sum)));
+        let arm = with_keys("arm").network(network).child(self::sum(sum));
         arm.start().await.expect("an arm starts")
     };
     let first = start_arm(network("ethernet", arm, "base", on_ethernet), 0).await;
@@ -205,10 +180,9 @@ fn a_second_node_on_the_other_of_two_networks_takes_no_request_from_the_first() 
 #[test]
 fn a_process_plays_its_role() {
     let Some(scheme) = role() else { return };
-    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
-    let at = addresses();
+    let at = addresses::<String>();
     blastema::run(async {
-        let mut arm = Node::builder("arm").work_threads(1).child(ChildSpec::new("sum", || Sum(0)));
+        let mut arm = Node::builder("arm").work_threads(1).child(sum(0));
         if !at[2].is_empty() {
             arm = arm.keys(&at[2]);
         }
@@ -314,12 +288,7 @@ fn neighbours_of_one_name_are_told_so_until_one_is_called_otherwise() {
         let base = node("base", right, &[("arm", left)]).start().await.expect("it starts");
         assert!(arm.connected("base", PATIENCE).await);
         let stands = async || arm.faults().await.entries.iter().any(|entry| entry.stands());
-        let over = async {
-            while stands().await {
-                tokio::time::sleep(Duration::from_millis(10)).await;
-            }
-        };
-        tokio::time::timeout(PATIENCE, over).await.expect("all is as it should be");
+        until(async || !stands().await, "all is as it should be").await;
         for node in [arm, base] {
             node.shutdown().await;
         }
@@ -336,26 +305,18 @@ fn a_node_that_begins_anew_is_the_same_node_and_no_dispute() {
         for incarnation in 1..=2 {
             let again = start_arm(arm, ("base", base), incarnation * 100).await;
             let sum: Sender<Add> = middle.sender("arm:sum").expect("a name");
-            let answered = async {
-                loop {
-                    match sum.ask_within(Add(1), PATIENCE).await {
-                        Ok(answer) if answer / 100 == incarnation => return,
-                        _ => tokio::time::sleep(Duration::from_millis(10)).await,
-                    }
-                }
+            let is_new = async || {
+                let answer = sum.ask_within(Add(1), PATIENCE).await;
+                answer.is_ok_and(|answer| answer / 100 == incarnation)
             };
-            tokio::time::timeout(PATIENCE, answered).await.expect("the new incarnation answers");
+            until(is_new, "the new incarnation answers").await;
             for node in [&middle, &again] {
                 let record = node.faults().await;
-                let taken = |entry: &&_| entry_kind(entry) == FaultKind::NameTaken;
-                assert_eq!(record.entries.iter().filter(taken).count(), 0);
+                let mut kinds = record.entries.into_iter().map(|entry| entry.fault.kind);
+                assert!(kinds.all(|kind| kind != FaultKind::NameTaken));
             }
             drop(again);
         }
         middle.shutdown().await;
     });
-}
-
-fn entry_kind(entry: &blastema::core::detection::FaultEntry) -> FaultKind {
-    entry.fault.kind.clone()
 }

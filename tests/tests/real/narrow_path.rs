@@ -7,37 +7,19 @@
 
 use blastema::Network;
 use blastema::prelude::*;
-use blastema_tests::{RobotKeys, free_addresses};
+use blastema_tests::{PATIENCE, RobotKeys, free_addresses, serves, until};
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
 use std::thread;
-use std::time::Duration;
 
-/// For everything that takes time on a busy computer.
-const PATIENCE: Duration = Duration::from_secs(60);
 const NODES: [&str; 2] = ["left", "right"];
 
 /// Replies with how many bytes have come in all.
 #[derive(Clone, Debug, Request)]
 #[contract(name = "narrow/store", reply = u64, max_size = 200_000)]
 struct Store(Vec<u8>);
-
-struct Shelf(u64);
-
-impl Component for Shelf {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Store>();
-    }
-}
-
-impl Handle<Store> for Shelf {
-    async fn handle(&mut self, Store(bytes): Store, _: &mut Context<Self>) -> u64 {
-        self.0 += bytes.len() as u64;
-        self.0
-    }
-}
 
 /// Passes on what comes from each node to the other, in datagrams of so many bytes at most. Returns
 /// where each node finds the other.
@@ -63,10 +45,14 @@ fn relay(nodes: [SocketAddr; 2], carries: &Arc<AtomicUsize>) -> [SocketAddr; 2] 
 /// A node that listens beyond this computer, where paths may drop what an Ethernet frame carries.
 async fn node(keys: &RobotKeys, own: usize, port: u16, other: SocketAddr) -> Node {
     let network = Network::new("vpn", &format!("udp://0.0.0.0:{port}"));
+    let shelf = serves("shelf", 0, |stored, Store(bytes), _| {
+        *stored += bytes.len() as u64;
+        *stored
+    });
     Node::builder(NODES[own])
         .keys(keys.of(NODES[own]))
         .network(network.peer(NODES[1 - own], &other.to_string()))
-        .child(ChildSpec::new("shelf", || Shelf(0)))
+        .child(shelf)
         .start()
         .await
         .expect("it starts")
@@ -93,13 +79,8 @@ async fn fault(node: &Node) -> Option<String> {
 
 async fn until_named(nodes: [&Node; 2], size: &str) {
     for node in nodes {
-        let named = async {
-            while !fault(node).await.is_some_and(|text| text.contains(size)) {
-                tokio::time::sleep(Duration::from_millis(5)).await;
-            }
-        };
-        let named = tokio::time::timeout(PATIENCE, named).await;
-        assert!(named.is_ok(), "{size}: {:?}", fault(node).await);
+        let is_named = async || fault(node).await.is_some_and(|text| text.contains(size));
+        until(is_named, size).await;
     }
 }
 

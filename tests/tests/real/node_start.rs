@@ -58,7 +58,7 @@ async fn fail_after_a_network(at: SocketAddr) {
 #[test]
 fn a_node_that_cannot_start_says_why_and_leaves_no_thread() {
     let _turn = blastema_doubles::turn();
-    let mut process = Process::start_with(module_path!(), "counts threads", &[], &[]);
+    let mut process = Process::start(module_path!(), "counts threads", &[""; 0]);
     assert!(process.succeeds(), "its panic is above");
 }
 
@@ -96,7 +96,6 @@ fn a_process_plays_its_role() {
     if role().is_none() {
         return;
     }
-    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
     blastema::run(async {
         let before = threads();
 

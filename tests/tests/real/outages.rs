@@ -4,15 +4,14 @@
 use blastema::core::detection::Opinion;
 use blastema::prelude::*;
 use blastema::{Direction, Down, DownReason, FaultLocation, Link, Network, NodeBuilder};
-use blastema_tests::{Process, addresses, free_addresses, role};
+use blastema_tests::{MS, Notes, Process, addresses, free_addresses, role, until};
 use std::net::SocketAddr;
+use std::sync::OnceLock;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 const PATIENCE: Duration = Duration::from_secs(60);
-const MS: Duration = Duration::from_millis(1);
 
 /// Replies with the present incarnation, which ends so soon: at once, or never with 0 times; so
 /// many incarnations after it end, too.
@@ -113,7 +112,7 @@ impl Handle<Leave> for Grip {
 }
 
 /// Remembers what it is told of the grip.
-struct Guard(Arc<Mutex<Vec<Down>>>);
+struct Guard(Notes<Down>);
 
 impl Component for Guard {
     async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
@@ -123,13 +122,13 @@ impl Component for Guard {
 
 impl Handle<Down> for Guard {
     async fn handle(&mut self, down: Down, _: &mut Context<Self>) {
-        self.0.lock().unwrap().push(down);
+        self.0.note(down);
     }
 }
 
-fn node(own: usize, at: &[String]) -> NodeBuilder {
+fn node(own: usize, at: &[SocketAddr]) -> NodeBuilder {
     let (names, other) = (["base", "arm"], 1 - own);
-    let link = Link::new(names[other], at[other].parse().expect("an address"));
+    let link = Link::new(names[other], at[other]);
     let network = Network::new("lan", &format!("udp://{}", at[own])).link(link).with_faults(7);
     Node::builder(names[own]).network(network).intensity(1000, Duration::from_secs(1))
 }
@@ -137,7 +136,6 @@ fn node(own: usize, at: &[String]) -> NodeBuilder {
 #[test]
 fn a_process_plays_its_role() {
     let Some(role) = role() else { return };
-    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
     let slow = MS * role.parse().expect("how long the grip takes to start");
     blastema::run(async {
         let first = AtomicU64::new(1);
@@ -151,14 +149,13 @@ fn a_process_plays_its_role() {
 /// The base, and where the process of the arm is to be.
 struct Base {
     node: Node,
-    at: Vec<String>,
-    told: Arc<Mutex<Vec<Down>>>,
+    at: Vec<SocketAddr>,
+    told: Notes<Down>,
 }
 
 impl Base {
     async fn start(describe: impl FnOnce(NodeBuilder) -> NodeBuilder) -> Self {
-        let at: Vec<String> = free_addresses(2).iter().map(SocketAddr::to_string).collect();
-        let told = Arc::<Mutex<Vec<Down>>>::default();
+        let (at, told) = (free_addresses(2), Notes::<Down>::default());
         let kept = told.clone();
         let guard = ChildSpec::new("guard", move || Guard(kept.clone()));
         let node = describe(node(0, &at)).child(guard).start().await.unwrap();
@@ -166,7 +163,7 @@ impl Base {
     }
 
     fn arm(&self, slow_ms: u64) -> Process {
-        Process::start_with(module_path!(), &slow_ms.to_string(), &self.at, &[])
+        Process::start(module_path!(), &slow_ms.to_string(), &self.at)
     }
 
     async fn connected(&self) {
@@ -189,15 +186,8 @@ impl Base {
 
     /// What the guard was told, once that is right.
     async fn told(&self, is_right: impl Fn(&[Down]) -> bool) -> Vec<Down> {
-        let told = async {
-            while !is_right(&self.told.lock().unwrap()) {
-                blastema::sleep(MS).await;
-            }
-        };
-        let in_time = tokio::time::timeout(PATIENCE, told).await;
-        let told = std::mem::take(&mut *self.told.lock().unwrap());
-        assert!(in_time.is_ok(), "{told:?}");
-        told
+        until(async || is_right(&self.told.lock()), "the guard is told what is right").await;
+        self.told.take()
     }
 }
 
@@ -264,7 +254,7 @@ fn a_process_that_is_started_again_is_connected_when_its_objects_answer() {
                 assert_eq!(asked.await.map_err(|error| error.kind), Ok(1));
             }
 
-            base.told.lock().unwrap().clear();
+            base.told.take();
             arm.kill();
             base.told(|told| told.iter().any(is_lost)).await;
             arm = base.arm(300);
@@ -292,7 +282,7 @@ fn a_process_that_may_be_away_ends_and_dies_without_a_fault_and_each_is_told_onc
             base.connected().await;
             base.end(0, 0).await;
             assert_eq!(row().await, (Opinion::Trusted, String::new()));
-            base.told.lock().unwrap().clear();
+            base.told.take();
 
             match in_order {
                 true => {
@@ -301,19 +291,16 @@ fn a_process_that_may_be_away_ends_and_dies_without_a_fault_and_each_is_told_onc
                 }
                 false => arm.kill(),
             }
-            let gone = async {
-                while row().await.0 != Opinion::Stopped || !base.node.routes().await.is_empty() {
-                    blastema::sleep(MS).await;
-                }
-            };
-            tokio::time::timeout(PATIENCE, gone).await.expect("it is away");
+            let is_away =
+                async || row().await.0 == Opinion::Stopped && base.node.routes().await.is_empty();
+            until(is_away, "it is away").await;
             let told = base.told(|told| !told.is_empty()).await;
             // Another one would follow when the session is over.
             while base.node.sessions().await.iter().any(|row| row.status.incarnation.is_some()) {
                 blastema::sleep(MS).await;
             }
             blastema::sleep(100 * MS).await;
-            let more = std::mem::take(&mut *base.told.lock().unwrap());
+            let more = base.told.take();
             assert_eq!((told.len(), more), (1, vec![]), "{in_order}: {told:?}");
         }
         let faults = base.node.faults().await.entries;
@@ -330,7 +317,7 @@ fn a_node_that_a_component_of_its_own_shuts_down_leaves_in_order_before_its_prog
         for _ in 0..5 {
             let mut arm = base.arm(0);
             base.connected().await;
-            base.told.lock().unwrap().clear();
+            base.told.take();
 
             base.node.sender::<Leave>("arm:grip").unwrap().tell(Leave).unwrap();
 
@@ -406,13 +393,8 @@ fn what_is_published_until_a_listener_is_back_arrives_or_is_counted_as_lost_to_i
                 assert!(arrived + lost <= published, "{ending}: {arrived} + {lost} of {published}");
                 arrived + lost == published
             };
-            let balanced = async {
-                while !is_balanced(count().await) {
-                    blastema::sleep(MS).await;
-                }
-            };
-            let in_time = tokio::time::timeout(PATIENCE, balanced).await;
-            assert!(in_time.is_ok(), "{ending}: {:?} after {before:?}", count().await);
+            until(async || is_balanced(count().await), &format!("{ending}, after {before:?}"))
+                .await;
             // No loss is counted late.
             blastema::sleep(500 * MS).await;
             let counts = count().await;

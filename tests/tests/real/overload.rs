@@ -6,13 +6,13 @@ use blastema::core::recovery::{Ladder, Plan, RecoveryAction};
 use blastema::prelude::*;
 use blastema::{Incarnation, NodeBuilder};
 use blastema_testkit::TestNode;
+use blastema_tests::{MS, Part, accepts, serves};
 use rustix::time::{ClockId, clock_gettime};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::{Duration, Instant};
 
-const MS: Duration = Duration::from_millis(1);
 /// As long as anything here may take on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
 
@@ -27,23 +27,6 @@ fn burn(span: Duration) {
 
 #[derive(Clone, Copy, Debug, Event)]
 struct Plan30;
-
-/// Needs 30 ms for each message.
-struct Planner(Arc<Counts>);
-impl Component for Planner {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Plan30>();
-    }
-}
-impl Handle<Plan30> for Planner {
-    async fn handle(&mut self, _: Plan30, _: &mut Context<Self>) {
-        let rounds = self.0.rounds.load(SeqCst);
-        burn(30 * MS);
-        // On one thread with the planner, the safety component has no round meanwhile.
-        self.0.beside.fetch_add(self.0.rounds.load(SeqCst) - rounds, SeqCst);
-        self.0.planned.fetch_add(1, SeqCst);
-    }
-}
 
 /// Counts its rounds, each of which takes so long.
 struct Safety(Arc<Counts>, Duration);
@@ -65,12 +48,16 @@ struct Counts {
 }
 
 impl Counts {
-    fn planner(self: &Arc<Self>) -> ChildSpec<Planner> {
-        let counts = self.clone();
-        ChildSpec::new("planner", move || Planner(counts.clone()))
-            .queue(16, WhenFull::DropOldest)
-            .max_block(LONG)
-            .ready_within(LONG)
+    /// It needs 30 ms for each message.
+    fn planner(self: &Arc<Self>) -> ChildSpec<Part<Arc<Self>, Plan30>> {
+        let planner = accepts("planner", self.clone(), |counts, _: Plan30, _| {
+            let rounds = counts.rounds.load(SeqCst);
+            burn(30 * MS);
+            // On one thread with the planner, the safety component has no round meanwhile.
+            counts.beside.fetch_add(counts.rounds.load(SeqCst) - rounds, SeqCst);
+            counts.planned.fetch_add(1, SeqCst);
+        });
+        planner.queue(16, WhenFull::DropOldest).max_block(LONG).ready_within(LONG)
     }
 
     fn safety(self: &Arc<Self>, name: &str, work: Duration) -> ChildSpec<Safety> {
@@ -292,29 +279,20 @@ fn a_flooded_component_that_is_asked_is_alive() {
 #[contract(reply = ())]
 struct Calibrate;
 
-struct Camera;
-impl Component for Camera {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Calibrate>();
-    }
-}
-impl Handle<Calibrate> for Camera {
-    async fn handle(&mut self, _: Calibrate, cx: &mut Context<Self>) {
-        let _long = cx.long_operation(LONG);
-        drop(cx.long_operation(MS));
-        // It needs no processor, only the thread.
-        let end = Instant::now() + 250 * MS;
-        while Instant::now() < end {
-            std::hint::spin_loop();
-        }
-    }
-}
-
 #[test]
 fn a_declared_long_operation_is_no_hang_though_a_short_one_ended_within_it() {
     let _turn = blastema_doubles::turn();
     blastema::run(async {
-        let camera = ChildSpec::new("camera", || Camera).max_block(60 * MS);
+        let camera = serves("camera", (), |_, _: Calibrate, cx| {
+            let _long = cx.long_operation(LONG);
+            drop(cx.long_operation(MS));
+            // It needs no processor, only the thread.
+            let end = Instant::now() + 250 * MS;
+            while Instant::now() < end {
+                std::hint::spin_loop();
+            }
+        });
+        let camera = camera.max_block(60 * MS);
         let node = start(Node::builder("m").work_threads(1).child(camera)).await;
 
         let camera = node.sender::<Calibrate>("camera").expect("a camera");

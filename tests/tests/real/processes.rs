@@ -8,7 +8,7 @@ use blastema::{
     ActuatorSpec, Hold, Link, Network, RestoreDecision, RestorePolicy, Role, ServiceSpec,
     StandbyKind, Stateful, Transaction,
 };
-use blastema_tests::{Answers, Process, free_addresses};
+use blastema_tests::{Process, addresses, answers, free_addresses, moves, role};
 use std::net::SocketAddr;
 use std::time::Duration;
 
@@ -23,8 +23,7 @@ fn start(role: &str, addresses: &[SocketAddr]) -> Process {
 }
 
 fn start_with(role: &str, addresses: &[SocketAddr], more: &[(&str, &String)]) -> Process {
-    let addresses: Vec<String> = addresses.iter().map(SocketAddr::to_string).collect();
-    Process::start_with(module_path!(), role, &addresses, more)
+    Process::start_with(module_path!(), role, addresses, more)
 }
 
 /// The network of node `own` of these, with a link to every other.
@@ -37,15 +36,9 @@ fn ethernet(addresses: &[SocketAddr], own: usize) -> Network {
     network
 }
 
-fn addresses() -> Vec<SocketAddr> {
-    let texts = blastema_tests::addresses();
-    texts.iter().map(|address| address.parse().expect("an address")).collect()
-}
-
 #[test]
 fn a_process_plays_its_role() {
-    let Some(role) = blastema_tests::role() else { return };
-    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
+    let Some(role) = role() else { return };
     blastema::run(async {
         match role.as_str() {
             "commander" => command_wheels().await,
@@ -105,21 +98,6 @@ fn a_node_that_is_killed_and_started_over_and_over_is_one_fault_that_stands() {
 #[contract(name = "wheels/drive", reply = f32)]
 struct Drive(f32);
 
-struct Wheels(std::sync::mpsc::SyncSender<f32>);
-
-impl Component for Wheels {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold).lease(Duration::from_secs(2)));
-    }
-}
-
-impl Handle<Drive> for Wheels {
-    async fn handle(&mut self, drive: Drive, _: &mut Context<Self>) -> f32 {
-        self.0.send(drive.0).expect("the test listens");
-        drive.0
-    }
-}
-
 async fn command_wheels() {
     let node = Node::builder("module1").network(ethernet(&addresses(), 1)).start().await.unwrap();
     assert!(node.connected("module0", PATIENCE).await);
@@ -137,7 +115,11 @@ fn wheels_stop_by_themselves_when_their_commanders_process_is_killed() {
     let mut commander = start("commander", &addresses);
 
     blastema::run(async {
-        let wheels = ChildSpec::new("wheels", move || Wheels(turned.clone()));
+        let safe = ActuatorSpec::new(Drive(0.0), Hold).lease(Duration::from_secs(2));
+        let wheels = moves("wheels", safe, turned, |turned, Drive(speed), _| {
+            turned.send(speed).expect("the test listens");
+            speed
+        });
         let node = Node::builder("module0").network(ethernet(&addresses, 0)).child(wheels);
         let node = node.start().await.unwrap();
 
@@ -198,7 +180,7 @@ async fn carry_counter(number: usize) {
     let (in_step, told) = tokio::sync::watch::channel(false);
     let node = Node::builder(&format!("module{number}"))
         .network(ethernet(&addresses(), number))
-        .child(ChildSpec::new("witness", move || Answers::<Ready>(told.clone())))
+        .child(answers::<Ready>("witness", told))
         .service(counter);
     let node = node.start().await.unwrap();
     loop {

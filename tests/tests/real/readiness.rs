@@ -2,11 +2,8 @@
 
 use blastema::prelude::*;
 use blastema::{ClaimPolicy, Network};
-use blastema_tests::free_addresses;
-use std::sync::{Arc, Mutex};
+use blastema_tests::{Notes, PATIENCE, free_addresses, until};
 use std::time::Duration;
-
-const PATIENCE: Duration = Duration::from_secs(60);
 
 #[derive(Clone, Debug, Event)]
 #[contract(name = "ready/news")]
@@ -16,8 +13,7 @@ struct News(u32);
 #[contract(name = "ready/hello", reply = u32)]
 struct Hello(u32);
 
-#[derive(Default)]
-struct Reader(Arc<Mutex<Vec<u32>>>);
+struct Reader(Notes<u32>);
 
 impl Component for Reader {
     fn ports(ports: &mut Ports<Self>) {
@@ -34,7 +30,7 @@ impl Handle<Hello> for Reader {
 
 impl Handle<News> for Reader {
     async fn handle(&mut self, News(number): News, _: &mut Context<Self>) {
-        self.0.lock().expect("nothing panics").push(number);
+        self.0.note(number);
     }
 }
 
@@ -58,7 +54,7 @@ fn what_is_sent_and_published_once_all_is_ready_arrives_and_what_is_missing_is_n
                         topic)";
         assert_eq!(missing, expected);
 
-        let seen = Arc::new(Mutex::new(Vec::new()));
+        let seen = Notes::default();
         let read = seen.clone();
         let reader = ChildSpec::new("reader", move || Reader(read.clone()));
         let ready = async {
@@ -81,13 +77,8 @@ fn what_is_sent_and_published_once_all_is_ready_arrives_and_what_is_missing_is_n
             (there, claim.expect("it is free"))
         };
         let ((), (there, _claim)) = tokio::join!(ready, there);
-        let all_seen = async {
-            while seen.lock().expect("nothing panics").len() < 5 {
-                tokio::time::sleep(Duration::from_millis(1)).await;
-            }
-        };
-        tokio::time::timeout(PATIENCE, all_seen).await.expect("all are there");
-        assert_eq!(*seen.lock().expect("nothing panics"), [0, 1, 2, 3, 4]);
+        until(async || seen.lock().len() >= 5, "all are there").await;
+        assert_eq!(seen.all(), [0, 1, 2, 3, 4]);
         let missing = here.ready(&["there:absent"], &[], Duration::ZERO).await;
         let missing = missing.expect_err("it is not there").missing;
         assert_eq!(missing[0].1, "there has no object of this name");

@@ -6,13 +6,13 @@ use blastema::core::detection::FaultEntry;
 use blastema::prelude::*;
 use blastema::{Incarnation, NodeBuilder};
 use blastema_testkit::TestNode;
+use blastema_tests::{MS, until};
 use std::num::NonZero;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-const MS: Duration = Duration::from_millis(1);
 /// As long as anything here may take on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
 
@@ -87,14 +87,6 @@ async fn start(motors: ChildSpec<Loop>) -> TestNode {
     TestNode::of(node.start().await.expect("the node starts")).await
 }
 
-async fn until(what: &str, mut holds: impl AsyncFnMut() -> bool) {
-    let begun = Instant::now();
-    while !holds().await {
-        assert!(begun.elapsed() < LONG, "{what}: never");
-        tokio::time::sleep(5 * MS).await;
-    }
-}
-
 #[test]
 fn rounds_come_closer_than_the_timers_of_the_runtime_are() {
     let _turn = blastema_doubles::turn();
@@ -103,7 +95,7 @@ fn rounds_come_closer_than_the_timers_of_the_runtime_are() {
         let node = start(motors(&record, 10_000.0, |_, _| Then::Return)).await;
 
         // The timers of the runtime are a millisecond apart.
-        until("ten rounds within 3 ms", async || record.fine.load(SeqCst) > 0).await;
+        until(async || record.fine.load(SeqCst) > 0, "ten rounds within 3 ms").await;
 
         node.shutdown().await;
     });
@@ -116,7 +108,7 @@ fn a_loop_that_had_its_processor_is_not_blamed() {
         let record = Arc::<LoopRecord>::default();
         let node = start(motors(&record, 1000.0, |_, _| Then::Return).max_block(LONG)).await;
 
-        until("a thousand rounds", async || record.rounds.load(SeqCst) >= 1000).await;
+        until(async || record.rounds.load(SeqCst) >= 1000, "a thousand rounds").await;
 
         let faults = node.faults().await;
         // The computer is overloaded, which it may be wherever tests are run.
@@ -143,7 +135,7 @@ async fn add_up(
     node: &TestNode,
     (period, reading): (Duration, Duration),
 ) -> (u64, u64, Duration) {
-    until("its last round", async || record.is_over.load(SeqCst)).await;
+    until(async || record.is_over.load(SeqCst), "its last round").await;
     let row = node.row("motors").await;
     let late = row.round_lateness.expect("it has had rounds").max + reading;
     let first = record.first.lock().unwrap().expect("it has begun");
@@ -256,7 +248,7 @@ fn a_round_that_hangs_is_found_and_the_loop_goes_on_elsewhere() {
         let hang = node.await_fault(FaultKind::Hang, "motors").await;
         assert!(hang.detail.contains("on_execute"), "{}", hang.detail);
         let goes_on = || record.starts.load(SeqCst) >= 2 && record.rounds.load(SeqCst) >= 200;
-        until("rounds again", async || goes_on()).await;
+        until(async || goes_on(), "rounds again").await;
 
         node.shutdown().await;
     });
@@ -290,7 +282,7 @@ fn a_thread_has_its_priority_and_processor_or_the_start_is_refused_with_what_to_
         let spec = spec.priority(10).cpu(usize::try_from(cpu).unwrap());
         match Node::builder("m").work_threads(1).child(spec).start().await {
             Ok(node) => {
-                until("it is active", async || seen.lock().unwrap().is_some()).await;
+                until(async || seen.lock().unwrap().is_some(), "it is active").await;
                 assert_eq!(*seen.lock().unwrap(), Some([cpu, 10, SCHED_FIFO]));
                 node.shutdown().await;
             }

@@ -263,6 +263,16 @@ fn our_own_address_is_nobody_elses_and_a_neighbours_is_one_of_the_medium() {
                 refused(node().network(network().link(link)), &["is not where b is"]).await;
             }
         }
+        let own = || Network::new("eth", "udp://127.0.0.1:7400");
+        for (network, words) in [
+            (own().peer("module1", "127.0.0.1:7401"), ["module1 is this node", "network eth"]),
+            (own().peer("b", "127.0.0.1:7400"), ["our own address", "^^^"]),
+            (own().link(Link::new("b", at("127.0.0.1:7400"))), ["our own address", "network eth"]),
+            (own().peer("b", "127.0.0.1:0"), ["port 0", "network eth"]),
+            (own().peer("b 2", "127.0.0.1:1"), ["neighbour on network eth", "' '"]),
+        ] {
+            refused(node().network(network), &words).await;
+        }
         let reserved = Network::new("eth", "udp://224.0.0.1:7400");
         refused(node().network(reserved), &["224.0.0.1:7400", "^^^", "239.255.0.1"]).await;
         let beacons = Network::new("eth", "udp://127.0.0.1:0").discover_anybody();
@@ -286,6 +296,26 @@ fn our_own_address_is_nobody_elses_and_a_neighbours_is_one_of_the_medium() {
 }
 
 #[test]
+fn a_node_that_cannot_be_away_is_refused_with_a_reason() {
+    let _turn = blastema_doubles::turn();
+    blastema::run(async {
+        let with = |peer: &str| {
+            let network = Network::memory("mem", &MemoryMedium::default(), "module1");
+            node().network(network.peer("laptop", "laptop")).may_be_away(peer)
+        };
+        for (builder, why) in [
+            (with("module1"), "module1 may be away, as is described: it is this node"),
+            (with("a b"), "the name of a node that may be away"),
+            (node().may_be_away("laptop"), "laptop may be away, as is described: this node has no"),
+        ] {
+            let refused = builder.check();
+            assert!(refused.len() == 1 && refused[0].to_string().contains(why), "{refused:?}");
+        }
+        assert!(with("laptop").check().is_empty());
+    });
+}
+
+#[test]
 fn links_of_which_one_would_be_taken_for_another_or_cost_nothing_are_refused() {
     let _turn = blastema_doubles::turn();
     blastema::run(async {
@@ -298,6 +328,7 @@ fn links_of_which_one_would_be_taken_for_another_or_cost_nothing_are_refused() {
         refused(one(link().cost(0)), &["cost of the link to b is 0", "1 at least"]).await;
         refused(one(link().named("")), &["an empty name"]).await;
         refused(one(link().hello_every(Duration::ZERO)), &["1 ms to 15 s"]).await;
+        refused(one(link().hello_every(20_000 * MS)), &["1 ms to 15 s"]).await;
         refused(one(link().expected_within(Duration::ZERO)), &["the time of some hellos"]).await;
         refused(one(link().hello_every(MS * 500).expected_within(100 * MS)), &["500ms"]).await;
         taken(one(link().expected_within(Duration::MAX).cost(1))).await;

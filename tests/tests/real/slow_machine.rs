@@ -3,16 +3,17 @@
 
 use blastema::prelude::*;
 use blastema::{Link, LinkState, Network, NodeBuilder};
-use blastema_tests::{Answers, Process, free_addresses};
+use blastema_tests::{
+    MS, Notes, Process, accepts, addresses, answers, found, free_addresses, role,
+};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// For everything that takes time on a busy computer.
 const PATIENCE: Duration = Duration::from_secs(60);
-const MS: Duration = Duration::from_millis(1);
 /// The media between the two nodes. Each has a port, or a path, of its own at each end.
 const MEDIA: [&str; 3] = ["udp", "tcp", "unix"];
 
@@ -36,8 +37,7 @@ fn module(own: usize, endpoints: &[String]) -> NodeBuilder {
 
 #[test]
 fn a_process_plays_its_role() {
-    let Some(role) = blastema_tests::role() else { return };
-    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
+    let Some(role) = role() else { return };
     blastema::run(async {
         match role.as_str() {
             "observer" => tell_faults().await,
@@ -66,8 +66,8 @@ impl Component for Pulse {
 async fn tell_faults() {
     let (found, told) = tokio::sync::watch::channel(Vec::new());
     let watch = Liveness::pull(100 * MS, 100 * MS);
-    let mut builder = module(1, &blastema_tests::addresses())
-        .child(ChildSpec::new("faults", move || Answers::<ReadFaults>(told.clone())))
+    let mut builder = module(1, &addresses())
+        .child(answers::<ReadFaults>("faults", told))
         .child(ChildSpec::new("pulse", || Pulse).rate_hz(50.0).liveness(watch));
     let mut faults = builder.fault_events();
     let node = builder.start().await.unwrap();
@@ -92,7 +92,7 @@ fn blames_itself_after(span: Duration, media: &'static [&'static str]) {
         let folder = tempfile::tempdir().unwrap();
         let endpoints = endpoints(media, &folder);
         let node = module(0, &endpoints).start().await.unwrap();
-        let process = Process::start_with(module_path!(), "observer", &endpoints, &[]);
+        let process = Process::start(module_path!(), "observer", &endpoints);
         assert!(node.connected("module1", PATIENCE).await);
         let faults: Sender<ReadFaults> = node.sender("module1:faults").unwrap();
         let of_pause = |found: &Found| {
@@ -158,26 +158,7 @@ struct ReadDone;
 #[contract(name = "slow/read_dead", reply = u64)]
 struct ReadDead;
 
-type Done = Arc<Mutex<Vec<(u32, u32)>>>;
-
-/// Needs 10, 20 or 30 ms for each message.
-struct Slow(Done);
-
-impl Component for Slow {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Work>();
-    }
-}
-
-impl Handle<Work> for Slow {
-    async fn handle(&mut self, work: Work, _: &mut Context<Self>) {
-        let end = Instant::now() + MS * (10 * (1 + work.number % 3));
-        while Instant::now() < end {
-            std::hint::spin_loop();
-        }
-        self.0.lock().unwrap().push((work.sender, work.number));
-    }
-}
+type Done = Notes<(u32, u32)>;
 
 /// Answers at once, beside the slow one.
 struct Quick(Done, Arc<AtomicU64>);
@@ -190,7 +171,7 @@ impl Component for Quick {
 
 impl Handle<ReadDone> for Quick {
     async fn handle(&mut self, _: ReadDone, _: &mut Context<Self>) -> Vec<(u32, u32)> {
-        self.0.lock().unwrap().clone()
+        self.0.all()
     }
 }
 
@@ -202,12 +183,19 @@ impl Handle<ReadDead> for Quick {
 
 async fn receive_work() {
     let (done, dead) = (Done::default(), Arc::new(AtomicU64::new(0)));
-    let (slow, quick) = (done.clone(), dead.clone());
-    let node = module(1, &blastema_tests::addresses())
+    let quick = dead.clone();
+    // It needs 10, 20 or 30 ms for each message.
+    let slow = accepts("slow", done.clone(), |done, work: Work, _| {
+        let end = Instant::now() + MS * (10 * (1 + work.number % 3));
+        while Instant::now() < end {
+            std::hint::spin_loop();
+        }
+        done.note((work.sender, work.number));
+    });
+    let node = module(1, &addresses())
         .session_timeout(PATIENCE)
         .child(
-            ChildSpec::new("slow", move || Slow(slow.clone()))
-                .queue(64, WhenFull::Wait)
+            slow.queue(64, WhenFull::Wait)
                 // A thread that a busy computer does not run is no hang.
                 .max_block(PATIENCE)
                 .on_own_thread(),
@@ -234,15 +222,7 @@ async fn deliver(slow: &Sender<Work>, sender: u32, count: u32) -> u32 {
 
 /// Asks until an answer comes: while a process is stopped, sessions may end.
 async fn ask<R: Request<Reply = T> + Clone, T>(sender: &Sender<R>, request: R) -> T {
-    let asked = async {
-        loop {
-            match sender.ask_within(request.clone(), PATIENCE).await {
-                Ok(reply) => return reply,
-                Err(_) => sleep(10 * MS).await,
-            }
-        }
-    };
-    tokio::time::timeout(PATIENCE, asked).await.expect("it answers")
+    found(async || sender.ask_within(request.clone(), PATIENCE).await.ok(), "an answer").await
 }
 
 /// Each at most once, and those of one sender in their order.
@@ -261,7 +241,7 @@ fn a_slow_receiver(medium: &'static str, stop: Duration, session: Duration, coun
         let folder = tempfile::tempdir().unwrap();
         let endpoints = endpoints(&[medium], &folder);
         let node = module(0, &endpoints).session_timeout(session).start().await.unwrap();
-        let process = Process::start_with(module_path!(), "receiver", &endpoints, &[]);
+        let process = Process::start(module_path!(), "receiver", &endpoints);
         assert!(node.connected("module1", PATIENCE).await);
         let slow: Sender<Work> = node.sender("module1:slow").unwrap();
         let read: Sender<ReadDone> = node.sender("module1:quick").unwrap();
@@ -286,20 +266,14 @@ fn a_slow_receiver(medium: &'static str, stop: Duration, session: Duration, coun
         };
         let (accepted, ()) = tokio::join!(senders, beside);
 
-        let accounted = async {
-            loop {
-                let done = ask(&read, ReadDone).await;
-                assert_in_order(&done);
-                let missing = u64::from(accepted).saturating_sub(done.len() as u64);
-                let (here, there) = (node.dead_letters().total(), ask(&dead, ReadDead).await);
-                if missing <= here + there {
-                    return (missing, here + there);
-                }
-                sleep(10 * MS).await;
-            }
+        let accounted = async || {
+            let done = ask(&read, ReadDone).await;
+            assert_in_order(&done);
+            let missing = u64::from(accepted).saturating_sub(done.len() as u64);
+            let (here, there) = (node.dead_letters().total(), ask(&dead, ReadDead).await);
+            (missing <= here + there).then_some((missing, here + there))
         };
-        let accounted = tokio::time::timeout(PATIENCE, accounted).await;
-        let (missing, reported) = accounted.expect("what was accepted is served or reported");
+        let (missing, reported) = found(accounted, "what was accepted, served or reported").await;
         if stop < session {
             assert_eq!((accepted, missing, reported), (4 * count, 0, 0), "the session outlasts it");
         }
@@ -314,15 +288,11 @@ fn a_slow_receiver_loses_doubles_and_overtakes_nothing_when_it_is_stopped_for_a_
 }
 
 #[test]
-fn a_slow_receiver_loses_doubles_and_overtakes_nothing_when_it_is_stopped_for_a_moment_over_tcp() {
+fn a_slow_receiver_loses_doubles_and_overtakes_nothing_also_over_tcp_and_unix() {
     let Some(_turn) = blastema_doubles::turn_if_long() else { return };
-    a_slow_receiver("tcp", 500 * MS, PATIENCE, 40);
-}
-
-#[test]
-fn a_slow_receiver_loses_doubles_and_overtakes_nothing_when_it_is_stopped_for_a_moment_over_unix() {
-    let Some(_turn) = blastema_doubles::turn_if_long() else { return };
-    a_slow_receiver("unix", 500 * MS, PATIENCE, 40);
+    for medium in &MEDIA[1..] {
+        a_slow_receiver(medium, 500 * MS, PATIENCE, 40);
+    }
 }
 
 #[test]

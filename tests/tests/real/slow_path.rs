@@ -11,7 +11,7 @@
 
 use blastema::prelude::*;
 use blastema::{ActuatorSpec, Blob, Hold, Network, ServiceSpec, StandbyKind, Stateful};
-use blastema_tests::{RobotKeys, free_addresses};
+use blastema_tests::{MS, Notes, Part, RobotKeys, free_addresses, moves, until};
 use std::collections::VecDeque;
 use std::io::{self, Read, Write};
 use std::net::{IpAddr, Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket};
@@ -31,7 +31,6 @@ const DEPTH: usize = 1_000_000;
 const IMAGE: usize = 300_000;
 /// So long all is sent.
 const LASTS: Duration = Duration::from_secs(12);
-const MS: Duration = Duration::from_millis(1);
 
 /// What waits for the wire in one direction, and what has gone over it.
 #[derive(Default)]
@@ -209,22 +208,11 @@ struct Map(Blob);
 #[contract(name = "slow/drive", reply = f32)]
 struct Drive(f32);
 
-struct Wheels;
-
-impl Component for Wheels {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold));
-    }
+fn wheels(name: &str) -> ChildSpec<Part<(), Drive>> {
+    moves(name, ActuatorSpec::new(Drive(0.0), Hold), (), |(), Drive(speed), _| speed)
 }
 
-impl Handle<Drive> for Wheels {
-    async fn handle(&mut self, Drive(speed): Drive, _: &mut Context<Self>) -> f32 {
-        speed
-    }
-}
-
-#[derive(Default)]
-struct Screen(Arc<Mutex<Vec<u32>>>);
+struct Screen(Notes<u32>);
 
 impl Component for Screen {
     fn ports(ports: &mut Ports<Self>) {
@@ -243,7 +231,7 @@ impl Handle<Map> for Screen {
 impl Handle<Image> for Screen {
     async fn handle(&mut self, image: Image, _: &mut Context<Self>) {
         assert_eq!(image.pixels.len(), IMAGE);
-        self.0.lock().expect("nothing panics").push(image.number);
+        self.0.note(image.number);
     }
 }
 
@@ -286,7 +274,7 @@ fn beside_images(
         let wire = wire([robot_at, desk_at]);
         let folder = tempfile::tempdir().expect("a folder");
         let keys = RobotKeys::new(folder.path(), &["robot", "desk", "relay"], 1);
-        let seen = Arc::new(Mutex::new(Vec::new()));
+        let seen = Notes::default();
         let shown = seen.clone();
         let near = medium("net0", robot_at).peer("desk", &wire.ends[0].to_string());
         let far = medium("net0", desk_at);
@@ -310,8 +298,8 @@ fn beside_images(
         let robot = Node::builder("robot")
             .keys(keys.of("robot"))
             .network(near)
-            .child(ChildSpec::new("wheels", || Wheels))
-            .child(ChildSpec::new("screen", || Screen(Arc::default())))
+            .child(wheels("wheels"))
+            .child(ChildSpec::new("screen", || Screen(Notes::default())))
             .start()
             .await
             .expect("it starts");
@@ -376,14 +364,9 @@ fn beside_images(
             drive
         );
 
-        let newest = || seen.lock().expect("nothing panics").last().copied();
-        let all_seen = async {
-            while newest() != Some(taken - 1) {
-                tokio::time::sleep(MS).await;
-            }
-        };
-        tokio::time::timeout(PATIENCE, all_seen).await.expect("the last one arrives");
-        let seen = seen.lock().expect("nothing panics").clone();
+        let has_come = async || seen.lock().last() == Some(&(taken - 1));
+        until(has_come, "the last one arrives").await;
+        let seen = seen.all();
         match film {
             Film::Whole => assert_eq!(seen, (0..taken).collect::<Vec<_>>()),
             Film::Live => assert!(seen.is_sorted(), "{seen:?}"),
@@ -485,7 +468,7 @@ fn beside_the_state_of_a_service(
         let robot = Node::builder("robot")
             .keys(keys.of("robot"))
             .network(medium("net0", robot_at).peer("desk", &wire.ends[0].to_string()))
-            .child(ChildSpec::new("wheels", || Wheels))
+            .child(wheels("wheels"))
             .service(atlas())
             .start()
             .await
@@ -493,7 +476,7 @@ fn beside_the_state_of_a_service(
         let desk = Node::builder("desk")
             .keys(keys.of("desk"))
             .network(medium("net0", desk_at).peer("robot", &wire.ends[1].to_string()))
-            .child(ChildSpec::new("levers", || Wheels))
+            .child(wheels("levers"))
             .service(atlas())
             .start()
             .await

@@ -5,6 +5,7 @@ use blastema::{
     ComponentOrder, Fault, FaultEvents, FaultLocation, Lifecycle, MonitorRow, OrderVerb,
     ProcessSpec, launch_processes_by,
 };
+use blastema_tests::{PATIENCE, found, until};
 use std::fs::{self, Permissions};
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::fs::PermissionsExt;
@@ -12,7 +13,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-const PATIENCE: Duration = Duration::from_secs(120);
 const PROGRAM: &str = env!("CARGO_BIN_EXE_trial_program");
 /// Says that it is ready and who it is.
 const READY: [&str; 3] = ["say-pid", "say", "READY=1"];
@@ -34,12 +34,7 @@ fn exists(process: &str) -> bool {
 }
 
 async fn gone(process: &str) {
-    let gone = async {
-        while exists(process) {
-            sleep(Duration::from_millis(5)).await;
-        }
-    };
-    tokio::time::timeout(PATIENCE, gone).await.expect("it is ended");
+    until(async || !exists(process), "it is ended").await;
 }
 
 fn signal(signal: &str, process: &str) {
@@ -54,19 +49,11 @@ fn at(node: &Node, name: &str) -> FaultLocation {
 /// Waits for an incarnation at work.
 async fn active(node: &Node, name: &str, incarnation: u64) -> MonitorRow {
     let location = at(node, name);
-    let found = async {
-        loop {
-            let row = node.table().await.into_iter().find(|row| row.location == location);
-            let is_it = |row: &MonitorRow| {
-                row.incarnation.0 == incarnation && row.state == Some(Lifecycle::Active)
-            };
-            if let Some(row) = row.filter(is_it) {
-                return row;
-            }
-            sleep(Duration::from_millis(5)).await;
-        }
+    let at_work = async || {
+        let row = node.table().await.into_iter().find(|row| row.location == location);
+        row.filter(|row| row.incarnation.0 == incarnation && row.state == Some(Lifecycle::Active))
     };
-    tokio::time::timeout(PATIENCE, found).await.expect("it comes to work")
+    found(at_work, "it comes to work").await
 }
 
 /// Waits until the program of an incarnation at work has said who it is.

@@ -4,10 +4,10 @@ use blastema::core::detection::{FaultRecord, Opinion};
 use blastema::prelude::*;
 use blastema::{Link, MemoryMedium, Network, NodeBuilder};
 use blastema_testkit::TestNode;
-use std::net::{SocketAddr, UdpSocket};
+use blastema_tests::{MS, Part, free_addresses, on_ethernet, serves, until};
+use std::net::SocketAddr;
 use std::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
 /// For real nodes to find each other, or to be silent for long enough to be missed.
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -16,26 +16,15 @@ const PATIENCE: Duration = Duration::from_secs(30);
 #[contract(name = "sum/add", reply = u32)]
 struct Add(u32);
 
-#[derive(Default)]
-struct Sum(u32);
-
-impl Component for Sum {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Add>();
-    }
-}
-
-impl Handle<Add> for Sum {
-    async fn handle(&mut self, add: Add, _: &mut Context<Self>) -> u32 {
-        self.0 += add.0;
-        self.0
-    }
+fn sum() -> ChildSpec<Part<u32, Add>> {
+    serves("sum", 0, |sum, Add(number), _| {
+        *sum += number;
+        *sum
+    })
 }
 
 fn module(medium: &MemoryMedium, own: &str, far: &str) -> NodeBuilder {
-    Node::builder(own)
-        .network(Network::memory("ethernet", medium, own).link(Link::in_memory(far, far)))
-        .child(ChildSpec::new("sum", Sum::default))
+    on_ethernet(own, far, medium).child(sum())
 }
 
 /// Two nodes with a session between them.
@@ -150,31 +139,9 @@ async fn whoever_waits_for_room_elsewhere_is_told_when_its_own_node_ends() {
     );
 }
 
-#[blastema_testkit::test]
-async fn a_node_that_goes_without_a_word_is_lost() {
-    let medium = MemoryMedium::default();
-    let builder = module(&medium, "here", "there");
-    let mut here = TestNode::start(builder).await;
-    let ethernet = Network::memory("ethernet", &medium, "there");
-    let ethernet = ethernet.link(Link::in_memory("here", "here")).with_faults(7);
-    let there = TestNode::start(Node::builder("there").network(ethernet)).await;
-    here.advance(2000 * MS).await;
-
-    there.cable("ethernet").unwrap().cut(blastema::Direction::Both, false);
-
-    here.await_fault(FaultKind::NodeLost, "there").await;
-}
-
-/// Free addresses: held all at once, so that they are different, and let go.
-fn addresses() -> [SocketAddr; 2] {
-    let held = [0; 2].map(|_| UdpSocket::bind("127.0.0.1:0").expect("loopback has free ports"));
-    held.map(|socket| socket.local_addr().expect("a bound socket has an address"))
-}
-
 async fn real(own: &str, at: SocketAddr, far: &str, remote: SocketAddr) -> Node {
     let ethernet = Network::udp("ethernet", at).link(Link::new(far, remote));
-    let sum = ChildSpec::new("sum", Sum::default);
-    Node::builder(own).network(ethernet).child(sum).start().await.expect("it starts")
+    Node::builder(own).network(ethernet).child(sum()).start().await.expect("it starts")
 }
 
 /// Declares a fault when it comes to work.
@@ -190,37 +157,6 @@ impl Component for Worn {
 /// On real threads.
 mod real {
     use super::*;
-
-    #[test]
-    fn a_real_node_that_leaves_in_order_is_no_fault_to_another() {
-        let _turn = blastema_doubles::turn();
-        blastema::run(async {
-            let [near, far] = addresses();
-            let here = real("here", near, "there", far).await;
-            let there = real("there", far, "here", near).await;
-            assert!(here.connected("there", PATIENCE).await);
-            let sum: Sender<Add> = here.sender("there:sum").unwrap();
-            assert_eq!(sum.ask_within(Add(1), PATIENCE).await.unwrap(), 1);
-
-            there.shutdown().await;
-            drop(there);
-            let unreachable = async {
-                while !here.routes().await.is_empty() {
-                    tokio::time::sleep(MS).await;
-                }
-            };
-            tokio::time::timeout(PATIENCE, unreachable).await.expect("its silence is noticed");
-
-            let why = sum.ask(Add(1)).await.unwrap_err().kind;
-            assert_eq!(why, DeliveryError::Left { node: "there".into() });
-            let there = real("there", far, "here", near).await;
-            assert!(here.connected("there", PATIENCE).await);
-            assert_eq!(sum.ask_within(Add(5), PATIENCE).await.unwrap(), 5);
-            assert!(here.faults().await.entries.is_empty(), "{:?}", here.faults().await);
-            there.shutdown().await;
-            here.shutdown().await;
-        });
-    }
 
     #[test]
     fn a_node_that_was_shut_down_still_says_which_faults_stood() {
@@ -251,7 +187,7 @@ mod real {
     fn real_nodes_that_leave_one_after_another_find_no_fault_in_each_other_or_in_themselves() {
         let _turn = blastema_doubles::turn();
         blastema::run(async {
-            let [near, far] = addresses();
+            let [near, far] = free_addresses(2).try_into().expect("two");
             for first in [true, false] {
                 let here = real("here", near, "there", far).await;
                 let there = real("there", far, "here", near).await;
@@ -260,12 +196,7 @@ mod real {
                 let (leaver, other) = if first { (here, there) } else { (there, here) };
 
                 leaver.shutdown().await;
-                let unreachable = async {
-                    while !other.routes().await.is_empty() {
-                        tokio::time::sleep(MS).await;
-                    }
-                };
-                tokio::time::timeout(PATIENCE, unreachable).await.expect("its silence is noticed");
+                until(async || other.routes().await.is_empty(), "its silence is noticed").await;
                 other.shutdown().await;
 
                 for node in [leaver, other] {

@@ -7,7 +7,6 @@ mod manual;
 mod message_log;
 mod ports;
 mod readme;
-mod recovery;
 mod robot_file;
 mod robots;
 mod scenarios;

@@ -10,6 +10,7 @@ use blastema::core::service::MEMBERS_MAX;
 use blastema::prelude::*;
 use blastema::{DEFAULT_DEADLINE, FaultLocation, Incarnation, NodeName};
 use blastema_testkit::TestNode;
+use blastema_tests::{Part, serves};
 use std::fs;
 use std::path::Path;
 use std::time::Duration;
@@ -102,25 +103,15 @@ fn the_limits_are_those_of_the_code() {
 #[contract(reply = ())]
 struct End;
 
-struct Survey;
-
-impl Component for Survey {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<End>();
-    }
-}
-
-impl Handle<End> for Survey {
-    async fn handle(&mut self, _: End, cx: &mut Context<Self>) {
-        cx.stop();
-    }
+fn survey() -> ChildSpec<Part<(), End>> {
+    serves("survey", (), |_, _, cx| cx.stop())
 }
 
 #[blastema_testkit::test]
 async fn a_child_whose_end_was_final_takes_no_messages() {
     for restart in [Restart::Transient, Restart::Temporary] {
-        let spec = ChildSpec::new("survey", || Survey);
-        let node = TestNode::start(Node::builder("module1").child_with(spec, restart)).await;
+        let node = Node::builder("module1").child_with(survey(), restart);
+        let node = TestNode::start(node).await;
         let survey: Sender<End> = node.sender("survey").unwrap();
 
         survey.ask(End).await.unwrap();
@@ -134,7 +125,7 @@ async fn a_child_whose_end_was_final_takes_no_messages() {
 
 #[blastema_testkit::test]
 async fn the_history_of_faults_ends_with_the_node() {
-    let builder = Node::builder("module1").child(ChildSpec::new("survey", || Survey));
+    let builder = Node::builder("module1").child(survey());
     let node = TestNode::start(builder).await;
     let mut faults = node.fault_events();
     node.sender::<End>("survey").unwrap().ask(End).await.unwrap();
@@ -147,26 +138,4 @@ async fn the_history_of_faults_ends_with_the_node() {
         told += 1;
     }
     assert_eq!(told, 3, "found, decided, recovered");
-}
-
-/// Never comes to work.
-struct Broken;
-
-impl Component for Broken {
-    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        Err("no device".into())
-    }
-}
-
-#[blastema_testkit::test]
-async fn a_component_that_cannot_be_started_is_put_to_rest_and_the_others_start() {
-    let builder = Node::builder("module1")
-        .child(ChildSpec::new("broken", || Broken))
-        .child(ChildSpec::new("survey", || Survey));
-    let mut node = TestNode::start(builder).await;
-
-    let reason = node.await_given_up(FaultKind::InitializationFailed, "broken").await;
-
-    assert!(reason.contains("safe stop"), "{reason}");
-    node.actor::<Survey>("survey").unwrap().ask(End).await.unwrap();
 }

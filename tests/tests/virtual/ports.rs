@@ -2,15 +2,9 @@
 
 use blastema::core::port::{ConnectionRole, PortAddress, TypeDescription};
 use blastema::prelude::*;
-use blastema::{
-    ActuatorSpec, Commander, ConnectError, Hold, Injection, Link, MemoryMedium, Network,
-    NodeBuilder,
-};
+use blastema::{ActuatorSpec, Commander, ConnectError, Hold, MemoryMedium};
 use blastema_testkit::TestNode;
-use std::sync::{Arc, Mutex};
-use std::time::Duration;
-
-const MS: Duration = Duration::from_millis(1);
+use blastema_tests::{MS, Notes, on_ethernet};
 
 /// One sweep of a laser.
 #[derive(Clone, Debug, Event)]
@@ -91,18 +85,7 @@ impl Handle<Use> for Laser {
 }
 
 /// What listeners, actuators and servers received.
-#[derive(Clone, Default)]
-struct Track(Arc<Mutex<Vec<String>>>);
-
-impl Track {
-    fn note(&self, line: String) {
-        self.0.lock().unwrap().push(line);
-    }
-
-    fn taken(&self) -> Vec<String> {
-        std::mem::take(&mut *self.0.lock().unwrap())
-    }
-}
+type Track = Notes<String>;
 
 /// Listens to scans that are near, and to maps.
 struct Planner(Track);
@@ -205,7 +188,7 @@ async fn tell(node: &TestNode, component: &str, wanted: Use) -> String {
 
 /// Ends the present incarnation of a component, and waits for the next one.
 async fn kill(node: &mut TestNode, component: &str) {
-    node.inject(component, Injection::Panic).unwrap();
+    node.kill(component);
     node.await_recovered(FaultKind::Panic, component).await;
 }
 
@@ -237,7 +220,7 @@ async fn a_listener_gets_the_events_of_the_ports_that_it_is_connected_to_across_
     assert_eq!(tell(&node, "left", Use::Scan(1)).await, "");
     assert_eq!(tell(&node, "left", Use::Scan(100)).await, "", "the condition holds here too");
     assert_eq!(tell(&node, "right", Use::Scan(2)).await, "", "it reaches no listener");
-    assert_eq!(track.taken(), ["near 1"]);
+    assert_eq!(track.take(), ["near 1"]);
 
     node.connect("left#scan", "far#scan").unwrap();
     node.connect("right#scan", "near#scan").unwrap();
@@ -249,7 +232,7 @@ async fn a_listener_gets_the_events_of_the_ports_that_it_is_connected_to_across_
     for killed in ["near", "left", "far"] {
         tell(&node, "left", Use::Scan(3)).await;
         tell(&node, "right", Use::Scan(4)).await;
-        assert_eq!(track.taken(), ["near 3", "far 3", "near 4"], "before {killed} is killed");
+        assert_eq!(track.take(), ["near 3", "far 3", "near 4"], "before {killed} is killed");
         kill(&mut node, killed).await;
     }
 
@@ -257,13 +240,13 @@ async fn a_listener_gets_the_events_of_the_ports_that_it_is_connected_to_across_
     assert_eq!(node.disconnect("left#scan", "near#scan"), Err(ConnectError::NotConnected));
     tell(&node, "left", Use::Scan(5)).await;
     tell(&node, "right", Use::Scan(6)).await;
-    assert_eq!(track.taken(), ["far 5", "near 6"]);
+    assert_eq!(track.take(), ["far 5", "near 6"]);
 
     // A listener that is connected later gets the event that the topic keeps, once.
     tell(&node, "left", Use::Map(7)).await;
     node.connect("left#map", "near#Map").unwrap();
     node.settle().await;
-    assert_eq!(track.taken(), ["near map 7"]);
+    assert_eq!(track.take(), ["near map 7"]);
     // With the component that makes it, its connections end.
     node.remove_child("near").await.unwrap();
     assert_eq!(connected(&node), ["left#scan -> far#scan"]);
@@ -291,7 +274,7 @@ async fn a_sending_port_leads_to_what_it_is_connected_to_and_says_where_it_is_no
         // The lease of the incarnation that is gone has ended.
         node.advance(300 * MS).await;
     }
-    let driven = track.taken();
+    let driven = track.take();
     assert_eq!(driven.iter().filter(|line| *line == "one 0.5").count(), 2, "{driven:?}");
 
     let taken = node.connect("pilot#drive", "two#drive").unwrap_err();
@@ -310,21 +293,16 @@ async fn a_sending_port_leads_to_what_it_is_connected_to_and_says_where_it_is_no
     assert_eq!(tell(&node, "pilot", Use::Nearest).await, "3");
 }
 
-fn on(name: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
-    Node::builder(name)
-        .network(Network::memory("ethernet", medium, name).link(Link::in_memory(far, far)))
-}
-
 #[blastema_testkit::test]
 async fn ports_are_connected_over_nodes_by_the_end_that_listens_commands_or_asks() {
     let (track, medium) = (Track::default(), MemoryMedium::default());
-    let first = on("arm", "base", &medium)
+    let first = on_ethernet("arm", "base", &medium)
         .child(ChildSpec::new("pilot", || Pilot))
         .child(planner("planner", &track))
         .connect("base:laser#scan", "planner#scan")
         .connect("arm:pilot#drive", "base:wheels#drive")
         .connect("pilot#nearest", "base:wheels#nearest");
-    let second = on("base", "arm", &medium)
+    let second = on_ethernet("base", "arm", &medium)
         .child(base("wheels", &track, 4))
         .child(ChildSpec::new("laser", || Laser));
     let arm = TestNode::start(first).await;
@@ -336,10 +314,10 @@ async fn ports_are_connected_over_nodes_by_the_end_that_listens_commands_or_asks
         base.advance(10 * MS).await;
         assert_eq!(tell(&arm, "pilot", Use::Drive(0.5)).await, "0.5");
         assert_eq!(tell(&arm, "pilot", Use::Nearest).await, "4");
-        assert_eq!(track.taken(), ["planner 9", "wheels 0.5"]);
+        assert_eq!(track.take(), ["planner 9", "wheels 0.5"]);
         kill(&mut base, killed).await;
         base.advance(1000 * MS).await;
-        track.taken();
+        track.take();
     }
 
     let elsewhere = |refused: Result<(), ConnectError>| {
@@ -353,7 +331,7 @@ async fn ports_are_connected_over_nodes_by_the_end_that_listens_commands_or_asks
     base.advance(10 * MS).await;
     tell(&base, "laser", Use::Scan(8)).await;
     base.advance(10 * MS).await;
-    assert_eq!(track.taken(), [""; 0]);
+    assert_eq!(track.take(), [""; 0]);
 }
 
 #[blastema_testkit::test]
@@ -408,27 +386,24 @@ async fn what_cannot_be_connected_is_refused_and_the_text_says_what_to_write() {
 
 #[blastema_testkit::test]
 async fn ports_whose_names_cannot_be_are_refused_at_the_start() {
-    let start = async |declare: fn(&mut Ports<Pilot>)| {
+    type Declare = fn(&mut Ports<Pilot>);
+    let declare: [(Declare, &str); 3] = [
+        (
+            |ports| _ = ports.asks::<Scan>("drive"),
+            "the port `drive` of pilot: another port has this name",
+        ),
+        (|ports| _ = ports.asks::<Scan>("a scan"), "holds ' ' at byte 1"),
+        (
+            |ports| _ = ports.publishes::<Scan>(&"s".repeat(128)),
+            "a name of this kind has at most 128",
+        ),
+    ];
+    for (declare, expected) in declare {
         let spec = ChildSpec::new("pilot", || Pilot).with_ports(declare);
         let refused = TestNode::try_start(Node::builder("base").child(spec)).await;
-        refused.err().expect("the port cannot be").to_string()
-    };
-
-    let text = start(|ports| {
-        ports.asks::<Scan>("drive");
-    })
-    .await;
-    assert!(text.contains("the port `drive` of pilot: another port has this name"), "{text}");
-    let text = start(|ports| {
-        ports.asks::<Scan>("a scan");
-    })
-    .await;
-    assert!(text.contains("holds ' ' at byte 1"), "{text}");
-    let text = start(|ports| {
-        ports.publishes::<Scan>(&"s".repeat(128));
-    })
-    .await;
-    assert!(text.contains("a name of this kind has at most 128"), "{text}");
+        let text = refused.err().expect("the port cannot be").to_string();
+        assert!(text.contains(expected), "{text}");
+    }
 }
 
 #[test]

@@ -60,18 +60,6 @@ async fn incarnation(node: &TestNode) -> u64 {
 }
 
 #[blastema_testkit::test]
-async fn a_component_that_is_killed_is_restarted() {
-    let mut node = node().await;
-
-    node.kill("arm");
-
-    node.await_fault(FaultKind::Panic, "arm").await;
-    node.await_recovered(FaultKind::Panic, "arm").await;
-    assert_eq!(incarnation(&node).await, 2);
-    node.expect_no_faults().await;
-}
-
-#[blastema_testkit::test]
 async fn a_component_that_hangs_is_replaced() {
     let mut node = node().await;
 

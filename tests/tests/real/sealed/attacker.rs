@@ -1,6 +1,6 @@
 //! An attacker in the middle of two nodes, at the addresses that they send to.
 
-use super::{PATIENCE, ask, is_up, node, until};
+use super::{PATIENCE, ask, end, is_up, node, until};
 use blastema::prelude::*;
 use blastema::{LinkState, Network};
 use blastema_core::net::wire::frame::{Frame, Hello};
@@ -178,8 +178,7 @@ fn an_attacker_that_reads_repeats_changes_and_forges_everything_is_taken_for_no_
             // A flood takes time of this computer, and no node was given up or accused for it.
             accuses_no_node(node).await;
         }
-        left.shutdown().await;
-        right.shutdown().await;
+        end([left, right]).await;
     });
 }
 
@@ -228,8 +227,7 @@ fn a_connection_that_claims_to_be_the_neighbours_replaces_none() {
             let read = tokio::time::timeout(PATIENCE, stream.read_to_end(&mut heard)).await;
             assert!(read.is_ok() && heard.len() <= 8, "{heard:?}");
         }
-        left.shutdown().await;
-        right.shutdown().await;
+        end([left, right]).await;
     });
 }
 
@@ -261,7 +259,6 @@ fn a_key_that_two_computers_have_is_a_fault_and_the_first_keeps_its_link() {
         assert_eq!(ask(&left, "right").await, 1);
         assert_eq!(left.links().await[0].neighbour, Some(known));
         until(async || !told().await, "it is over when the copy is gone").await;
-        left.shutdown().await;
-        right.shutdown().await;
+        end([left, right]).await;
     });
 }

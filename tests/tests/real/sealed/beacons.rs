@@ -1,6 +1,6 @@
 //! Nodes with keys that find each other by beacons, and beacons that no node of the robot has made.
 
-use super::{PATIENCE, ask, node};
+use super::{PATIENCE, ask, end, node};
 use blastema::prelude::*;
 use blastema::{FaultKind, Network};
 use blastema_tests::{RobotKeys, free_addresses};
@@ -39,9 +39,7 @@ fn nodes_with_keys_find_each_other_by_beacons_also_with_rosters_of_two_serial_nu
         assert!(base.connected("arm", PATIENCE).await, "{:?}", base.links().await);
         assert_eq!(ask(&base, "arm").await, 1);
         assert!(base.links().await.iter().all(|link| link.seal.is_some()));
-        for node in [base, arm] {
-            node.shutdown().await;
-        }
+        end([base, arm]).await;
     });
 }
 

@@ -1,7 +1,7 @@
 //! Nodes that are restarted while their clock is set back: the file beside the key says which
 //! incarnation was the last.
 
-use super::{PATIENCE, ask, node, until};
+use super::{PATIENCE, ask, end, node, until};
 use blastema::prelude::*;
 use blastema::{Network, NodeName};
 use blastema_tests::{RobotKeys, free_addresses};
@@ -58,9 +58,7 @@ fn a_node_that_is_restarted_with_its_clock_set_back_by_a_day_is_taken_by_its_pee
         assert_eq!(met(&left, "right").await, Some(ahead + 1));
         let kept = fs::read_to_string(&file).expect("it is there");
         assert!(kept.contains(&(ahead + 1).to_string()), "{kept}");
-        for node in [left, right] {
-            node.shutdown().await;
-        }
+        end([left, right]).await;
     });
 }
 
@@ -79,9 +77,7 @@ fn a_node_that_cannot_keep_its_incarnation_starts_all_the_same() {
 
         assert!(left.connected("right", PATIENCE).await);
         assert_eq!(ask(&left, "right").await, 1);
-        for node in [left, right] {
-            node.shutdown().await;
-        }
+        end([left, right]).await;
     });
 }
 
@@ -118,9 +114,7 @@ async fn restarted_a_day_back(numbers: [usize; 2]) {
         let faults = node.faults().await.entries;
         assert!(faults.iter().all(|entry| !entry.stands()), "{faults:?}");
     }
-    for node in [stays, second] {
-        node.shutdown().await;
-    }
+    end([stays, second]).await;
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Each medium that leaves the process carries sealed links.
 
-use super::{PATIENCE, ask, node};
+use super::{PATIENCE, ask, end, node};
 use blastema::{Network, Node};
 use blastema_ptys::{Adapters, Cable};
 use blastema_tests::{RobotKeys, free_addresses};
@@ -30,12 +30,6 @@ async fn carries(folder: &Path, networks: [Network; 2], cipher: &str, requests: 
         }
     }
     [left, right]
-}
-
-async fn end(nodes: [Node; 2]) {
-    for node in nodes {
-        node.shutdown().await;
-    }
 }
 
 #[test]

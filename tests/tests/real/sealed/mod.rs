@@ -15,49 +15,34 @@ mod start;
 
 use blastema::prelude::*;
 use blastema::{LinkState, Network, NodeBuilder};
-use blastema_tests::RobotKeys;
-use std::time::Duration;
-
-/// For everything that takes time on a busy computer.
-const PATIENCE: Duration = Duration::from_secs(120);
+use blastema_tests::{PATIENCE, Part, RobotKeys, serves, until};
 
 /// Counts: the answer is how often it was asked.
 #[derive(Clone, Debug, Request)]
 #[contract(name = "sealed/count", reply = u32)]
 struct Count;
 
-struct Counter(u32);
-
-impl Component for Counter {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Count>();
-    }
-}
-
-impl Handle<Count> for Counter {
-    async fn handle(&mut self, _: Count, _: &mut Context<Self>) -> u32 {
-        self.0 += 1;
-        self.0
-    }
+fn counter(of: &str) -> ChildSpec<Part<u32, Count>> {
+    serves(&format!("{of}-counter"), 0, |count, _: Count, _| {
+        *count += 1;
+        *count
+    })
 }
 
 /// The node `own` with a counter of the name `<own>-counter`.
 fn node(keys: &RobotKeys, own: &str, network: Network) -> NodeBuilder {
-    let counter = ChildSpec::new(&format!("{own}-counter"), || Counter(0));
-    Node::builder(own).work_threads(1).keys(keys.of(own)).network(network).child(counter)
-}
-
-async fn until(mut holds: impl AsyncFnMut() -> bool, what: &str) {
-    let held = async {
-        while !holds().await {
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
-    };
-    assert!(tokio::time::timeout(PATIENCE, held).await.is_ok(), "{what}");
+    Node::builder(own).work_threads(1).keys(keys.of(own)).network(network).child(counter(own))
 }
 
 async fn is_up(node: &Node) -> bool {
     node.links().await.iter().any(|link| link.state == LinkState::Up)
+}
+
+/// Ends them in order, one after the other.
+async fn end(nodes: impl IntoIterator<Item = Node>) {
+    for node in nodes {
+        node.shutdown().await;
+    }
 }
 
 /// Asks the other node's counter, and returns its answer.

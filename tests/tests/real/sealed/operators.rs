@@ -5,7 +5,7 @@
 //!   laptop ┄┄┄ base ───── arm
 //! ```
 
-use super::{PATIENCE, ask, node, until};
+use super::{PATIENCE, ask, end, node, until};
 use blastema::core::net::trust::policy::Role;
 use blastema::prelude::*;
 use blastema::{LinkState, Network, OrderError};
@@ -82,9 +82,7 @@ fn an_operator_that_no_node_describes_connects_and_reads_the_state_of_all_keys()
             let faults = node.faults().await.entries;
             assert!(faults.iter().all(|entry| !entry.stands()), "{faults:?}");
         }
-        for node in [base, arm] {
-            node.shutdown().await;
-        }
+        end([base, arm]).await;
     });
 }
 
@@ -117,9 +115,7 @@ fn an_operator_isolates_a_node_and_admits_it_and_the_fault_says_who() {
         assert!(matches!(&oneself, Err(OrderError::Refused(why)) if why.contains("itself")));
         let unknown = laptop.order_isolation("base", "leg", "", PATIENCE).await;
         assert!(matches!(&unknown, Err(OrderError::Refused(why)) if why.contains("leg")));
-        for node in [base, arm, laptop] {
-            node.shutdown().await;
-        }
+        end([base, arm, laptop]).await;
     });
 }
 
@@ -157,9 +153,7 @@ fn a_node_without_the_right_orders_nothing_and_is_in_the_audit_log() {
         assert!(laptop.connected("base", PATIENCE).await);
         let ordered = laptop.order_isolation("base", "arm", "", PATIENCE).await;
         assert!(refused(&ordered), "{ordered:?}");
-        for node in [base, arm, laptop] {
-            node.shutdown().await;
-        }
+        end([base, arm, laptop]).await;
     });
 }
 
@@ -177,8 +171,6 @@ fn a_node_that_is_no_operator_does_not_connect_by_itself() {
         assert!(!laptop.connected("base", std::time::Duration::from_secs(2)).await);
         assert!(is_refused().await);
         assert_eq!(base.links().await.len(), 1);
-        for node in [base, laptop] {
-            node.shutdown().await;
-        }
+        end([base, laptop]).await;
     });
 }

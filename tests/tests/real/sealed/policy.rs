@@ -4,17 +4,16 @@
 //!   arm ───── base ───── head      the base has wheels, the others want to use them
 //! ```
 
-use super::{PATIENCE, until};
+use super::{PATIENCE, end, until};
 use blastema::core::net::trust::policy::Role;
 use blastema::prelude::*;
 use blastema::{
     ActuatorSpec, ClaimError, ClaimPolicy, ClaimRefused, ClaimState, DeadReason, FaultKind, Hold,
     Network, NodeBuilder, ServiceSpec, Stateful, VariableSpec,
 };
-use blastema_tests::{RobotKeys, free_addresses};
+use blastema_tests::{Notes, RobotKeys, free_addresses, listens};
 use std::fs;
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex};
 use tempfile::TempDir;
 
 /// Turns the wheels.
@@ -44,15 +43,9 @@ struct Report(String);
 
 mod services;
 
-type Log = Arc<Mutex<Vec<String>>>;
+type Log = Notes<String>;
 
 struct Wheels(Log);
-
-impl Wheels {
-    fn log(&self, what: String) {
-        self.0.lock().expect("nothing panics").push(what);
-    }
-}
 
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
@@ -65,7 +58,7 @@ impl Component for Wheels {
 impl Handle<Drive> for Wheels {
     async fn handle(&mut self, Drive(speed): Drive, _: &mut Context<Self>) -> f32 {
         if speed != 0.0 {
-            self.log(format!("driven {speed}"));
+            self.0.note(format!("driven {speed}"));
         }
         speed
     }
@@ -73,35 +66,20 @@ impl Handle<Drive> for Wheels {
 
 impl Handle<Hello> for Wheels {
     async fn handle(&mut self, Hello(who): Hello, _: &mut Context<Self>) -> Vec<String> {
-        self.log(format!("asked by {who}"));
-        self.0.lock().expect("nothing panics").clone()
+        self.0.note(format!("asked by {who}"));
+        self.0.all()
     }
 }
 
 impl Handle<Note> for Wheels {
     async fn handle(&mut self, Note(who): Note, _: &mut Context<Self>) {
-        self.log(format!("told by {who}"));
+        self.0.note(format!("told by {who}"));
     }
 }
 
 impl Handle<Report> for Wheels {
     async fn handle(&mut self, Report(who): Report, _: &mut Context<Self>) {
-        self.log(format!("ordered by {who}"));
-    }
-}
-
-/// Writes down what it hears.
-struct Ear(Log);
-
-impl Component for Ear {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.listen::<Report>().on("odometry");
-    }
-}
-
-impl Handle<Report> for Ear {
-    async fn handle(&mut self, Report(what): Report, _: &mut Context<Self>) {
-        self.0.lock().expect("nothing panics").push(what);
+        self.0.note(format!("ordered by {who}"));
     }
 }
 
@@ -157,7 +135,7 @@ impl Robot {
         let node = node.network(network);
         let node = match own {
             0 => node.child(ChildSpec::new("wheels", move || Wheels(wheels.clone()))),
-            _ => node.child(ChildSpec::new("ear", move || Ear(ear.clone()))),
+            _ => node.child(listens("ear", "odometry", ear, |ear, Report(what), _| ear.note(what))),
         };
         carry(node).start().await.expect("it starts")
     }
@@ -181,7 +159,7 @@ impl Robot {
     }
 
     fn wheels(&self) -> Vec<String> {
-        self.wheels.lock().expect("nothing panics").clone()
+        self.wheels.all()
     }
 }
 
@@ -243,7 +221,7 @@ fn only_who_is_named_may_use_the_wheels_and_another_roster_changes_it_while_all_
         for (publisher, by) in orders.iter().zip(["arm", "head"]) {
             publisher.publish(Report(by.into())).expect("it is sent to all that listen");
         }
-        let heard = |own: usize| robot.ears[own].lock().expect("nothing panics").clone();
+        let heard = |own: usize| robot.ears[own].all();
         until(async || heard(1) == ["first"], "the arm hears the base").await;
         until(async || robot.wheels().contains(&"ordered by arm".into()), "and the base it").await;
         assert_eq!(orders[1].matched(), 0);
@@ -288,9 +266,7 @@ fn only_who_is_named_may_use_the_wheels_and_another_roster_changes_it_while_all_
             standing.all(|fault| fault.fault.kind != FaultKind::Forbidden)
         };
         until(is_mended, "the head is refused nothing any more").await;
-        for node in [base, arm, head] {
-            node.shutdown().await;
-        }
+        end([base, arm, head]).await;
     });
 }
 
@@ -313,9 +289,7 @@ fn a_guest_may_do_what_a_line_gives_it_and_nothing_else() {
         for verb in ["tell", "set", "lease", "listen"] {
             assert!(verbs.contains(&verb), "{verbs:?}");
         }
-        for node in [base, arm, head] {
-            node.shutdown().await;
-        }
+        end([base, arm, head]).await;
     });
 }
 
@@ -349,9 +323,7 @@ fn a_name_is_had_only_by_a_node_that_may_claim_it_and_until_it_may_no_more() {
         };
         until(claims, "the head may").await;
         until(async || is(Some("head")), "the head has the name").await;
-        for node in [base, arm, head] {
-            node.shutdown().await;
-        }
+        end([base, arm, head]).await;
     });
 }
 
@@ -363,7 +335,7 @@ fn a_component_has_its_name_as_soon_as_the_roster_lets_it() {
         let robot = Robot::new(&open, &["only arm may claim on map".to_owned()]);
         let with_mapper = |own, builder: NodeBuilder| match own {
             2 => {
-                let mapper = ChildSpec::new("mapper", || Ear(Log::default()));
+                let mapper = listens("mapper", "odometry", (), |_, _: Report, _| {});
                 builder.child(mapper.claim("map", ClaimPolicy::Refuse))
             }
             _ => builder,
@@ -382,8 +354,6 @@ fn a_component_has_its_name_as_soon_as_the_roster_lets_it() {
             until(is_held, &format!("by roster {serial} it is held: {may}")).await;
             until(async || goes_without().await != may, "the fault tells the same").await;
         }
-        for node in [base, arm, head] {
-            node.shutdown().await;
-        }
+        end([base, arm, head]).await;
     });
 }

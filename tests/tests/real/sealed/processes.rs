@@ -18,14 +18,13 @@ fn network(scheme: &str, own: usize, at: &[String]) -> Network {
 #[test]
 fn a_process_plays_its_role() {
     let Some(scheme) = role() else { return };
-    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
     let at = addresses();
     if scheme == FILE {
         return play_as_described();
     }
     let file = Path::new(&at[2]).join("right.key");
     blastema::run(async {
-        let counter = ChildSpec::new("right-counter", || super::Counter(0));
+        let counter = super::counter("right");
         let builder = Node::builder("right").work_threads(1).keys(file).child(counter);
         let node = builder.network(network(&scheme, 1, &at)).start().await.expect("it starts");
         node.run_until_signal().await.expect("the system tells of signals");
@@ -37,7 +36,7 @@ const FILE: &str = "file";
 
 fn play_as_described() {
     blastema::run(async {
-        let counter = ChildSpec::new("right-counter", || super::Counter(0));
+        let counter = super::counter("right");
         let builder = Node::builder("right").work_threads(1).child(counter);
         let _node = builder.start().await.expect("it starts");
         std::future::pending::<()>().await;
@@ -352,7 +351,7 @@ fn networks_and_keys_stand_in_files_and_environment_and_program_override_them() 
         let right = write(1, "127.0.0.1:1", &at[0].to_string()).display().to_string();
         let set = format!("networks.lan.endpoint=udp://{}; ", at[1]);
         let variables = [("BLASTEMA_NETWORKS", &right), ("BLASTEMA_SET", &set)];
-        let _right = Process::start_with(module_path!(), FILE, &[], &variables);
+        let _right = Process::start_with(module_path!(), FILE, &[""; 0], &variables);
         let left = Node::builder("left").work_threads(1).networks_from(left);
         let left = left.set(&format!("networks.lan.peers.right={}", at[1]));
         let left = left.start().await.expect("it starts");

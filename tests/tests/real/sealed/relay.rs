@@ -2,7 +2,7 @@
 //! made of the machines of the core over real sockets, so that it can do what no node does.
 
 use super::attacker::accuses_no_node;
-use super::{PATIENCE, is_up, until};
+use super::{PATIENCE, end, is_up, until};
 use blastema::prelude::*;
 use blastema::{LinkState, Network};
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState as State};
@@ -19,7 +19,7 @@ use blastema_core::net::{
     RouterConfig, RouterOutput,
 };
 use blastema_core::{Incarnation, Instant, Machine, NodeName};
-use blastema_tests::{RobotKeys, free_addresses};
+use blastema_tests::{RobotKeys, free_addresses, serves};
 use bytes::Bytes;
 use std::fs;
 use std::net::{SocketAddr, UdpSocket};
@@ -41,22 +41,6 @@ const MTU: usize = 1_400;
 #[derive(Clone, Debug, Request)]
 #[contract(name = "sealed/say", reply = u32)]
 struct Say(String);
-
-struct Listener(u32);
-
-impl Component for Listener {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Say>();
-    }
-}
-
-impl Handle<Say> for Listener {
-    async fn handle(&mut self, say: Say, _: &mut Context<Self>) -> u32 {
-        assert_eq!(say.0, SECRET);
-        self.0 += 1;
-        self.0
-    }
-}
 
 /// What the relay does beside passing packets on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -323,7 +307,11 @@ fn a_relay_with_a_key_can_neither_read_change_repeat_nor_invent_what_it_passes_o
         };
         let mut relay = Running(ends, Some(running));
         let start = async |own: usize| {
-            let listener = ChildSpec::new(&format!("{}-listener", ENDS[own]), || Listener(0));
+            let listener = serves(&format!("{}-listener", ENDS[own]), 0, |count, say: Say, _| {
+                assert_eq!(say.0, SECRET);
+                *count += 1;
+                *count
+            });
             let network = Network::new("lan", &format!("udp://{}", at[own])).peer("relay", &middle);
             let builder = Node::builder(ENDS[own]).work_threads(1).keys(keys.of(ENDS[own]));
             builder.network(network).child(listener).start().await.expect("it starts")
@@ -349,8 +337,7 @@ fn a_relay_with_a_key_can_neither_read_change_repeat_nor_invent_what_it_passes_o
             assert_eq!(link.state, LinkState::Up, "{link:?}");
             accuses_no_node(node).await;
         }
-        left.shutdown().await;
-        right.shutdown().await;
+        end([left, right]).await;
         let passed = relay.end();
         assert!(passed.len() > 8 * REQUESTS as usize, "{} packets", passed.len());
         let part = &SECRET.as_bytes()[..12];

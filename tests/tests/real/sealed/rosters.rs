@@ -5,7 +5,7 @@
 //!   base ───── arm ───── head
 //! ```
 
-use super::{PATIENCE, ask, node, until};
+use super::{PATIENCE, ask, end, node, until};
 use blastema::prelude::*;
 use blastema::{Fault, LinkState, Network};
 use blastema_tests::{RobotKeys, free_addresses};
@@ -88,9 +88,7 @@ fn a_roster_that_one_node_is_given_reaches_all_and_those_that_were_off() {
         assert!(base.connected("head", PATIENCE).await);
         assert_eq!(ask(&base, "head").await, 1);
         assert_eq!(fs::read_to_string(robot.file(1)).expect("it is there"), third);
-        for node in [base, arm, head] {
-            node.shutdown().await;
-        }
+        end([base, arm, head]).await;
     });
 }
 
@@ -118,9 +116,7 @@ fn a_node_that_is_revoked_at_one_end_loses_its_links_at_the_other() {
         };
         until(is_lost, "the base does not reach it").await;
         assert_eq!(ask(&base, "arm").await, 1);
-        for node in [base, arm, head] {
-            node.shutdown().await;
-        }
+        end([base, arm, head]).await;
     });
 }
 
@@ -175,8 +171,6 @@ fn a_node_that_is_revoked_while_it_runs_is_told_why_and_missed_by_none() {
         assert_eq!(ask(&base, "head").await, 1);
         let is_calm = async || standing(&head).await.is_empty();
         until(is_calm, "no fault stands on the head").await;
-        for node in [base, arm, head] {
-            node.shutdown().await;
-        }
+        end([base, arm, head]).await;
     });
 }

@@ -6,10 +6,10 @@
 //!        wire
 //! ```
 
-use super::{Count, PATIENCE, ask, node, until};
+use super::{Count, PATIENCE, ask, end, node, until};
 use blastema::prelude::*;
 use blastema::{Network, NodeBuilder};
-use blastema_tests::{RobotKeys, free_addresses};
+use blastema_tests::{RobotKeys, free_addresses, listens};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
@@ -17,18 +17,6 @@ use std::path::Path;
 #[derive(Clone, Debug, Event)]
 #[contract(name = "sealed/pose")]
 struct Pose(u32);
-
-struct Ear;
-
-impl Component for Ear {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.listen::<Pose>();
-    }
-}
-
-impl Handle<Pose> for Ear {
-    async fn handle(&mut self, _: Pose, _: &mut Context<Self>) {}
-}
 
 /// Describes base and arm on two networks, and the head behind the arm.
 fn robot(folder: &Path) -> [NodeBuilder; 3] {
@@ -55,12 +43,6 @@ async fn start(builders: [NodeBuilder; 3]) -> [Node; 3] {
         assert!(node.connected(other, PATIENCE).await, "{:?}", node.links().await);
     }
     [base, arm, head]
-}
-
-async fn end(nodes: [Node; 3]) {
-    for node in nodes {
-        node.shutdown().await;
-    }
 }
 
 async fn picture(node: &Node) -> Value {
@@ -207,7 +189,8 @@ fn a_topic_names_the_nodes_that_publish_on_it_and_those_that_listen() {
     blastema::run(async {
         let folder = tempfile::tempdir().expect("a folder");
         let [base, arm, head] = robot(folder.path());
-        let [base, head] = [base, head].map(|node| node.child(ChildSpec::new("ear", || Ear)));
+        let ear = || listens("ear", "sealed/pose", (), |_, _: Pose, _| {});
+        let [base, head] = [base, head].map(|node| node.child(ear()));
         let nodes = start([base, arm, head]).await;
         let [base, arm, head] = &nodes;
         let poses = arm.publisher::<Pose>("sealed/pose").expect("a topic");

@@ -1,6 +1,6 @@
 //! Which keys a node starts with.
 
-use super::{PATIENCE, ask, node, until};
+use super::{PATIENCE, ask, end, node, until};
 use blastema::prelude::*;
 use blastema::{FaultKind, KeysPermissions, Link, LinkState, Network, NodeBuilder, StartError};
 use blastema_tests::{RobotKeys, free_addresses};
@@ -169,8 +169,7 @@ fn a_node_with_other_keys_gets_no_link_and_no_word() {
             let right = node(&keys, "right", network(1, "left")).start().await.unwrap();
             assert!(left.connected("right", PATIENCE).await, "{scheme}: {:?}", left.links().await);
             assert_eq!(ask(&left, "right").await, 1);
-            left.shutdown().await;
-            right.shutdown().await;
+            end([left, right]).await;
         }
     });
 }
@@ -202,8 +201,7 @@ fn both_ends_are_told_of_the_key_that_one_of_them_lacks() {
                 };
                 until(is_told, cause).await;
             }
-            left.shutdown().await;
-            right.shutdown().await;
+            end([left, right]).await;
         }
     });
 }

@@ -2,107 +2,53 @@
 
 use crate::architecture::tree::{Breach, Manifest, Tree, key};
 
-/// What a package may depend on within the workspace, and what beside it in tests.
-struct Place {
-    package: &'static str,
-    below: &'static [&'static str],
-    below_in_tests: &'static [&'static str],
-}
-
-/// The map of ARCHITECTURE.md as data, from the bottom to the top.
-const PLACES: [Place; 18] = [
-    Place { package: "blastema-macros", below: &[], below_in_tests: &[] },
+/// The map of ARCHITECTURE.md as data, from the bottom to the top: each package, what it may depend
+/// on within the workspace, and what beside it in tests.
+const PLACES: [(&str, &str, &str); 18] = [
+    ("blastema-macros", "", ""),
     // It runs on a chip, where nothing else of the workspace does.
-    Place { package: "blastema-lite", below: &[], below_in_tests: &[] },
+    ("blastema-lite", "", ""),
     // The derives are written for the core's traits, so the core's tests try them.
-    Place { package: "blastema-core", below: &[], below_in_tests: &["blastema-macros"] },
+    ("blastema-core", "", "blastema-macros"),
     // Usable without the rest.
-    Place { package: "blastema-trees", below: &[], below_in_tests: &[] },
-    Place { package: "blastema-contract", below: &["blastema-core"], below_in_tests: &[] },
+    ("blastema-trees", "", ""),
+    ("blastema-contract", "blastema-core", ""),
     // Its actors are tried with probes in their neighbours' places.
-    Place {
-        package: "blastema-transports",
-        below: &["blastema-core", "blastema-contract"],
-        below_in_tests: &["blastema-doubles", "blastema-ptys"],
-    },
+    ("blastema-transports", "blastema-core blastema-contract", "blastema-doubles blastema-ptys"),
     // Its adapters speak the core's SLCAN.
-    Place { package: "blastema-ptys", below: &["blastema-core"], below_in_tests: &[] },
-    Place {
-        package: "blastema-doubles",
-        below: &["blastema-core", "blastema-contract"],
-        below_in_tests: &[],
-    },
-    Place {
-        package: "blastema",
-        below: &[
-            "blastema-core",
-            "blastema-lite",
-            "blastema-macros",
-            "blastema-contract",
-            "blastema-transports",
-            "blastema-trees",
-        ],
-        below_in_tests: &["blastema-doubles"],
-    },
-    Place {
-        package: "blastema-testkit",
-        below: &[
-            "blastema-core",
-            "blastema-macros",
-            "blastema-contract",
-            "blastema-doubles",
-            "blastema",
-        ],
-        below_in_tests: &[],
-    },
+    ("blastema-ptys", "blastema-core", ""),
+    ("blastema-doubles", "blastema-core blastema-contract", ""),
+    (
+        "blastema",
+        "blastema-core blastema-lite blastema-macros blastema-contract blastema-transports \
+         blastema-trees",
+        "blastema-doubles",
+    ),
+    (
+        "blastema-testkit",
+        "blastema-core blastema-macros blastema-contract blastema-doubles blastema",
+        "",
+    ),
     // The program uses what every user uses, and nothing else. Its tests take turns.
-    Place {
-        package: "blastema-cli",
-        below: &["blastema", "blastema-robot"],
-        below_in_tests: &["blastema-doubles"],
-    },
-    Place {
-        package: "blastema-robot",
-        below: &["blastema"],
-        below_in_tests: &["blastema-doubles"],
-    },
-    Place {
-        package: "blastema-demo",
-        below: &["blastema", "blastema-robot"],
-        below_in_tests: &["blastema-doubles"],
-    },
-    Place { package: "blastema-tests", below: EVERYTHING, below_in_tests: EVERYTHING },
-    Place { package: "blastema-bench", below: EVERYTHING, below_in_tests: EVERYTHING },
+    ("blastema-cli", "blastema blastema-robot", "blastema-doubles"),
+    ("blastema-robot", "blastema", "blastema-doubles"),
+    ("blastema-demo", "blastema blastema-robot", "blastema-doubles"),
+    ("blastema-tests", EVERYTHING, ""),
+    ("blastema-bench", EVERYTHING, ""),
     // Their nodes and contracts are those of a user.
-    Place { package: "blastema-beds", below: &["blastema"], below_in_tests: &[] },
-    Place { package: "blastema-derives", below: &["blastema"], below_in_tests: &[] },
-    Place {
-        package: "blastema-examples",
-        below: &["blastema"],
-        below_in_tests: &[
-            "blastema",
-            "blastema-doubles",
-            "blastema-ptys",
-            "blastema-robot",
-            "blastema-testkit",
-        ],
-    },
+    ("blastema-beds", "blastema", ""),
+    ("blastema-derives", "blastema", ""),
+    (
+        "blastema-examples",
+        "blastema",
+        "blastema-doubles blastema-ptys blastema-robot blastema-testkit",
+    ),
 ];
 
 /// What whole systems under test may use: all that is no program, test or example itself.
-const EVERYTHING: &[&str] = &[
-    "blastema-macros",
-    "blastema-lite",
-    "blastema-core",
-    "blastema-trees",
-    "blastema-contract",
-    "blastema-transports",
-    "blastema-doubles",
-    "blastema-ptys",
-    "blastema",
-    "blastema-robot",
-    "blastema-testkit",
-];
+const EVERYTHING: &str = "blastema-macros blastema-lite blastema-core blastema-trees \
+     blastema-contract blastema-transports blastema-doubles blastema-ptys blastema blastema-robot \
+     blastema-testkit";
 
 /// The crates from outside that the core may use. It stays nearly bare, so that what it decides can
 /// be simulated, and one day run on a microcontroller.
@@ -112,26 +58,18 @@ const CORE_TAKES: [&str; 8] =
 const TREES_TAKE: [&str; 3] = ["roxmltree", "strsim", "thiserror"];
 
 /// Crates of which only these packages may know.
-const KNOWN_BY: [(&str, &[&str]); 6] = [
+const KNOWN_BY: [(&str, &str); 6] = [
     // Behind the feature `journal`: not every user has a C compiler.
-    ("rusqlite", &["blastema"]),
-    ("bincode", &["blastema-core"]),
-    ("snow", &["blastema-core"]),
-    ("x25519-dalek", &["blastema-core"]),
+    ("rusqlite", "blastema"),
+    ("bincode", "blastema-core"),
+    ("snow", "blastema-core"),
+    ("x25519-dalek", "blastema-core"),
     (
         "actix",
-        &[
-            "blastema-contract",
-            "blastema-transports",
-            "blastema-doubles",
-            "blastema",
-            "blastema-testkit",
-            "blastema-tests",
-            "blastema-bench",
-            "blastema-examples",
-        ],
+        "blastema-contract blastema-transports blastema-doubles blastema blastema-testkit \
+         blastema-tests blastema-bench blastema-examples",
     ),
-    ("socket2", &["blastema-transports", "blastema", "blastema-tests", "blastema-bench"]),
+    ("socket2", "blastema-transports blastema blastema-tests blastema-bench"),
 ];
 
 /// Workspaces of their own: one needs a nightly compiler, and the crates of the other compile for
@@ -154,7 +92,7 @@ fn is_ours(package: &str) -> bool {
 pub(crate) fn arrows(tree: &Tree) -> Vec<Breach> {
     let mut breaches = Vec::new();
     for (manifest, package) in members(tree) {
-        let Some(place) = PLACES.iter().find(|place| place.package == package) else {
+        let Some((_, below, in_tests)) = PLACES.iter().find(|(name, ..)| *name == package) else {
             breaches.push(Breach::new(
                 &manifest.path,
                 1,
@@ -162,13 +100,13 @@ pub(crate) fn arrows(tree: &Tree) -> Vec<Breach> {
             ));
             continue;
         };
-        let normal = ["dependencies", "build-dependencies"].map(|name| (name, false));
-        for (section, in_tests) in normal.into_iter().chain([("dev-dependencies", true)]) {
+        let sections =
+            [("dependencies", ""), ("build-dependencies", ""), ("dev-dependencies", *in_tests)];
+        for (section, beside) in sections {
             for (line, entry) in manifest.section(section) {
                 let needed = key(entry);
-                let allowed = place.below.contains(&needed)
-                    || in_tests && place.below_in_tests.contains(&needed);
-                if is_ours(needed) && !allowed {
+                let mut allowed = below.split(' ').chain(beside.split(' '));
+                if is_ours(needed) && !allowed.any(|name| name == needed) {
                     let what = format!("{package} -> {needed} ({section})");
                     breaches.push(Breach::new(&manifest.path, line, what));
                 }
@@ -187,9 +125,9 @@ pub(crate) fn outsiders(tree: &Tree) -> Vec<Breach> {
             if is_ours(needed) {
                 continue;
             }
-            let barred = KNOWN_BY
-                .iter()
-                .any(|(krate, packages)| *krate == needed && !packages.contains(&package));
+            let barred = KNOWN_BY.iter().any(|(krate, packages)| {
+                *krate == needed && !packages.split(' ').any(|name| name == package)
+            });
             let bare = match package {
                 "blastema-core" => CORE_TAKES.contains(&needed),
                 "blastema-trees" => TREES_TAKE.contains(&needed),

@@ -18,8 +18,7 @@ async fn the_chain_shows_itself_in_the_table() {
 
 #[blastema_testkit::test]
 async fn a_reader_of_fault_events_that_goes_away_is_forgotten() {
-    let strings = Strings::default();
-    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("laser"))).await;
+    let (_, mut node) = Strings::robot(["laser"]).await;
     let events = node.fault_events();
     drop(events);
 

@@ -2,14 +2,12 @@
 
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, CommandTimeout, Commander, Direction, Hold, Impairment, LeaseStatus, Link,
-    MemoryMedium, Network,
+    ActuatorSpec, CommandTimeout, Commander, Direction, Hold, Impairment, LeaseStatus, MemoryMedium,
 };
 use blastema_testkit::{TestNode, now};
-use std::sync::{Arc, Mutex};
+use blastema_tests::{MS, Notes, on_ethernet};
 use std::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
 const TIMEOUT: Duration = Duration::from_millis(200);
 const SECOND: Duration = Duration::from_secs(1);
 
@@ -28,28 +26,13 @@ const PANIC: Drive = Drive(-3.0);
 #[contract(name = "timeouts/follow", reply = (), max_age = "200ms")]
 struct Follow(f32);
 
-/// Where to go, by a component that may be far away.
-#[derive(Clone, Debug, Event)]
-#[contract(name = "timeouts/goal")]
-struct Goal(f32);
-
 /// Keeps the wheels for so long.
 #[derive(Clone, Debug, Event)]
 struct Nap(u64);
 
-type Log = Arc<Mutex<Vec<String>>>;
-
-fn all(log: &Log) -> Vec<String> {
-    log.lock().unwrap().clone()
-}
+type Log = Notes<String>;
 
 struct Wheels(Log);
-
-impl Wheels {
-    fn note(&self, what: impl Into<String>) {
-        self.0.lock().unwrap().push(what.into());
-    }
-}
 
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
@@ -59,7 +42,7 @@ impl Component for Wheels {
 
 impl Handle<Drive> for Wheels {
     async fn handle(&mut self, drive: Drive, cx: &mut Context<Self>) {
-        self.note(format!("drive {}", drive.0));
+        self.0.note(format!("drive {}", drive.0));
         match drive {
             JAM => std::future::pending().await,
             FAIL => cx.fail("the brake is worn"),
@@ -71,7 +54,7 @@ impl Handle<Drive> for Wheels {
 
 impl Handle<Follow> for Wheels {
     async fn handle(&mut self, follow: Follow, _: &mut Context<Self>) {
-        self.note(format!("follow {}", follow.0));
+        self.0.note(format!("follow {}", follow.0));
     }
 }
 
@@ -79,7 +62,7 @@ impl Handle<Nap> for Wheels {
     async fn handle(&mut self, nap: Nap, cx: &mut Context<Self>) {
         let first = cx.incarnation().0 == 1;
         blastema::sleep(if first { MS * u32::try_from(nap.0).unwrap() } else { MS }).await;
-        self.note("nap");
+        self.0.note("nap");
     }
 }
 
@@ -90,7 +73,7 @@ fn wheels(log: &Log) -> ChildSpec<Wheels> {
 fn wheels_that_stop_by(log: &Log, safe: Drive, timeout: CommandTimeout) -> ChildSpec<Wheels> {
     let (log, cut) = (log.clone(), log.clone());
     ChildSpec::new("wheels", move || Wheels(log.clone())).with_ports(move |ports| {
-        let cut_off = move || cut.lock().unwrap().push("cut off".into());
+        let cut_off = move || cut.note("cut off");
         ports
             .actuator(ActuatorSpec::new(safe.clone(), timeout).cut_off(cut_off))
             .actuator(ActuatorSpec::new(Follow(0.0), Hold));
@@ -104,62 +87,22 @@ async fn driving(node: &TestNode) -> Commander<Drive> {
     commander
 }
 
-/// Turns goals into commands.
-struct Forwarder(Option<Commander<Drive>>);
-
-impl Component for Forwarder {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.listen::<Goal>();
-    }
-
-    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        let wheels = cx.commander::<Drive>("wheels")?;
-        wheels.claim().await?;
-        self.0 = Some(wheels);
-        Ok(())
-    }
-}
-
-impl Handle<Goal> for Forwarder {
-    async fn handle(&mut self, goal: Goal, _: &mut Context<Self>) {
-        if goal.0 < 0.0 {
-            std::future::pending::<()>().await;
-        }
-        if let Some(wheels) = &self.0 {
-            wheels.command(Drive(goal.0)).await.unwrap();
-        }
-    }
-}
-
 #[blastema_testkit::test]
-async fn wheels_stop_once_when_the_goals_cease_though_the_forwarder_lives_and_holds_its_lease() {
+async fn wheels_stop_once_when_commands_cease_though_their_commander_holds_its_lease() {
     let log = Log::default();
-    let node = Node::builder("module1");
-    let forwarder = ChildSpec::new("forwarder", || Forwarder(None)).max_wait(60 * SECOND);
-    let node = TestNode::start(node.child(wheels(&log)).child(forwarder)).await;
-    let goals = node.publisher::<Goal>("timeouts/goal").unwrap();
-    for _ in 0..5 {
-        goals.publish(Goal(1.0)).unwrap();
-        node.advance(100 * MS).await;
-    }
-    assert_eq!(all(&log), ["drive 1"; 5]);
+    let node = TestNode::start(Node::builder("module1").child(wheels(&log))).await;
+    let commander = driving(&node).await;
 
-    node.advance(110 * MS).await;
-    assert_eq!(all(&log)[5..], ["drive 0"], "within the timeout and one beat");
+    node.advance(TIMEOUT + 10 * MS).await;
+    assert_eq!(log.all(), ["drive 1", "drive 0"], "within the timeout and one beat");
     node.advance(5 * SECOND).await;
-    assert_eq!(all(&log).len(), 6, "once");
+    assert_eq!(log.all().len(), 2, "once");
     let status = node.actuators().remove(0).status;
     assert!(matches!(status, LeaseStatus::Held { .. }), "{status:?}");
     node.expect_no_faults().await;
 
-    goals.publish(Goal(2.0)).unwrap();
-    node.advance(10 * MS).await;
-    assert_eq!(all(&log)[6..], ["drive 2"], "the next command counts");
-
-    // A handler of the forwarder that awaits for ever stops the wheels as well.
-    goals.publish(Goal(-1.0)).unwrap();
-    node.advance(SECOND).await;
-    assert_eq!(all(&log)[7..], ["drive 0"]);
+    commander.command(Drive(2.0)).await.unwrap();
+    assert_eq!(log.all().last().unwrap(), "drive 2", "the next command counts");
 }
 
 #[blastema_testkit::test]
@@ -175,10 +118,10 @@ async fn the_cut_off_is_called_where_a_handler_in_service_keeps_the_safe_command
         node.sender::<Nap>("wheels").unwrap().tell(Nap(nap)).unwrap();
         node.advance(30 * MS).await;
 
-        assert_eq!(all(&log), then);
+        assert_eq!(log.all(), then);
         node.advance(SECOND).await;
-        assert_eq!(all(&log).last().unwrap(), "drive 0");
-        assert_eq!(all(&log).iter().filter(|what| *what == "cut off").count(), cut_offs);
+        assert_eq!(log.all().last().unwrap(), "drive 0");
+        assert_eq!(log.all().iter().filter(|what| *what == "cut off").count(), cut_offs);
     }
 }
 
@@ -192,9 +135,9 @@ async fn a_component_that_awaits_for_longer_than_a_command_counts_hangs_and_its_
     node.await_recovered(FaultKind::Hang, "wheels").await;
     node.advance(10 * MS).await;
 
-    assert_eq!(all(&log), ["drive 1", "cut off", "drive 0"]);
+    assert_eq!(log.all(), ["drive 1", "cut off", "drive 0"]);
     commander.command(Drive(2.0)).await.unwrap();
-    assert_eq!(all(&log).last().unwrap(), "drive 2");
+    assert_eq!(log.all().last().unwrap(), "drive 2");
 }
 
 #[blastema_testkit::test]
@@ -208,7 +151,7 @@ async fn the_cut_off_is_called_once_where_the_safe_command_is_begun_and_fails_or
 
         node.advance(5 * SECOND).await;
 
-        let done = all(&log);
+        let done = log.all();
         assert_eq!(done[..3], ["drive 1".into(), format!("drive {}", safe.0), "cut off".into()]);
         assert_eq!(done.iter().filter(|what| *what == "cut off").count(), 1, "{done:?}");
     }
@@ -228,15 +171,15 @@ async fn a_commander_that_sends_on_has_a_busy_component_cut_off_once() {
         tokio::task::spawn_local(async move { commander.command(Drive(2.0)).await });
         node.advance(20 * MS).await;
     }
-    assert_eq!(all(&log), ["drive 1", "cut off"]);
+    assert_eq!(log.all(), ["drive 1", "cut off"]);
     node.advance(2 * SECOND).await;
-    assert_eq!(all(&log)[2..4], ["nap", "drive 0"]);
+    assert_eq!(log.all()[2..4], ["nap", "drive 0"]);
 
     // One that it misses after it has taken one is another.
     commander.command(Drive(3.0)).await.unwrap();
     node.sender::<Nap>("wheels").unwrap().tell(Nap(2000)).unwrap();
     node.advance(SECOND).await;
-    assert_eq!(all(&log).last().unwrap(), "cut off");
+    assert_eq!(log.all().last().unwrap(), "cut off");
 }
 
 #[blastema_testkit::test]
@@ -259,12 +202,12 @@ async fn an_actuator_that_holds_its_command_gets_the_safe_one_however_its_compon
         node.advance(10 * SECOND).await;
 
         let done: Vec<_> =
-            all(&log)[2..].iter().filter(|what| *what != "cut off").cloned().collect();
-        assert_eq!(done, ["drive 0"], "{end:?}: {:?}", all(&log));
-        let cut_offs = all(&log).iter().filter(|what| *what == "cut off").count();
-        assert_eq!(cut_offs, usize::from(is_cut_off), "{end:?}: {:?}", all(&log));
+            log.all()[2..].iter().filter(|what| *what != "cut off").cloned().collect();
+        assert_eq!(done, ["drive 0"], "{end:?}: {:?}", log.all());
+        let cut_offs = log.all().iter().filter(|what| *what == "cut off").count();
+        assert_eq!(cut_offs, usize::from(is_cut_off), "{end:?}: {:?}", log.all());
         commander.command(Drive(2.0)).await.unwrap();
-        assert_eq!(all(&log).last().unwrap(), "drive 2");
+        assert_eq!(log.all().last().unwrap(), "drive 2");
     }
 }
 
@@ -278,7 +221,7 @@ async fn a_command_that_is_to_hold_counts_until_the_next_one() {
 
     node.advance(60 * SECOND).await;
 
-    assert_eq!(all(&log), ["follow 1"]);
+    assert_eq!(log.all(), ["follow 1"]);
 }
 
 #[blastema_testkit::test]
@@ -304,7 +247,7 @@ async fn a_command_made_from_old_data_is_refused_and_one_of_unknown_age_is_an_er
         assert!(text.contains("timeouts/follow") && text.contains("command_from(cx.captured_at()"));
     }
     assert!(commander.holds(), "it is alive");
-    assert_eq!(all(&log), ["follow 1", "follow 2"]);
+    assert_eq!(log.all(), ["follow 1", "follow 2"]);
 
     // Data that grows too old while the command waits in the queue is not used either.
     let captured_at = now();
@@ -316,18 +259,15 @@ async fn a_command_made_from_old_data_is_refused_and_one_of_unknown_age_is_an_er
     let waits = tokio::task::spawn_local(waits);
     node.advance(195 * MS).await;
     assert_eq!(waits.await.unwrap(), Err(DeliveryError::Expired));
-    assert_eq!(all(&log), ["follow 1", "follow 2", "nap"]);
+    assert_eq!(log.all(), ["follow 1", "follow 2", "nap"]);
 }
 
 #[blastema_testkit::test]
 async fn between_nodes_the_age_grows_by_the_upper_bound_of_the_way() {
     let (log, medium) = (Log::default(), MemoryMedium::default());
-    let describe = |name: &str, far: &str| {
-        let network = Network::memory("ethernet", &medium, name).link(Link::in_memory(far, far));
-        Node::builder(name).network(network.with_faults(7))
-    };
-    let here = TestNode::start(describe("module1", "module2")).await;
-    let there = TestNode::start(describe("module2", "module1").child(wheels(&log))).await;
+    let here = TestNode::start(on_ethernet("module1", "module2", &medium)).await;
+    let there = on_ethernet("module2", "module1", &medium).child(wheels(&log));
+    let there = TestNode::start(there).await;
     here.advance(2 * SECOND).await;
     for node in [&here, &there] {
         let long = Impairment { delay: 30 * MS, ..Impairment::default() };
@@ -345,5 +285,5 @@ async fn between_nodes_the_age_grows_by_the_upper_bound_of_the_way() {
     let old = commander.command_from(captured_at, Follow(2.0)).await;
     assert_eq!(old, Err(DeliveryError::Expired));
 
-    assert_eq!(all(&log), ["follow 1"]);
+    assert_eq!(log.all(), ["follow 1"]);
 }

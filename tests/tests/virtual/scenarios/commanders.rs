@@ -2,16 +2,16 @@
 
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Commander, Direction, FaultTransition, Hold, Impairment, LeaseStatus, Link,
-    MemoryMedium, Network, NodeBuilder,
+    ActuatorSpec, Commander, Direction, FaultTransition, Hold, Impairment, LeaseStatus,
+    MemoryMedium, NodeBuilder,
 };
 use blastema_testkit::{TestNode, now};
+use blastema_tests::{MS, Notes, Part, accepts, moves, on_ethernet};
+use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
 const LEASE: Duration = Duration::from_millis(100);
 /// The lease and one beat.
 const BOUND: Duration = Duration::from_millis(110);
@@ -21,36 +21,15 @@ const BOUND: Duration = Duration::from_millis(110);
 #[contract(name = "wheels/drive", reply = f32)]
 struct Drive(f32);
 
-#[derive(Clone, Debug, Event)]
-struct Blow;
-
 /// What the wheels did, and when.
-type Track = Arc<Mutex<Vec<(f32, blastema::Instant)>>>;
+type Track = Notes<(f32, blastema::Instant)>;
 
-struct Wheels(Track);
-
-impl Component for Wheels {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold).lease(LEASE)).accept::<Blow>();
-    }
-}
-
-impl Handle<Drive> for Wheels {
-    async fn handle(&mut self, drive: Drive, _: &mut Context<Self>) -> f32 {
-        self.0.lock().unwrap().push((drive.0, now()));
-        drive.0
-    }
-}
-
-impl Handle<Blow> for Wheels {
-    async fn handle(&mut self, _: Blow, _: &mut Context<Self>) {
-        panic!("a blow");
-    }
-}
-
-fn node(name: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
-    let network = Network::memory("ethernet", medium, name).link(Link::in_memory(far, far));
-    Node::builder(name).network(network.with_faults(7))
+fn wheels(track: &Track) -> ChildSpec<Part<Track, Drive>> {
+    let safe = ActuatorSpec::new(Drive(0.0), Hold).lease(LEASE);
+    moves("wheels", safe, track.clone(), |track, Drive(speed), _| {
+        track.note((speed, now()));
+        speed
+    })
 }
 
 struct Robot {
@@ -66,10 +45,9 @@ impl Robot {
 
     async fn start_with(more: impl FnOnce(NodeBuilder) -> NodeBuilder) -> Self {
         let (track, medium) = (Track::default(), MemoryMedium::default());
-        let kept = track.clone();
-        let wheels = ChildSpec::new("wheels", move || Wheels(kept.clone()));
-        let here = TestNode::start(more(node("module1", "module2", &medium))).await;
-        let there = TestNode::start(node("module2", "module1", &medium).child(wheels)).await;
+        let here = TestNode::start(more(on_ethernet("module1", "module2", &medium))).await;
+        let there = on_ethernet("module2", "module1", &medium).child(wheels(&track));
+        let there = TestNode::start(there).await;
         here.advance(2000 * MS).await;
         Robot { here, there, track }
     }
@@ -79,7 +57,7 @@ impl Robot {
     }
 
     fn speeds(&self) -> Vec<f32> {
-        self.track.lock().unwrap().iter().map(|(speed, _)| *speed).collect()
+        self.track.lock().iter().map(|(speed, _)| *speed).collect()
     }
 }
 
@@ -129,7 +107,7 @@ async fn a_cut_cable_stops_the_wheels_within_the_lease_and_one_beat() {
     robot.here.cable("ethernet").unwrap().cut(Direction::Both, false);
     robot.here.advance(BOUND).await;
 
-    let (speed, at) = *robot.track.lock().unwrap().last().unwrap();
+    let (speed, at) = *robot.track.lock().last().unwrap();
     assert_eq!(speed, 0.0);
     assert!(at - cut_at <= BOUND, "{:?}", at - cut_at);
     assert!(!commander.holds(), "it knows by itself");
@@ -185,10 +163,9 @@ async fn a_second_commander_is_refused_while_the_lease_holds_and_the_first_once_
     let (first, second) = (robot.commander("planner"), robot.commander("console"));
     let old = first.claim().await.unwrap();
 
-    assert_eq!(
-        second.claim().await,
-        Err(DeliveryError::Held { actuator: "wheels".into(), by: holder(&robot) })
-    );
+    let by = format!("module1:planner{}", robot.here.incarnation());
+    let held = DeliveryError::Held { actuator: "wheels".into(), by };
+    assert_eq!(second.claim().await, Err(held));
     assert_eq!(second.command(Drive(2.0)).await, ended("module2:wheels"));
     first.release().await.unwrap();
     robot.here.advance(10 * MS).await;
@@ -198,10 +175,6 @@ async fn a_second_commander_is_refused_while_the_lease_holds_and_the_first_once_
     assert_eq!(first.command(Drive(1.0)).await, ended("module2:wheels"));
     assert_eq!(second.command(Drive(2.0)).await, Ok(2.0));
     assert_eq!(robot.speeds(), [0.0, 2.0]);
-}
-
-fn holder(robot: &Robot) -> String {
-    format!("module1:planner{}", robot.here.incarnation())
 }
 
 #[blastema_testkit::test]
@@ -222,7 +195,7 @@ async fn two_of_one_name_fence_each_other_by_epoch() {
     assert_eq!(robot.speeds(), [2.0]);
 }
 
-/// Drives, until it is struck or stuck.
+/// Drives, until it is stuck.
 struct Planner;
 
 #[derive(Clone, Debug, Event)]
@@ -230,7 +203,7 @@ struct Stick;
 
 impl Component for Planner {
     fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Blow>().accept::<Stick>();
+        ports.accept::<Stick>();
     }
 
     async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
@@ -248,12 +221,6 @@ impl Component for Planner {
     }
 }
 
-impl Handle<Blow> for Planner {
-    async fn handle(&mut self, _: Blow, _: &mut Context<Self>) {
-        panic!("a blow");
-    }
-}
-
 impl Handle<Stick> for Planner {
     async fn handle(&mut self, _: Stick, cx: &mut Context<Self>) {
         cx.stop();
@@ -266,7 +233,7 @@ async fn the_next_incarnation_of_a_commander_goes_on_without_a_stop() {
     let mut robot = Robot::start_with(|node| node.child(planner)).await;
     assert_eq!(robot.speeds(), [1.0]);
 
-    robot.here.sender::<Blow>("planner").unwrap().tell(Blow).unwrap();
+    robot.here.kill("planner");
     robot.here.await_recovered(FaultKind::Panic, "planner").await;
     robot.here.advance(500 * MS).await;
 
@@ -294,7 +261,7 @@ async fn wheels_that_are_between_two_incarnations_are_stopped_in_the_next() {
     commander.command(Drive(1.0)).await.unwrap();
 
     drop(commander);
-    robot.there.sender::<Blow>("wheels").unwrap().tell(Blow).unwrap();
+    robot.there.kill("wheels");
     robot.there.await_recovered(FaultKind::Panic, "wheels").await;
     robot.here.advance(100 * MS).await;
 
@@ -306,31 +273,17 @@ async fn wheels_that_are_between_two_incarnations_are_stopped_in_the_next() {
 #[contract(max_size = 32 * 1024)]
 struct Scan(u32, Vec<u8>);
 
-/// Counts scans, which come in order.
-struct Map(Arc<AtomicU32>);
-
-impl Component for Map {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Scan>();
-    }
-}
-
-impl Handle<Scan> for Map {
-    async fn handle(&mut self, scan: Scan, _: &mut Context<Self>) {
-        assert_eq!(scan.0, self.0.fetch_add(1, SeqCst), "none is lost, doubled or overtaken");
-    }
-}
-
 #[blastema_testkit::test]
 async fn a_lease_is_kept_and_commands_are_answered_beside_scans_as_fast_as_they_are_taken() {
     const SCANS: u32 = 4000;
     let scans = Arc::new(AtomicU32::new(0));
     let (track, medium) = (Track::default(), MemoryMedium::default());
-    let (wheels, counts) = (track.clone(), scans.clone());
-    let wheels = ChildSpec::new("wheels", move || Wheels(wheels.clone()));
-    let map = ChildSpec::new("map", move || Map(counts.clone())).queue(16, WhenFull::Wait);
-    let here = TestNode::start(node("module1", "module2", &medium)).await;
-    let there = node("module2", "module1", &medium).child(wheels).child(map);
+    let map = accepts("map", scans.clone(), |scans, scan: Scan, _| {
+        assert_eq!(scan.0, scans.fetch_add(1, SeqCst), "none is lost, doubled or overtaken");
+    });
+    let map = map.queue(16, WhenFull::Wait);
+    let here = TestNode::start(on_ethernet("module1", "module2", &medium)).await;
+    let there = on_ethernet("module2", "module1", &medium).child(wheels(&track)).child(map);
     let there = TestNode::start(there).await;
     here.advance(2000 * MS).await;
     let commander = here.commander::<Drive>("module2:wheels", "console").unwrap();
@@ -359,10 +312,6 @@ async fn a_lease_is_kept_and_commands_are_answered_beside_scans_as_fast_as_they_
 
     assert!(commands > 10, "{commands}");
     assert_eq!(scans.load(SeqCst), SCANS);
-    assert!(!robot_stopped(&track), "the lease was never lost");
+    assert!(track.lock().iter().all(|(speed, _)| *speed != 0.0), "the lease was never lost");
     there.expect_no_faults().await;
-}
-
-fn robot_stopped(track: &Track) -> bool {
-    track.lock().unwrap().iter().any(|(speed, _)| *speed == 0.0)
 }

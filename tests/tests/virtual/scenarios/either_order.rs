@@ -1,14 +1,14 @@
 //! Commanders and actuators that start in either order, and restart, in virtual time.
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Commander, Hold, Link, MemoryMedium, Network, NodeBuilder};
+use blastema::{ActuatorSpec, Commander, Hold, MemoryMedium};
 use blastema_testkit::{TestNode, now};
+use blastema_tests::{MS, Notes, on_ethernet};
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
 const LEASE: Duration = Duration::from_millis(100);
 /// How long the motors take to start: longer than the lease.
 const START: Duration = Duration::from_millis(300);
@@ -18,9 +18,6 @@ const START: Duration = Duration::from_millis(300);
 #[contract(name = "motors/drive", reply = u64)]
 struct Drive(f32);
 
-#[derive(Clone, Debug, Event)]
-struct Blow;
-
 /// Motors that start slowly, or not at all.
 #[derive(Clone, Default)]
 struct Motors {
@@ -29,7 +26,7 @@ struct Motors {
 
 impl Component for Motors {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold).lease(LEASE)).accept::<Blow>();
+        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold).lease(LEASE));
     }
 
     async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
@@ -47,14 +44,8 @@ impl Handle<Drive> for Motors {
     }
 }
 
-impl Handle<Blow> for Motors {
-    async fn handle(&mut self, _: Blow, _: &mut Context<Self>) {
-        panic!("a blow");
-    }
-}
-
 /// What the planner's commands came to.
-type Track = Arc<Mutex<Vec<Result<u64, DeliveryError>>>>;
+type Track = Notes<Result<u64, DeliveryError>>;
 
 /// Claims the motors, and turns them twenty times a second.
 struct Planner(Track);
@@ -67,11 +58,11 @@ impl Component for Planner {
                 match motors.claim_within(Duration::from_secs(5)).await {
                     Ok(_) => {
                         while let Ok(incarnation) = motors.command(Drive(1.0)).await {
-                            track.lock().unwrap().push(Ok(incarnation));
+                            track.note(Ok(incarnation));
                             blastema::sleep(50 * MS).await;
                         }
                     }
-                    Err(why) => track.lock().unwrap().push(Err(why)),
+                    Err(why) => track.note(Err(why)),
                 }
                 blastema::sleep(20 * MS).await;
             }
@@ -99,18 +90,18 @@ async fn a_planner_commands_its_motors_in_either_order_of_a_group_and_after_each
             let node = TestNode::start(Node::builder("module1").supervisor(group)).await;
             let case = format!("planner first: {planner_first}, {strategy:?}");
             let turned_by = |incarnation: u64| {
-                let track = track.lock().unwrap();
+                let track = track.lock();
                 track.iter().filter(|turned| **turned == Ok(incarnation)).count()
             };
 
             node.advance(1000 * MS).await;
             assert!(turned_by(1) > 5, "{case}: {track:?}");
             for incarnation in 2..=3 {
-                node.sender::<Blow>("motors").unwrap().tell(Blow).unwrap();
+                node.kill("motors");
                 node.advance(2000 * MS).await;
                 assert!(turned_by(incarnation) > 5, "{case}: {track:?}");
             }
-            assert!(track.lock().unwrap().iter().all(Result::is_ok), "{case}: {track:?}");
+            assert!(track.lock().iter().all(Result::is_ok), "{case}: {track:?}");
             node.shutdown().await;
         }
     }
@@ -119,7 +110,7 @@ async fn a_planner_commands_its_motors_in_either_order_of_a_group_and_after_each
 #[blastema_testkit::test]
 async fn a_claim_waits_for_an_actuator_that_is_being_restarted() {
     let node = TestNode::start(Node::builder("module1").child(motors())).await;
-    node.sender::<Blow>("motors").unwrap().tell(Blow).unwrap();
+    node.kill("motors");
     node.settle().await;
     let commander = node.commander::<Drive>("motors", "console").unwrap();
     let asked = now();
@@ -137,7 +128,7 @@ async fn a_claim_waits_no_longer_than_its_limit() {
     let spec = ChildSpec::new("motors", move || kept.clone());
     let node = TestNode::start(Node::builder("module1").child(spec)).await;
     broken.are_broken.store(true, SeqCst);
-    node.sender::<Blow>("motors").unwrap().tell(Blow).unwrap();
+    node.kill("motors");
     node.settle().await;
     let commander = node.commander::<Drive>("motors", "console").unwrap();
     let asked = now();
@@ -170,21 +161,16 @@ async fn a_claim_waits_for_an_actuator_that_another_commander_holds() {
     assert_eq!(waiting.command(Drive(1.0)).await, Ok(1));
 }
 
-fn networked(name: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
-    let network = Network::memory("ethernet", medium, name).link(Link::in_memory(far, far));
-    Node::builder(name).network(network)
-}
-
 #[blastema_testkit::test]
 async fn a_claim_waits_for_the_node_of_its_actuator() {
     let medium = MemoryMedium::default();
-    let here = TestNode::start(networked("module1", "module2", &medium)).await;
+    let here = TestNode::start(on_ethernet("module1", "module2", &medium)).await;
     let commander: Commander<Drive> = here.commander("module2:motors", "console").unwrap();
 
     let claim = commander.claim_within(Duration::from_secs(20));
     let start = async {
         here.advance(3000 * MS).await;
-        TestNode::start(networked("module2", "module1", &medium).child(motors())).await
+        TestNode::start(on_ethernet("module2", "module1", &medium).child(motors())).await
     };
     let (claimed, _there) = tokio::join!(claim, start);
 

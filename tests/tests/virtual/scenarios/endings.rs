@@ -26,8 +26,7 @@ async fn one_that_stops_by_itself_and_does_not_end_in_time_is_replaced() {
 
 #[blastema_testkit::test]
 async fn one_that_did_not_come_to_work_and_panics_is_left_to_its_supervisor() {
-    let strings = Strings::default();
-    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await;
+    let (strings, mut node) = Strings::robot(["arm"]).await;
     strings.pull("arm", "on_activated", Pull::Fail("no torque"));
     strings.pull("arm", "on_error", Pull::Panic("and worse"));
 
@@ -75,6 +74,27 @@ async fn the_end_of_a_temporary_one_that_did_not_come_to_work_is_told_once() {
 
     let told = strings.lines("mourns");
     assert!(matches!(&told[..], [one] if one.starts_with("ear#1 mourns arm#1")), "{told:?}");
+}
+
+#[blastema_testkit::test]
+async fn one_that_does_not_come_to_work_has_failed_whichever_hook_failed() {
+    for hook in ["on_initialize", "on_startup", "on_activated"] {
+        let (strings, node) = Strings::robot(["arm", "widow"]).await;
+        ask(&node, "widow", Deed::Watch("arm".into())).await.unwrap();
+        strings.pull("arm", hook, Pull::Fail("jammed"));
+        strings.pull("arm", "on_aborting", Pull::Wait(50 * MS));
+
+        // Whether the second incarnation or the third answers it is not the question here.
+        let _ = node.restart_child("arm").await;
+        node.advance(1000 * MS).await;
+
+        let told = strings.lines("mourns");
+        let expected = ["widow#1 mourns arm#1: Stopped", "widow#1 mourns arm#2: Fatal"];
+        assert_eq!(told, expected, "{hook}");
+        let kinds = node.faults().await.entries.into_iter().map(|entry| entry.fault.kind);
+        let kinds: Vec<_> = kinds.collect();
+        assert_eq!(kinds.len(), 1, "{hook}: {kinds:?}");
+    }
 }
 
 #[blastema_testkit::test]
@@ -143,13 +163,6 @@ async fn ends_by_its_pilot(node: &Node, pilot: &Pilot) {
     };
     let carried_out = tokio::time::timeout(Duration::from_secs(30), carried_out).await;
     carried_out.expect("it ends although the handler that waited for it was cut off");
-}
-
-#[blastema_testkit::test]
-async fn a_shutdown_from_a_handler_that_is_cut_off_is_carried_out() {
-    let pilot = Pilot::default();
-    let node = TestNode::start(Node::builder("module1").child(pilot.spec())).await;
-    ends_by_its_pilot(&node, &pilot).await;
 }
 
 /// On real threads.

@@ -2,11 +2,10 @@
 
 use crate::scenarios::puppet::{Deed, Do, News, Pull, Puppet, Strings};
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, FaultTransition, Hold, RestartError, SpecError, VariableSpec};
+use blastema::{ActuatorSpec, FaultTransition, Hold, SpecError, VariableSpec};
 use blastema_testkit::TestNode;
+use blastema_tests::{MS, moves, part};
 use std::time::Duration;
-
-const MS: Duration = Duration::from_millis(1);
 
 /// A component of another type than those of the node.
 struct Radar;
@@ -15,8 +14,7 @@ impl Component for Radar {}
 
 #[blastema_testkit::test]
 async fn an_actor_of_another_type_is_told_from_one_that_is_not_there() {
-    let strings = Strings::default();
-    let node = TestNode::start(Node::builder("module1").child(strings.spec("laser"))).await;
+    let (_, node) = Strings::robot(["laser"]).await;
 
     let told = node.actor::<Radar>("laser").expect_err("it is a puppet").to_string();
     for part in ["`laser`", "puppet::Puppet", "error_texts::Radar"] {
@@ -25,20 +23,6 @@ async fn an_actor_of_another_type_is_told_from_one_that_is_not_there() {
 
     let misspelt = node.actor::<Puppet>("lasr").expect_err("none is called so").to_string();
     assert!(misspelt.contains("did you mean `laser`?"), "{misspelt}");
-}
-
-#[blastema_testkit::test]
-async fn a_child_that_is_to_be_restarted_under_a_misspelt_name_is_suggested() {
-    let strings = Strings::default();
-    let node = TestNode::start(Node::builder("module1").child(strings.spec("laser"))).await;
-
-    for misspelt in ["lasr", "las er"] {
-        let refused = node.restart_child(misspelt).await.expect_err("none is called so");
-        assert!(matches!(refused, RestartError::Unknown { .. }), "{refused:?}");
-        assert!(refused.to_string().contains("did you mean `laser`?"), "{refused}");
-    }
-    let unlike = node.restart_child("gripper").await.expect_err("none is called so").to_string();
-    assert!(!unlike.contains("did you mean"), "{unlike}");
 }
 
 #[blastema_testkit::test]
@@ -101,18 +85,6 @@ struct Limit(f32);
 #[contract(name = "wheels/colour")]
 struct Colour(u32);
 
-struct Wheels;
-
-impl Component for Wheels {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0), Hold)).variable(VariableSpec::new(Limit(1.0)));
-    }
-}
-
-impl Handle<Drive> for Wheels {
-    async fn handle(&mut self, _: Drive, _: &mut Context<Self>) {}
-}
-
 /// What a user is told to write for a variable that a component has not.
 const DECLARE: &str =
     "write `ports.variable(…)`, or `ports.parameters::<…>()` for parameters, in its `fn ports`";
@@ -129,8 +101,12 @@ fn text<T>(refused: Result<T, DeliveryError>) -> String {
 #[blastema_testkit::test]
 async fn what_is_looked_for_in_the_wrong_place_is_told_with_what_is_there() {
     let strings = Strings::default();
-    let builder = Node::builder("module1").child(strings.spec("laser"));
-    let node = TestNode::start(builder.child(ChildSpec::new("wheels", || Wheels))).await;
+    let wheels = moves("wheels", ActuatorSpec::new(Drive(0.0), Hold), (), |_, _, _| {});
+    let wheels = wheels.with_ports(|ports| {
+        ports.variable(VariableSpec::new(Limit(1.0)));
+    });
+    let builder = Node::builder("module1").child(strings.spec("laser")).child(wheels);
+    let node = TestNode::start(builder).await;
 
     let misspelt = text(node.sender::<Do>("modul1:laser"));
     assert!(misspelt.contains("did you mean `module1:laser`?"), "{misspelt}");
@@ -167,8 +143,7 @@ async fn what_is_looked_for_in_the_wrong_place_is_told_with_what_is_there() {
 
 #[blastema_testkit::test]
 async fn an_injected_panic_is_told_without_a_place() {
-    let strings = Strings::default();
-    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await;
+    let (_, mut node) = Strings::robot(["arm"]).await;
 
     node.kill("arm");
 
@@ -194,26 +169,15 @@ impl Component for Undeclared {
     }
 }
 
-/// Declares parameters whose default is outside of their range.
-struct Overlong;
-
-impl Component for Overlong {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.parameters::<Reach>();
-    }
-}
-
-impl Handle<Reach> for Overlong {
-    async fn handle(&mut self, _: Reach, _: &mut Context<Self>) {}
-}
-
 #[blastema_testkit::test]
 async fn what_a_component_declares_wrongly_is_told_with_what_to_write() {
-    let strings = Strings::default();
-    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("laser"))).await;
+    let (strings, mut node) = Strings::robot(["laser"]).await;
     let told = |refused: Result<_, SpecError>| refused.map(drop).unwrap_err().to_string();
 
-    let overlong = told(node.add_child(ChildSpec::new("arm", || Overlong)).await.map(drop));
+    let overlong = part("arm", (), |_, _: Reach, _| {}).with_ports(|ports| {
+        ports.parameters::<Reach>();
+    });
+    let overlong = told(node.add_child(overlong).await.map(drop));
     let default = "the default of `length` in the code is 5.0, and must be in 0.0..=1.0 m";
     assert!(overlong.ends_with(default), "{overlong}");
     let needs = strings.spec("hand").depends_on(["a b"]);

@@ -41,19 +41,6 @@ async fn an_error_is_reset_within_the_same_incarnation() {
 }
 
 #[blastema_testkit::test]
-async fn a_hook_that_fails_is_an_error_too() {
-    let strings = Strings::default();
-    let mut node = node_of(&strings).await;
-
-    strings.pull("arm", "on_execute", Pull::Fail("no current"));
-    let fault = node.await_fault(FaultKind::ErrorState, "arm").await;
-    node.await_recovered(FaultKind::ErrorState, "arm").await;
-
-    assert_eq!(fault.detail, "no current");
-    assert_eq!(incarnation(&node, "arm").await, 1);
-}
-
-#[blastema_testkit::test]
 async fn an_error_that_comes_back_climbs_the_ladder_to_a_restart() {
     let strings = Strings::default();
     let mut node = node_of(&strings).await;
@@ -140,19 +127,6 @@ async fn a_panic_while_it_aborts_or_resets_is_answered_by_a_new_incarnation() {
             .collect();
         assert!(stands.is_empty(), "{hook}: {stands:?}");
     }
-}
-
-#[blastema_testkit::test]
-async fn a_component_that_ends_itself_is_an_unexpected_exit() {
-    let strings = Strings::default();
-    let mut node = node_of(&strings).await;
-
-    ask(&node, "arm", Deed::Stop).await.unwrap();
-    node.await_fault(FaultKind::UnexpectedExit, "arm").await;
-    node.await_recovered(FaultKind::UnexpectedExit, "arm").await;
-
-    assert_eq!(incarnation(&node, "arm").await, 2);
-    node.expect_no_faults().await;
 }
 
 #[blastema_testkit::test]

@@ -158,20 +158,6 @@ async fn a_temporary_child_is_not_missed_and_a_transient_one_only_when_it_failed
 }
 
 #[blastema_testkit::test]
-async fn a_node_that_is_shut_down_stops_everything_in_reverse_order() {
-    let strings = Strings::default();
-    let node = TestNode::start(robot(&strings)).await;
-    strings.diary();
-
-    node.shutdown().await;
-
-    assert_eq!(node.state(), NodeState::Stopped);
-    let ends = strings.lines("on_finalize");
-    assert_eq!(ends, ["motors#1 on_finalize", "lamp#1 on_finalize"]);
-    node.shutdown().await;
-}
-
-#[blastema_testkit::test]
 async fn a_component_that_fails_too_often_is_stopped_alone_unless_it_is_essential() {
     for essential in [false, true] {
         let strings = Strings::default();

@@ -142,8 +142,7 @@ async fn a_start_that_fails_returns_when_nothing_runs_any_more() {
 
 #[blastema_testkit::test]
 async fn a_new_incarnation_that_fails_to_come_up_is_tried_again_as_one_and_the_same_fault() {
-    let strings = Strings::default();
-    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("camera"))).await;
+    let (strings, mut node) = Strings::robot(["camera"]).await;
     (0..2).for_each(|_| strings.pull("camera", "on_initialize", Pull::Fail("no device")));
 
     strike(&node, "camera").await;
@@ -215,8 +214,7 @@ async fn a_device_that_comes_late_is_waited_for_and_nobody_pays() {
 
 #[blastema_testkit::test]
 async fn a_device_that_goes_and_comes_is_one_error_and_one_wait() {
-    let strings = Strings::default();
-    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("camera"))).await;
+    let (strings, mut node) = Strings::robot(["camera"]).await;
     (0..10).for_each(|_| strings.pull("camera", "on_reset", Pull::Unavailable("unplugged")));
 
     ask(&node, "camera", Deed::Fail("unplugged".into())).await.unwrap();
@@ -320,8 +318,7 @@ async fn a_supervisor_that_cannot_start_escalates_and_is_recovered_when_it_works
 #[blastema_testkit::test]
 async fn a_fault_is_recovered_when_the_replacement_has_started() {
     for hook in ["on_aborting", "on_error", "on_reset"] {
-        let strings = Strings::default();
-        let mut node = TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await;
+        let (strings, mut node) = Strings::robot(["arm"]).await;
         let start = Duration::from_millis(500);
         strings.pull("arm", hook, Pull::Panic("boom"));
         strings.pull("arm", "on_initialize", Pull::Wait(start));

@@ -62,23 +62,6 @@ async fn a_last_hook_of_one_that_fails_to_start_and_does_not_return_is_cut_off()
     }
 }
 
-#[blastema_testkit::test]
-async fn a_temporary_one_that_fails_to_start_has_its_last_hooks_too() {
-    let strings = Strings::default();
-    strings.pull("camera", "on_activated", Pull::Fail("no answer"));
-    LAST_HOOKS
-        .iter()
-        .for_each(|last| strings.pull("camera", last, Pull::Wait(Duration::from_millis(300))));
-    let builder = Node::builder("module1").child_with(strings.spec("camera"), Restart::Temporary);
-
-    let node = TestNode::start(builder).await;
-
-    node.advance(Duration::from_secs(3)).await;
-    let last = LAST_HOOKS.map(|last| format!("camera#1 {last}"));
-    let diary = strings.lines("camera");
-    assert!(diary.ends_with(&last), "{diary:?}");
-}
-
 /// Keeps its thread for so long.
 fn burn(millis: u64) {
     let began = Instant::now();

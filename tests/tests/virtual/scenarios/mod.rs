@@ -3,14 +3,12 @@
 //! Everything but the modules `real` runs in virtual time on one thread. Each scenario says what was
 //! done to the robot, and what its record of faults, its table and its tree show afterwards.
 
-mod away;
 mod chain;
 mod changes;
 mod chaos;
 mod command_timeouts;
 mod commanders;
 mod conditions;
-mod death_watch;
 mod declared;
 mod either_order;
 mod endings;
@@ -31,7 +29,6 @@ mod panics;
 mod parameters;
 mod puppet;
 mod real;
-mod refusals;
 mod rest;
 mod retries;
 mod sending;

@@ -1,19 +1,14 @@
 //! A component panics, wherever it may.
 
 use crate::scenarios::puppet::{Deed, Do, Note, Pull, Strings, ask, incarnation, strike};
-use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema::{Incarnation, Severity};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 
-async fn node_of(strings: &Strings) -> TestNode {
-    TestNode::start(Node::builder("module1").child(strings.spec("laser"))).await
-}
-
 #[blastema_testkit::test]
 async fn a_panic_is_recovered_on_the_spot_and_recorded() {
-    let mut node = node_of(&Strings::default()).await;
+    let (_, mut node) = Strings::robot(["laser"]).await;
     assert_eq!(incarnation(&node, "laser").await, 1);
 
     let struck = ask(&node, "laser", Deed::Panic("mirror stuck".into())).await;
@@ -42,8 +37,7 @@ async fn a_panic_is_recovered_on_the_spot_and_recorded() {
 
 #[blastema_testkit::test]
 async fn what_was_queued_behind_a_deadly_message_is_served_by_the_next_incarnation() {
-    let strings = Strings::default();
-    let node = node_of(&strings).await;
+    let (strings, node) = Strings::robot(["laser"]).await;
     let (deadly, notes) = (node.sender::<Do>("laser"), node.sender::<Note>("laser"));
 
     deadly.unwrap().tell(Do(Deed::Panic("first".into()))).unwrap();
@@ -56,7 +50,7 @@ async fn what_was_queued_behind_a_deadly_message_is_served_by_the_next_incarnati
 
 #[blastema_testkit::test]
 async fn a_panic_in_a_task_or_timer_of_its_own_is_the_components_death() {
-    let mut node = node_of(&Strings::default()).await;
+    let (_, mut node) = Strings::robot(["laser"]).await;
     let deeds = [
         (Deed::PanicInTask("a task".into()), "a task, at", "in a task of its own"),
         (Deed::PanicInTimer("a timer".into()), "a timer, at", "in a timer"),
@@ -79,8 +73,7 @@ async fn a_panic_in_a_task_or_timer_of_its_own_is_the_components_death() {
 #[blastema_testkit::test]
 async fn a_panic_in_a_hook_is_the_components_death() {
     for hook in ["on_activated", "on_startup", "on_initialize", "factory"] {
-        let strings = Strings::default();
-        let mut node = node_of(&strings).await;
+        let (strings, mut node) = Strings::robot(["laser"]).await;
         // The incarnation after this one dies as it begins; its supervisor tries once more.
         strings.pull("laser", hook, Pull::Panic("in a hook"));
         strike(&node, "laser").await;
@@ -116,72 +109,11 @@ async fn a_panic_in_a_round_is_the_components_death_and_rounds_go_on() {
 
 #[blastema_testkit::test]
 async fn a_panic_with_something_that_is_no_text_is_reported_all_the_same() {
-    let mut node = node_of(&Strings::default()).await;
+    let (_, mut node) = Strings::robot(["laser"]).await;
 
     let _ = ask(&node, "laser", Deed::PanicOddly).await;
 
     let fault = node.await_fault(FaultKind::Panic, "laser").await;
     assert!(fault.detail.starts_with("a panic whose payload is no text"), "{}", fault.detail);
     assert_eq!(incarnation(&node, "laser").await, 2);
-}
-
-#[blastema_testkit::test]
-async fn a_condition_that_panics_is_the_listeners_death_and_no_one_elses() {
-    let strings = Strings::default();
-    let builder = Node::builder("module1").child(strings.spec("laser")).child(strings.spec("eye"));
-    let mut node = TestNode::start(builder).await;
-
-    assert_eq!(ask(&node, "eye", Deed::Publish(13)).await.unwrap(), 1, "it publishes and lives on");
-
-    // Both listen, and both conditions panic; the publisher's own one after it has answered.
-    for name in ["laser", "eye"] {
-        let fault = node.await_fault(FaultKind::Panic, name).await;
-        assert!(fault.detail.contains("unlucky"), "{}", fault.detail);
-        node.await_recovered(FaultKind::Panic, name).await;
-        assert_eq!(incarnation(&node, name).await, 2);
-    }
-    node.expect_no_faults().await;
-}
-
-#[blastema_testkit::test]
-async fn under_rest_for_one_a_panic_takes_the_whole_chain() {
-    let strings = Strings::default();
-    let builder = Node::builder("module1").strategy(Strategy::RestForOne);
-    let mut node = TestNode::start(builder.child(strings.spec("laser"))).await;
-
-    strike(&node, "laser").await;
-    node.await_recovered(FaultKind::Panic, "laser").await;
-
-    let record = node.faults().await;
-    let entry = &record.entries[0];
-    assert_eq!(entry.decided.as_ref().map(|(_, action)| action.as_str()), Some("restart"));
-    assert!(entry.recovered_at.is_some());
-    assert_eq!(incarnation(&node, "laser").await, 2);
-}
-
-#[blastema_testkit::test]
-async fn where_the_plan_forbids_it_nobody_restarts_on_the_spot() {
-    let strings = Strings::default();
-    let laser = "laser".parse().unwrap();
-    let plan = Plan::default().on_component(
-        laser,
-        FaultKind::Panic,
-        Ladder::first(RecoveryAction::SafeStop),
-    );
-    let builder = Node::builder("module1").plan(plan).child(strings.spec("laser"));
-    let mut node = TestNode::start(builder).await;
-
-    strike(&node, "laser").await;
-    node.await_fault(FaultKind::Panic, "laser").await;
-    node.advance(Duration::from_secs(60)).await;
-
-    assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Resting);
-    let refused = ask(&node, "laser", Deed::Nothing).await.expect_err("it is in the safe state");
-    assert!(
-        matches!(refused.kind, DeliveryError::Stopped | DeliveryError::Isolated { .. }),
-        "{}",
-        refused.kind
-    );
-    assert_eq!(refused.message, Some(Do(Deed::Nothing)), "it comes back");
-    assert_eq!(strings.lines("laser#2"), [""; 0]);
 }

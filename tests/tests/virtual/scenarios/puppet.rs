@@ -3,6 +3,7 @@
 
 use blastema::prelude::*;
 use blastema::{Down, Incarnation, RequestError};
+use blastema_testkit::TestNode;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -93,6 +94,15 @@ struct Inner {
 impl Strings {
     fn inner(&self) -> MutexGuard<'_, Inner> {
         self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A node with a puppet of each of these names.
+    pub(crate) async fn robot<const N: usize>(names: [&'static str; N]) -> (Self, TestNode) {
+        let strings = Strings::default();
+        let builder = Node::builder("module1");
+        let builder = names.iter().fold(builder, |node, name| node.child(strings.spec(name)));
+        let node = TestNode::start(builder).await;
+        (strings, node)
     }
 
     /// A puppet of this name.

@@ -2,14 +2,12 @@
 
 use blastema::core::recovery::Backoff;
 use blastema::prelude::*;
-use blastema::{Link, MemoryMedium, Network, RetryPolicy, ServiceSpec, StandbyKind, Stateful};
+use blastema::{MemoryMedium, RetryPolicy, ServiceSpec, StandbyKind, Stateful};
 use blastema_testkit::{TestNode, now};
+use blastema_tests::{MS, on_ethernet};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::Relaxed;
-use std::time::Duration;
-
-const MS: Duration = Duration::from_millis(1);
 
 /// Sets a value; kills as many incarnations as it is told to, first.
 #[derive(Clone, Debug, PartialEq, Request)]
@@ -80,15 +78,10 @@ impl Stateful for Shelf {
 /// A shelf at module1, and a node that asks it over a network.
 async fn robot() -> (TestNode, TestNode, Shelf) {
     let (medium, shelf) = (MemoryMedium::default(), Shelf::default());
-    let network = |own: &str, far: &str| {
-        Network::memory("ethernet", &medium, own).link(Link::in_memory(far, far))
-    };
     let kept = shelf.clone();
     let spec = ChildSpec::new("shelf", move || kept.clone()).queue(2, WhenFull::Refuse);
-    let one = Node::builder("module1").network(network("module1", "module2")).child(spec);
-    let one = TestNode::start(one).await;
-    let two = Node::builder("module2").network(network("module2", "module1"));
-    let two = TestNode::start(two).await;
+    let one = TestNode::start(on_ethernet("module1", "module2", &medium).child(spec)).await;
+    let two = TestNode::start(on_ethernet("module2", "module1", &medium)).await;
     two.advance(2000 * MS).await;
     (one, two, shelf)
 }

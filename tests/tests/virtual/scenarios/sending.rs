@@ -6,14 +6,9 @@ use blastema::prelude::*;
 use blastema_testkit::{Harness, TestNode, now};
 use std::time::Duration;
 
-async fn node_of(strings: &Strings) -> TestNode {
-    TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await
-}
-
 #[blastema_testkit::test]
 async fn a_request_resolves_when_its_deadline_passes() {
-    let strings = Strings::default();
-    let node = node_of(&strings).await;
+    let (_, node) = Strings::robot(["arm"]).await;
     let arm = node.sender::<Do>("arm").unwrap();
     let start = now();
 
@@ -28,8 +23,7 @@ async fn a_request_resolves_when_its_deadline_passes() {
 
 #[blastema_testkit::test]
 async fn a_request_whose_deadline_passed_in_the_queue_is_not_served() {
-    let strings = Strings::default();
-    let node = node_of(&strings).await;
+    let (_, node) = Strings::robot(["arm"]).await;
     let arm = node.sender::<Do>("arm").unwrap();
     arm.tell(Do(Deed::Await(3000))).unwrap();
 
@@ -40,16 +34,6 @@ async fn a_request_whose_deadline_passed_in_the_queue_is_not_served() {
     assert_eq!(ask(&node, "arm", Deed::Nothing).await.unwrap(), 1, "no life ended by it");
     let name = "arm".parse().unwrap();
     assert_eq!(node.dead_letters().count(&name, DeadReason::DeadlinePassed), 1);
-}
-
-#[blastema_testkit::test]
-async fn a_request_in_the_queue_survives_the_receivers_death() {
-    let strings = Strings::default();
-    let node = node_of(&strings).await;
-    let arm = node.sender::<Do>("arm").unwrap();
-    arm.tell(Do(Deed::Panic("first".into()))).unwrap();
-
-    assert_eq!(arm.ask(Do(Deed::Nothing)).await.unwrap(), 2);
 }
 
 #[blastema_testkit::test]
@@ -71,18 +55,6 @@ async fn between_two_incarnations_a_full_queue_says_restarting() {
     notes.deliver(Note(3)).await.expect("it waits for room");
     node.advance(Duration::from_secs(1)).await;
     assert_eq!(strings.lines("note"), ["arm#2 note 1", "arm#2 note 2", "arm#2 note 3"]);
-}
-
-#[blastema_testkit::test]
-async fn who_is_unknown_is_told_before_anything_is_sent() {
-    let strings = Strings::default();
-    let node = node_of(&strings).await;
-
-    for name in ["leg", "not a name", "module1:leg"] {
-        let why = node.sender::<Do>(name).expect_err("no such object");
-        assert!(matches!(&why, DeliveryError::Unknown { name: named } if named == name), "{why}");
-    }
-    assert_eq!(node.sender::<Do>("module1:arm").unwrap().ask(Do(Deed::Nothing)).await.unwrap(), 1);
 }
 
 #[derive(Clone, Debug, Event)]
@@ -120,8 +92,7 @@ struct OtherNote {
 
 #[blastema_testkit::test]
 async fn who_takes_no_such_contract_or_another_one_says_so() {
-    let strings = Strings::default();
-    let node = node_of(&strings).await;
+    let (_, node) = Strings::robot(["arm"]).await;
 
     let unknown = node.sender::<Unheard>("arm").expect_err("it does not take it");
     let differs = node.sender::<OtherNote>("arm").expect_err("it is another contract");
@@ -134,9 +105,7 @@ async fn who_takes_no_such_contract_or_another_one_says_so() {
 
 #[blastema_testkit::test]
 async fn who_asks_somebody_that_asks_back_gets_a_deadline_and_not_a_knot() {
-    let strings = Strings::default();
-    let builder = Node::builder("module1").child(strings.spec("arm")).child(strings.spec("leg"));
-    let node = TestNode::start(builder).await;
+    let (_, node) = Strings::robot(["arm", "leg"]).await;
     let (arm, leg) = (node.sender::<Do>("arm").unwrap(), node.sender::<Do>("leg").unwrap());
     let hour = Duration::from_secs(3600);
 
@@ -157,22 +126,6 @@ async fn who_asks_somebody_that_asks_back_gets_a_deadline_and_not_a_knot() {
     let expected = [("module1:arm".to_owned(), &*arm), ("module1:leg".to_owned(), &*leg)];
     assert_eq!(told.collect::<Vec<_>>(), expected);
     assert_eq!(faults[0].fault.severity, blastema::Severity::Warning);
-}
-
-#[blastema_testkit::test]
-async fn a_node_that_has_stopped_refuses_everything_and_says_so() {
-    let strings = Strings::default();
-    let node = node_of(&strings).await;
-    let (deeds, notes) = (node.sender::<Do>("arm").unwrap(), node.sender::<Note>("arm").unwrap());
-
-    node.shutdown().await;
-
-    assert_eq!(
-        deeds.ask(Do(Deed::Nothing)).await.expect_err("it is over").kind,
-        DeliveryError::Stopped
-    );
-    assert_eq!(notes.tell(Note(1)).expect_err("it is over").kind, DeliveryError::Stopped);
-    assert_eq!(notes.deliver(Note(1)).await.expect_err("it is over").kind, DeliveryError::Stopped);
 }
 
 /// Hands out a sender that belongs to its present incarnation.
@@ -197,10 +150,10 @@ impl Handle<Die> for Lender {
 
 #[blastema_testkit::test]
 async fn what_a_thread_of_a_dead_incarnation_still_says_goes_nowhere() {
-    let strings = Strings::default();
+    let (strings, node) = Strings::robot(["arm"]).await;
     let (lend, lent) = std::sync::mpsc::sync_channel(8);
     let spec = ChildSpec::new("lender", move || Lender(lend.clone()));
-    let lender = Harness::within(node_of(&strings).await, spec).await;
+    let lender = Harness::within(node, spec).await;
     let first = lent.try_recv().expect("it lent one");
     first.tell(Note(1)).expect("its incarnation lasts");
 
@@ -213,22 +166,4 @@ async fn what_a_thread_of_a_dead_incarnation_still_says_goes_nowhere() {
     second.tell(Note(3)).expect("this one lasts");
     lender.settle().await;
     assert_eq!(strings.lines("note"), ["arm#1 note 1", "arm#1 note 3"]);
-}
-
-#[blastema_testkit::test]
-async fn a_component_that_is_told_to_rest_serves_again_when_it_is_told_to_work() {
-    let strings = Strings::default();
-    let node = node_of(&strings).await;
-    let arm = node.actor::<crate::scenarios::puppet::Puppet>("arm").unwrap();
-
-    arm.deactivate();
-    node.settle().await;
-    arm.tell(Note(1)).expect("it is queued");
-    node.advance(Duration::from_secs(60)).await;
-    assert_eq!((strings.lines("note"), arm.queued()), (vec![], 1));
-    arm.activate();
-    node.settle().await;
-
-    assert_eq!(strings.lines("note"), ["arm#1 note 1"]);
-    node.expect_no_faults().await;
 }

@@ -3,10 +3,8 @@
 use blastema::prelude::*;
 use blastema::{ActuatorSpec, Commander, Hold, StartError};
 use blastema_testkit::TestNode;
-use std::sync::{Arc, Mutex};
+use blastema_tests::{MS, Notes};
 use std::time::Duration;
-
-const MS: Duration = Duration::from_millis(1);
 
 /// Moves the machine. Some commands do more than that.
 #[derive(Clone, Debug, Request)]
@@ -31,18 +29,7 @@ const PANIC_AT_THE_END: Drive = Drive(-8.0);
 struct Nap;
 
 /// What happened, in order.
-#[derive(Clone, Default)]
-struct Log(Arc<Mutex<Vec<String>>>);
-
-impl Log {
-    fn note(&self, what: impl Into<String>) {
-        self.0.lock().unwrap().push(what.into());
-    }
-
-    fn all(&self) -> Vec<String> {
-        self.0.lock().unwrap().clone()
-    }
-}
+type Log = Notes<String>;
 
 struct Machine {
     log: Log,

@@ -1,6 +1,6 @@
 //! What is done about a fault: actions that help, fail, panic, or take too long.
 
-use crate::scenarios::puppet::{Deed, News, Note, Pull, Strings, ask, incarnation, strike};
+use crate::scenarios::puppet::{Deed, News, Note, Strings, ask, incarnation, strike};
 use blastema::core::recovery::{Backoff, ChildState, RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
 use blastema::{FaultStatus, NodeBuilder, RecoveryStrategy, StrategyContext};
@@ -172,33 +172,6 @@ async fn safe_stop_applies_the_safe_outputs_even_if_they_panic() {
     assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Resting);
     strike(&node, "ear").await;
     assert_eq!(incarnation(&node, "ear").await, 2, "the chain is unharmed");
-}
-
-#[blastema_testkit::test]
-async fn what_is_sent_while_an_object_is_replaced_waits_for_its_next_incarnation() {
-    let strings = Strings::default();
-    let ladder = Ladder::first(RecoveryAction::Restart);
-    let group = SupervisorSpec::new("group", Strategy::RestForOne).child(strings.spec("joint"));
-    let builder = Node::builder("module1")
-        .fault_kind("OIL")
-        .plan(Plan::default().on(oil(), ladder))
-        .supervisor(group);
-    let mut node = TestNode::start(builder).await;
-    strings.pull("joint", "on_deactivated", Pull::Wait(Duration::from_millis(300)));
-
-    declare(&node).await;
-    let behind = ask(&node, "joint", Deed::Nothing).await;
-    assert_eq!(behind.expect("it waits for the next incarnation"), 2);
-    node.await_recovered(oil(), "joint").await;
-    node.advance(Duration::from_secs(1)).await;
-
-    assert_eq!(incarnation(&node, "joint").await, 2, "one restart for both");
-    let record = node.faults().await;
-    let cured = |kind: &FaultKind| {
-        let entry = record.entries.iter().find(|entry| entry.fault.kind == *kind);
-        entry.expect("it was found").recovered_at.is_some()
-    };
-    assert!(cured(&oil()), "{record:?}");
 }
 
 #[blastema_testkit::test]

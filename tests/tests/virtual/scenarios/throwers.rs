@@ -1,6 +1,6 @@
 //! Things of the user's that panic in unusual places: in `Drop`, while stopping.
 
-use crate::scenarios::puppet::{Deed, Note, Pull, Strings, ask, incarnation, strike};
+use crate::scenarios::puppet::{Deed, Pull, Strings, ask, incarnation, strike};
 use blastema::SpecError;
 use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::core::recovery::ChildState;
@@ -9,39 +9,29 @@ use blastema_testkit::TestNode;
 use std::time::Duration;
 
 #[blastema_testkit::test]
-async fn a_component_whose_drop_panics_after_a_panic_is_replaced_all_the_same() {
-    let strings = Strings::default();
-    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await;
-    strings.pull("arm", "drop", Pull::Panic("and in drop"));
+async fn a_component_whose_drop_panics_is_replaced_all_the_same() {
+    let ends = [
+        (Deed::Panic("struck".into()), FaultKind::Panic),
+        (Deed::FailFatally("bent".into()), FaultKind::Fatal),
+    ];
+    for (end, kind) in ends {
+        let (strings, mut node) = Strings::robot(["arm"]).await;
+        strings.pull("arm", "drop", Pull::Panic("and in drop"));
 
-    strike(&node, "arm").await;
-    node.await_fault(FaultKind::Panic, "arm").await;
+        // A panic ends the request, too.
+        let _ = ask(&node, "arm", end).await;
+        node.await_fault(kind.clone(), "arm").await;
+        node.await_recovered(kind, "arm").await;
 
-    assert_eq!(incarnation(&node, "arm").await, 2);
-    node.expect_no_faults().await;
-}
-
-#[blastema_testkit::test]
-async fn a_component_whose_drop_panics_while_it_is_restarted_is_replaced_all_the_same() {
-    let strings = Strings::default();
-    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await;
-    strings.pull("arm", "drop", Pull::Panic("in drop"));
-
-    ask(&node, "arm", Deed::FailFatally("bent".into())).await.unwrap();
-    node.await_fault(FaultKind::Fatal, "arm").await;
-    node.await_recovered(FaultKind::Fatal, "arm").await;
-
-    assert_eq!(incarnation(&node, "arm").await, 2);
-    node.expect_no_faults().await;
+        assert_eq!(incarnation(&node, "arm").await, 2);
+        node.expect_no_faults().await;
+    }
 }
 
 #[blastema_testkit::test]
 async fn a_component_that_panics_while_it_stops_is_stopped() {
     for hook in ["on_deactivated", "on_shutdown", "on_finalize", "drop"] {
-        let strings = Strings::default();
-        let builder =
-            Node::builder("module1").child(strings.spec("arm")).child(strings.spec("hand"));
-        let node = TestNode::start(builder).await;
+        let (strings, node) = Strings::robot(["arm", "hand"]).await;
         strings.pull("hand", hook, Pull::Panic("while stopping"));
 
         let stopped = tokio::time::timeout(Duration::from_secs(6), node.shutdown()).await;
@@ -81,8 +71,7 @@ async fn a_component_that_panics_while_it_is_restarted_is_replaced() {
 #[blastema_testkit::test]
 async fn a_component_that_fails_to_come_to_rest_has_a_fault_that_is_over() {
     for pull in [Pull::Fail("jammed"), Pull::Fatal("jammed"), Pull::Wait(Duration::from_secs(60))] {
-        let strings = Strings::default();
-        let node = TestNode::start(Node::builder("module1").child(strings.spec("hand"))).await;
+        let (strings, node) = Strings::robot(["hand"]).await;
         strings.pull("hand", "on_deactivated", pull.clone());
 
         node.shutdown().await;
@@ -163,34 +152,6 @@ async fn messages_whose_drop_panics_are_counted_when_their_receiver_ends() {
     assert_eq!(node.state(), NodeState::Running);
 }
 
-#[blastema_testkit::test]
-async fn a_message_that_killed_three_incarnations_is_quarantined_and_no_other() {
-    let strings = Strings::default();
-    let node = TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await;
-    let arm = node.sender::<crate::scenarios::puppet::Do>("arm").unwrap();
-    let deadly = arm.repeatable(crate::scenarios::puppet::Do(Deed::Panic("poison".into())));
-
-    for n in 1..=3 {
-        let why = deadly.ask().await.expect_err("it kills").kind;
-        assert!(
-            matches!(why, DeliveryError::PeerDied { incarnation } if incarnation.0 == n),
-            "{why}"
-        );
-        node.advance(Duration::from_secs(11)).await;
-    }
-    let refused = deadly.ask().await.expect_err("it is not let in");
-
-    assert_eq!(refused.kind, DeliveryError::Quarantined { kills: 3 });
-    assert!(refused.message.is_some());
-    assert_eq!(incarnation(&node, "arm").await, 4, "no incarnation ended by it this time");
-    let name = "arm".parse().unwrap();
-    assert_eq!(node.dead_letters().count(&name, DeadReason::Quarantined), 1);
-    // Another message of the same contract, word for word, is another message.
-    let other = ask(&node, "arm", Deed::Panic("poison".into())).await.expect_err("it kills");
-    assert!(matches!(other.kind, DeliveryError::PeerDied { .. }));
-    node.sender("arm").unwrap().tell(Note(1)).unwrap();
-}
-
 struct Rash;
 
 impl Component for Rash {
@@ -224,9 +185,7 @@ async fn ports_that_panic_are_an_error_that_names_the_component() {
 
 #[blastema_testkit::test]
 async fn a_component_whose_drop_panics_after_an_orderly_end_is_named_and_replaced() {
-    let strings = Strings::default();
-    let builder = Node::builder("module1").child(strings.spec("arm")).child(strings.spec("hand"));
-    let mut node = TestNode::start(builder).await;
+    let (strings, mut node) = Strings::robot(["arm", "hand"]).await;
     strings.pull("hand", "drop", Pull::Panic("while it goes"));
 
     ask(&node, "hand", Deed::Stop).await.unwrap();

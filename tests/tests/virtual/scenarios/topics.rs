@@ -1,12 +1,10 @@
 //! Capture stamps, events that are kept for who joins, and what a node tells of its topics.
 
 use blastema::prelude::*;
-use blastema::{DeadReason, Instant, Link, MemoryMedium, Network, TopicRow};
-use blastema_testkit::{Probe, TestNode, now};
-use std::sync::{Arc, Mutex};
+use blastema::{DeadReason, Instant, MemoryMedium, TopicRow};
+use blastema_testkit::{TestNode, now};
+use blastema_tests::{MS, Notes, Part, listens, on_ethernet, part};
 use std::time::Duration;
-
-const MS: Duration = Duration::from_millis(1);
 
 /// An image, old as soon as it is 100 ms old.
 #[derive(Clone, Debug, PartialEq, Event)]
@@ -30,7 +28,7 @@ enum End {
 /// A map at which the viewer panics.
 const BAD: Map = Map(13);
 
-type Seen = Arc<Mutex<Vec<(u32, Option<Instant>)>>>;
+type Seen = Notes<(u32, Option<Instant>)>;
 
 /// Notes what it gets, and when that was captured.
 struct Viewer(Seen);
@@ -45,13 +43,13 @@ impl Component for Viewer {
 
 impl Handle<Image> for Viewer {
     async fn handle(&mut self, Image(n): Image, cx: &mut Context<Self>) {
-        self.0.lock().unwrap().push((n, cx.captured_at()));
+        self.0.note((n, cx.captured_at()));
     }
 }
 
 impl Handle<Map> for Viewer {
     async fn handle(&mut self, map: Map, cx: &mut Context<Self>) {
-        self.0.lock().unwrap().push((map.0, cx.captured_at()));
+        self.0.note((map.0, cx.captured_at()));
         assert_ne!(map, BAD);
     }
 }
@@ -74,7 +72,7 @@ fn viewer(name: &str) -> (ChildSpec<Viewer>, Seen) {
 }
 
 fn numbers(seen: &Seen) -> Vec<u32> {
-    seen.lock().unwrap().iter().map(|(n, _)| *n).collect()
+    seen.lock().iter().map(|(n, _)| *n).collect()
 }
 
 fn row_of(node: &Node, topic: &str) -> TopicRow {
@@ -96,7 +94,7 @@ async fn the_age_of_an_event_counts_from_the_capture_of_its_data() {
     images.publish_captured_at(Image(3), now() + 500 * MS).unwrap();
     node.settle().await;
 
-    let seen = seen.lock().unwrap().clone();
+    let seen = seen.all();
     assert_eq!(seen, [(1, Some(captured)), (3, Some(now()))], "the second was 110 ms old");
     assert_eq!(node.dead_letters().count(&"viewer".parse().unwrap(), DeadReason::Expired), 1);
 }
@@ -173,8 +171,7 @@ async fn an_incarnation_gets_what_is_latched_in_order_and_once_with_what_waited(
 
 /// Two nodes on one network, in this order.
 async fn node_on(medium: &MemoryMedium, name: &str, other: &str) -> TestNode {
-    let network = Network::memory("lan", medium, name).link(Link::in_memory(other, other));
-    TestNode::start(Node::builder(name).network(network)).await
+    TestNode::start(on_ethernet(name, other, medium)).await
 }
 
 async fn two_nodes() -> (TestNode, TestNode) {
@@ -316,38 +313,30 @@ async fn a_publisher_of_another_contract_than_the_listeners_of_its_topic_is_refu
 
     // A listener to another contract is refused likewise.
     let _plans = node.publisher::<Map>("plan").expect("it is new");
-    let planner = ChildSpec::new("planner", || Planner);
-    let told = node.add_child(planner).await.expect_err("it carries maps").to_string();
+    let told = node.add_child(planner()).await.expect_err("it carries maps").to_string();
     let both = ["\"plan\"", "`camera/image` version 1", "`map` version 1", "module1"];
     both.iter().for_each(|part| assert!(told.contains(part), "{part} is missing in {told}"));
 }
 
 /// Listens to images on a topic that may carry something else.
-struct Planner;
-
-impl Component for Planner {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.listen::<Image>().on("plan");
-    }
-}
-
-impl Handle<Image> for Planner {
-    async fn handle(&mut self, _: Image, _: &mut Context<Self>) {}
+fn planner() -> ChildSpec<Part<(), Image>> {
+    listens("planner", "plan", (), |_, _, _| {})
 }
 
 #[blastema_testkit::test]
 async fn a_topic_that_two_nodes_give_different_contracts_is_a_fault_on_both() {
     for publishes_first in [true, false] {
         let (mut here, mut there) = two_nodes().await;
-        let planner = ChildSpec::new("planner", || Planner);
         let plans = if publishes_first {
             let plans = here.publisher::<Map>("plan").unwrap();
-            there.add_child(planner).await.unwrap();
+            there.add_child(planner()).await.unwrap();
             plans
         } else {
-            there.add_child(planner).await.unwrap();
+            there.add_child(planner()).await.unwrap();
             there.advance(100 * MS).await;
-            here.publisher::<Map>("plan").unwrap()
+            let plans = here.publisher::<Map>("plan").unwrap();
+            assert_eq!(plans.matched(), 0, "at no time");
+            plans
         };
         if publishes_first {
             plans.publish(Map(1)).unwrap();
@@ -366,21 +355,11 @@ async fn a_topic_that_two_nodes_give_different_contracts_is_a_fault_on_both() {
 }
 
 #[blastema_testkit::test]
-async fn a_listener_of_another_contract_is_matched_at_no_time() {
-    let (here, there) = two_nodes().await;
-    there.add_child(ChildSpec::new("planner", || Planner)).await.unwrap();
-    there.advance(100 * MS).await;
-
-    let plans = here.publisher::<Map>("plan").unwrap();
-    assert_eq!(plans.matched(), 0);
-}
-
-#[blastema_testkit::test]
 async fn a_mismatch_of_contracts_is_over_when_the_other_node_comes_back_without_it() {
     let medium = MemoryMedium::default();
     let (mut here, there) = two_nodes_on(&medium).await;
     let _plans = here.publisher::<Map>("plan").unwrap();
-    there.add_child(ChildSpec::new("planner", || Planner)).await.unwrap();
+    there.add_child(planner()).await.unwrap();
     here.await_fault(FaultKind::ContractMismatch, "net/gateway").await;
     let stands = async |node: &Node| {
         let record = node.faults().await;
@@ -400,15 +379,6 @@ async fn a_mismatch_of_contracts_is_over_when_the_other_node_comes_back_without_
 
 #[blastema_testkit::test]
 async fn the_name_of_a_topic_obeys_the_rule_for_names_of_objects() {
-    struct Wrong;
-    impl Component for Wrong {
-        fn ports(ports: &mut Ports<Self>) {
-            ports.listen::<Image>().on("camera//image");
-        }
-    }
-    impl Handle<Image> for Wrong {
-        async fn handle(&mut self, _: Image, _: &mut Context<Self>) {}
-    }
     let node = TestNode::start(Node::builder("module1")).await;
 
     for name in ["", "a b!", "camera//image", "../image", "-image", &"n".repeat(129)] {
@@ -417,61 +387,34 @@ async fn the_name_of_a_topic_obeys_the_rule_for_names_of_objects() {
     }
     let told = node.publisher::<Map>("a b!").unwrap_err().to_string();
     assert!(told.contains("\"a b!\"") && told.contains("letters, digits"), "{told}");
-    let told = node.add_child(ChildSpec::new("wrong", || Wrong)).await.unwrap_err().to_string();
+    let wrong = listens("wrong", "camera//image", (), |_, _: Image, _| {});
+    let told = node.add_child(wrong).await.unwrap_err().to_string();
     assert!(told.contains("wrong") && told.contains("camera//image"), "{told}");
 }
 
-#[blastema_testkit::test]
-async fn a_probe_listens_like_any_other() {
-    let mut node = TestNode::start(Node::builder("module1")).await;
-    let maps = node.publisher::<Map>("map").unwrap();
-    maps.publish(Map(7)).unwrap();
-
-    let probe: Probe<Map> = node.listen().await;
-
-    assert_eq!(probe.drain(), [Map(7)]);
-}
-
-/// Listens to six topics.
-struct Listener(Seen);
-
 const SIX: [&str; 6] = ["six/a", "six/b", "six/c", "six/d", "six/e", "six/f"];
-
-impl Component for Listener {
-    fn ports(ports: &mut Ports<Self>) {
-        for topic in SIX {
-            ports.listen::<Image>().on(topic);
-        }
-    }
-}
-
-impl Handle<Image> for Listener {
-    async fn handle(&mut self, Image(n): Image, _: &mut Context<Self>) {
-        self.0.lock().unwrap().push((n, None));
-    }
-}
 
 #[blastema_testkit::test]
 async fn a_node_that_is_connected_has_told_what_it_listens_to() {
     for _ in 0..20 {
         let medium = MemoryMedium::default();
-        let node = |name: &str, far: &str| {
-            let network =
-                Network::memory("ethernet", &medium, name).link(Link::in_memory(far, far));
-            Node::builder(name).network(network)
-        };
-        let here = TestNode::start(node("module1", "module2")).await;
+        let here = TestNode::start(on_ethernet("module1", "module2", &medium)).await;
         let publishers = SIX.map(|topic| here.publisher::<Image>(topic).unwrap());
-        let seen = Seen::default();
-        let kept = seen.clone();
-        let listener = ChildSpec::new("listener", move || Listener(kept.clone()));
-        let there = TestNode::start(node("module2", "module1").child(listener)).await;
+        let seen = Notes::<u32>::default();
+        let listener = part("listener", seen.clone(), |seen, Image(n), _| seen.note(n));
+        let listener = listener.with_ports(|ports| {
+            for topic in SIX {
+                ports.listen::<Image>().on(topic);
+            }
+        });
+        let there = on_ethernet("module2", "module1", &medium).child(listener);
+        let there = TestNode::start(there).await;
         assert!(here.connected("module2", 10_000 * MS).await);
         for (publisher, number) in publishers.iter().zip(0..) {
             publisher.publish(Image(number)).unwrap();
         }
         here.advance(1000 * MS).await;
-        let mut heard: Vec<_> = seen.lock().unwrap().iter().map(|(n, _)| *n).collect();
+        let mut heard = seen.all();
         heard.sort();
         assert_eq!(heard, [0, 1, 2, 3, 4, 5]);
         drop((here, there));

@@ -1,6 +1,7 @@
 //! One contract, declared by two types.
 
 use blastema::prelude::*;
+use blastema_tests::{Part, part};
 
 /// Two types of one contract: on the wire they are the same.
 mod twice {
@@ -19,33 +20,19 @@ mod twice {
     }
 }
 
-struct Viewer;
-
-impl Component for Viewer {
-    fn ports(ports: &mut Ports<Self>) {
+fn viewer() -> ChildSpec<Part<(), twice::Shared>> {
+    let viewer = part("viewer", (), |_, image: twice::Shared, _| drop(image.pixels));
+    viewer.with_ports(|ports| {
         ports.listen::<twice::Shared>();
-    }
+    })
 }
 
-impl Handle<twice::Shared> for Viewer {
-    async fn handle(&mut self, image: twice::Shared, _: &mut Context<Self>) {
-        drop(image.pixels);
-    }
-}
-
-struct Recorder;
-
-impl Component for Recorder {
-    fn ports(ports: &mut Ports<Self>) {
+fn recorder() -> ChildSpec<Part<(), twice::Copied>> {
+    let recorder = part("recorder", (), |_, image: twice::Copied, _| drop(image.pixels));
+    recorder.with_ports(|ports| {
         ports.accept::<twice::Copied>();
         ports.listen::<twice::Copied>();
-    }
-}
-
-impl Handle<twice::Copied> for Recorder {
-    async fn handle(&mut self, image: twice::Copied, _: &mut Context<Self>) {
-        drop(image.pixels);
-    }
+    })
 }
 
 /// On real threads.
@@ -56,9 +43,7 @@ mod real {
     fn two_types_of_one_contract_are_told_with_both_and_with_where_each_is_named() {
         let _turn = blastema_doubles::turn();
         blastema::run(async {
-            let both = Node::builder("m")
-                .child(ChildSpec::new("viewer", || Viewer))
-                .child(ChildSpec::new("recorder", || Recorder));
+            let both = Node::builder("m").child(viewer()).child(recorder());
 
             let told = both.start().await.expect_err("a topic carries one type").to_string();
 
@@ -72,8 +57,8 @@ mod real {
             }
             assert_eq!(told.matches(&format!("{}:", file!())).count(), 2, "{told}");
 
-            let recorder = Node::builder("m").child(ChildSpec::new("recorder", || Recorder));
-            let node = recorder.start().await.expect("one type alone");
+            let alone = Node::builder("m").child(recorder());
+            let node = alone.start().await.expect("one type alone");
             let told =
                 node.publisher::<twice::Shared>("camera/image").expect_err("another").to_string();
             assert!(

@@ -1,15 +1,9 @@
 //! Variables of objects here and on another node, in virtual time.
 
 use blastema::prelude::*;
-use blastema::{
-    Direction, Link, MemoryMedium, Network, NodeBuilder, RestoreDecision, RestorePolicy,
-    Transaction, ValueState,
-};
+use blastema::{Direction, MemoryMedium, RestoreDecision, RestorePolicy, Transaction, ValueState};
 use blastema_testkit::TestNode;
-use std::sync::{Arc, Mutex};
-use std::time::Duration;
-
-const MS: Duration = Duration::from_millis(1);
+use blastema_tests::{MS, Notes, on_ethernet};
 
 #[derive(Clone, Debug, PartialEq, Variable)]
 #[contract(name = "arm/speed")]
@@ -27,9 +21,6 @@ struct Target(String);
 #[contract(name = "arm/tool")]
 struct Tool(u8);
 
-#[derive(Clone, Debug, Event)]
-struct Blow;
-
 struct Arm;
 
 impl Component for Arm {
@@ -45,28 +36,16 @@ impl Component for Arm {
             .variable(speed)
             .variable(height)
             .variable(target.after_restart(RestorePolicy::AskFirst))
-            .variable(tool)
-            .accept::<Blow>();
+            .variable(tool);
     }
-}
-
-impl Handle<Blow> for Arm {
-    async fn handle(&mut self, _: Blow, _: &mut Context<Self>) {
-        panic!("a blow");
-    }
-}
-
-fn node(name: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
-    let network = Network::memory("ethernet", medium, name).link(Link::in_memory(far, far));
-    Node::builder(name).network(network.with_faults(7))
 }
 
 /// The arm's node, and another one.
 async fn two_nodes() -> (TestNode, TestNode) {
     let medium = MemoryMedium::default();
-    let arm = node("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
-    let (here, there) =
-        (TestNode::start(node("module1", "module2", &medium)).await, TestNode::start(arm).await);
+    let here = TestNode::start(on_ethernet("module1", "module2", &medium)).await;
+    let arm = on_ethernet("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
+    let there = TestNode::start(arm).await;
     here.advance(2000 * MS).await;
     (here, there)
 }
@@ -156,7 +135,7 @@ async fn each_variable_becomes_what_was_declared_when_its_owner_dies() {
         .await
         .unwrap();
 
-    there.sender::<Blow>("arm").unwrap().tell(Blow).unwrap();
+    there.kill("arm");
     there.await_recovered(FaultKind::Panic, "arm").await;
 
     let left = speed.read().await.unwrap();
@@ -179,7 +158,7 @@ async fn each_variable_becomes_what_was_declared_when_its_owner_dies() {
 }
 
 /// Notes every speed that it hears of, and the errors.
-struct Console(Arc<Mutex<Vec<String>>>);
+struct Console(Notes<String>);
 
 impl Component for Console {
     async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
@@ -191,7 +170,7 @@ impl Component for Console {
                     Ok(reading) => (reading.value.0.to_string(), false),
                     Err(why) => (why.to_string(), true),
                 };
-                heard.lock().unwrap().push(told);
+                heard.note(told);
                 if is_over {
                     return;
                 }
@@ -203,12 +182,12 @@ impl Component for Console {
 
 #[blastema_testkit::test]
 async fn a_watcher_hears_of_every_change_and_after_a_cut_of_what_is_true_then() {
-    let heard: Arc<Mutex<Vec<String>>> = Arc::default();
+    let heard = Notes::<String>::default();
     let kept = heard.clone();
     let medium = MemoryMedium::default();
     let console = ChildSpec::new("console", move || Console(kept.clone()));
-    let here = TestNode::start(node("module1", "module2", &medium).child(console)).await;
-    let arm = node("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
+    let here = TestNode::start(on_ethernet("module1", "module2", &medium).child(console)).await;
+    let arm = on_ethernet("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
     let there = TestNode::start(arm).await;
     here.advance(2000 * MS).await;
     let speed = there.variable::<Speed>("arm").unwrap();
@@ -220,7 +199,7 @@ async fn a_watcher_hears_of_every_change_and_after_a_cut_of_what_is_true_then() 
     here.advance(10_000 * MS).await;
     speed.write(Speed(1.75)).await.unwrap();
     here.advance(50 * MS).await;
-    assert_eq!(*heard.lock().unwrap(), ["0.5", "1", "1.5", "1.75"]);
+    assert_eq!(*heard.lock(), ["0.5", "1", "1.5", "1.75"]);
 
     here.cable("ethernet").unwrap().cut(Direction::Both, false);
     here.advance(5000 * MS).await;
@@ -228,18 +207,18 @@ async fn a_watcher_hears_of_every_change_and_after_a_cut_of_what_is_true_then() 
     speed.write(Speed(0.75)).await.unwrap();
     here.cable("ethernet").unwrap().restore();
     here.advance(5000 * MS).await;
-    assert_eq!(heard.lock().unwrap()[4..], ["0.75"]);
+    assert_eq!(heard.lock()[4..], ["0.75"]);
 
     // Its node ends, and comes back later without the arm at first.
     there.shutdown().await;
     here.advance(5000 * MS).await;
-    let there = TestNode::start(node("module2", "module1", &medium)).await;
+    let there = TestNode::start(on_ethernet("module2", "module1", &medium)).await;
     here.advance(5000 * MS).await;
     there.shutdown().await;
-    let arm = node("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
+    let arm = on_ethernet("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
     let _there = TestNode::start(arm).await;
     here.advance(5000 * MS).await;
-    assert_eq!(heard.lock().unwrap()[5..], ["0.5"]);
+    assert_eq!(heard.lock()[5..], ["0.5"]);
 }
 
 #[blastema_testkit::test]

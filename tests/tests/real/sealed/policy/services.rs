@@ -59,9 +59,7 @@ fn a_node_that_may_not_ask_a_service_is_told_so_and_asks_once_it_may() {
 
         robot.put(&open, &[], 2);
         until(async || ask(&head).await.is_ok(), "the head may").await;
-        for node in [base, arm, head] {
-            node.shutdown().await;
-        }
+        end([base, arm, head]).await;
     });
 }
 
@@ -82,9 +80,7 @@ fn a_node_that_may_not_claim_a_service_answers_no_caller_and_does_not_stop_it() 
             assert_eq!(ask(&head).await, Ok(expected));
             tokio::time::sleep(std::time::Duration::from_millis(50)).await;
         }
-        for node in [base, arm, head] {
-            node.shutdown().await;
-        }
+        end([base, arm, head]).await;
     });
 }
 
@@ -112,8 +108,6 @@ fn a_node_that_may_claim_a_service_no_more_does_not_stop_it_any_more() {
         robot.put(&open, &["only base may claim on map".to_owned()], 2);
         until(async || ask(&head).await.is_ok(), "the base serves").await;
         until(async || !is_stopped().await, "nothing is disputed any more").await;
-        for node in [base, arm, head] {
-            node.shutdown().await;
-        }
+        end([base, arm, head]).await;
     });
 }
