@@ -1,5 +1,5 @@
-//! What this node's objects and those of other nodes want of each other: bindings, calls,
-//! subscriptions, fault notices.
+//! What this node's objects and those of other nodes want of each other: bindings, calls and
+//! subscriptions.
 //!
 //! The first message of a contract to an object asks its node to bind: both compare the contract's
 //! name, version and fingerprint, and what follows carries only a number. Whatever was promised is
@@ -195,9 +195,6 @@ impl PeerProtocol {
                     }
                 }
             }
-        }
-        for number in session.notices {
-            self.outputs.push_back(PeerProtocolOutput::Noticed { number, arrived: false });
         }
         self.outputs.push_back(PeerProtocolOutput::Forget { peer, why: why.clone() });
     }
@@ -399,25 +396,6 @@ impl PeerProtocol {
         if self.is_open(peer) {
             let message = PeerMessage::SubscribeRefused { subscription, why };
             self.outputs.push_back(control(peer, &message));
-        }
-    }
-
-    /// Tells a peer's recoverer of a fault. The number is the caller's.
-    pub fn handle_notice(&mut self, peer: NodeId, number: u64, payload: Bytes) {
-        match self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) {
-            Some(session) => {
-                session.notices.insert(number);
-                let message = PeerMessage::Notice { number, payload: payload.into() };
-                self.outputs.push_back(control(peer, &message));
-            }
-            None => self.outputs.push_back(PeerProtocolOutput::Noticed { number, arrived: false }),
-        }
-    }
-
-    /// A peer's fault has arrived at our recoverer.
-    pub fn handle_noticed(&mut self, peer: NodeId, epoch: SessionEpoch, number: u64) {
-        if self.session(peer, epoch).is_some() {
-            self.outputs.push_back(control(peer, &PeerMessage::Confirmed { number }));
         }
     }
 

@@ -32,7 +32,6 @@ pub(super) struct PeerSession {
     pub(super) numbers: BindingTable,
     /// Our requests that are not answered, by their number on the wire.
     pub(super) calls: SortedMap<u64, PendingCall>,
-    pub(super) notices: SortedSet<u64>,
     /// What the peer has bound here.
     pub(super) bound: SortedMap<u32, PeerBound>,
     /// What it listens to here.
@@ -101,7 +100,6 @@ impl PeerSession {
             bindings: SortedMap::new(),
             numbers: SortedMap::new(),
             calls: SortedMap::new(),
-            notices: SortedSet::new(),
             bound: SortedMap::new(),
             subscriptions: SortedMap::new(),
             barred: SortedSet::new(),

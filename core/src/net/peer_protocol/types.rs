@@ -231,26 +231,6 @@ pub enum PeerProtocolOutput {
         /// The event.
         payload: Bytes,
     },
-    /// Another node's fault for our recoverer; confirm with
-    /// [`Exchange::handle_noticed`](super::PeerProtocol::handle_noticed).
-    Notice {
-        /// Whose.
-        peer: NodeId,
-        /// In which session.
-        epoch: SessionEpoch,
-        /// Under which number.
-        number: u64,
-        /// The fault.
-        payload: Bytes,
-    },
-    /// A fault that we told a peer of has arrived, or its session has ended before it had.
-    Noticed {
-        /// The number that was given to
-        /// [`Exchange::handle_notice`](super::PeerProtocol::handle_notice).
-        number: u64,
-        /// It has arrived.
-        arrived: bool,
-    },
     /// A peer has told all that it listens to, and its objects answer.
     Announced {
         /// Who.
