@@ -1,4 +1,4 @@
-use super::claims::{EPOCH_MAX, EPOCH_OF_CLOCKS, EPOCH_STEP};
+use super::claims::EPOCH_MAX;
 use super::types::{DirectoryMessage, DirectoryRecord};
 use super::*;
 use crate::contract::codec;
@@ -262,40 +262,6 @@ fn an_epoch_that_leaves_no_greater_one_is_refused() {
     assert_eq!(claims.refusals().next().unwrap().1.malformed, 1);
     robot.claim("b", ClaimPolicy::Refuse).unwrap();
     assert_eq!(robot.holder("a").as_deref(), Some("b"));
-}
-
-#[test]
-fn a_claimant_that_tells_the_greatest_epoch_again_and_again_leaves_greater_ones_to_others() {
-    let mut robot = Robot::new(&["a", "b"]);
-    let claims = robot.nodes.get_mut(&node("b")).unwrap();
-    for n in 0..CLAIMS_MAX {
-        claims.hear(&node("a"), outputs(&format!("name{n}"), EPOCH_MAX - 1), ms(0));
-    }
-    claims.hear(&node("a"), outputs("map", EPOCH_MAX - 1), ms(0));
-    let name = DirectoryKey::Name(ObjectName::new("name0").unwrap());
-    claims.unhear(&node("a"), &name, ms(0));
-    claims.hear(&node("a"), outputs("map", EPOCH_MAX - 1), ms(0));
-    assert_eq!(claims.holder(&map()).map(|holder| holder.node), Some(node("a")));
-
-    claims.handle_left(&node("a"), ms(0));
-    let mut taken = Vec::new();
-    for _ in 0..3 {
-        taken.extend(robot.claim("b", ClaimPolicy::Refuse).unwrap());
-        robot.nodes.get_mut(&node("b")).unwrap().handle_withdrawn(&map());
-    }
-    assert!(taken.is_sorted_by(|a, b| a < b) && taken.len() == 3, "{taken:?}");
-    assert!(taken[2] < EPOCH_MAX / 2, "{taken:?}");
-}
-
-#[test]
-fn an_epoch_that_a_clock_can_bring_forth_is_exceeded_by_the_next_claim() {
-    let mut robot = Robot::new(&["a", "b"]);
-    let claims = robot.nodes.get_mut(&node("b")).unwrap();
-    claims.hear(&node("a"), outputs("map", EPOCH_OF_CLOCKS), ms(0));
-    claims.hear(&node("a"), outputs("plan", EPOCH_OF_CLOCKS + EPOCH_STEP), ms(0));
-    claims.handle_left(&node("a"), ms(0));
-    let taken = robot.claim("b", ClaimPolicy::Refuse).unwrap();
-    assert_eq!(taken, Some(EPOCH_OF_CLOCKS + EPOCH_STEP + 1));
 }
 
 #[test]
