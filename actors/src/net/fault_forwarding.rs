@@ -1,7 +1,11 @@
 //! Faults on their way to another node's recoverer.
 
-use super::gateway::ForwardFault;
+use crate::messaging::reply::Responder;
+use crate::messaging::sender::Sender;
 use crate::platform;
+use crate::registry::access::MessageOrigin;
+use crate::registry::service_fn::ServiceFn;
+use crate::registry::{ContractPort, Registry};
 use actix::dev::{MessageResponse, OneshotSender};
 use actix::prelude::*;
 use blastema_contract::Confirmed;
@@ -9,14 +13,25 @@ use blastema_contract::recoverer::Recover;
 use blastema_core::contract::codec;
 use blastema_core::contract::codec::DecodeError;
 use blastema_core::net::NodeId;
-use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Severity};
-use bytes::Bytes;
+use blastema_core::{
+    DeliveryError, Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, NodeName,
+    ObjectName, Severity,
+};
+use blastema_macros::Request;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::oneshot;
+use tracing::warn;
 
 /// The most bytes of one fault: its detail may hold a panic's text.
 const FAULT_MAX: usize = 16 * 1024;
+
+/// Asks a node to take a fault: an encoded [`Travelling`].
+#[derive(Clone, Debug, Request)]
+#[contract(crate = "crate", name = "blastema/recover", version = 1, reply = ())]
+struct ForwardFault {
+    fault: Vec<u8>,
+}
 
 /// A fault as it travels. Instants are no good elsewhere: its age is.
 #[derive(Serialize, Deserialize)]
@@ -32,7 +47,7 @@ struct Travelling {
     count: u32,
 }
 
-pub(super) fn encode(fault: Fault, now: Instant) -> Bytes {
+fn encode(fault: Fault, now: Instant) -> Vec<u8> {
     let Fault { id, kind, severity, location, incarnation, detail, found_at, symptom_of, count } =
         fault;
     let age_us = u64::try_from((now - found_at).as_micros()).unwrap_or(u64::MAX);
@@ -43,10 +58,10 @@ pub(super) fn encode(fault: Fault, now: Instant) -> Bytes {
     let mut bytes = Vec::new();
     codec::encode_bounded(&travelling, FAULT_MAX, &mut bytes)
         .expect("names and a shortened text fit into the limit");
-    bytes.into()
+    bytes
 }
 
-pub(super) fn decode(bytes: &[u8], now: Instant) -> Result<Fault, DecodeError> {
+fn decode(bytes: &[u8], now: Instant) -> Result<Fault, DecodeError> {
     let Travelling { id, kind, severity, location, incarnation, detail, age_us, symptom_of, count } =
         codec::decode_bounded::<Travelling, FAULT_MAX>(bytes)?;
     let age = Duration::from_micros(age_us);
@@ -54,15 +69,50 @@ pub(super) fn decode(bytes: &[u8], now: Instant) -> Result<Fault, DecodeError> {
     Ok(Fault { id, kind, severity, location, incarnation, detail, found_at, symptom_of, count })
 }
 
+/// Where a node takes the faults of others. It is no object that others can see.
+fn object() -> ObjectName {
+    super::named("recoverer")
+}
+
+/// Takes other nodes' faults for the recoverer of this one. The peer protocol checks the right when
+/// the contract is bound.
+pub(super) fn serve(registry: &Registry, recoverer: Recipient<Recover>) {
+    let take =
+        move |ForwardFault { fault }, from: MessageOrigin, answer: Responder<ForwardFault>| {
+            let fault = match decode(&fault, platform::now()) {
+                Ok(fault) => fault,
+                Err(error) => return warn!(?from, %error, "a fault that cannot be read"),
+            };
+            // A node's reports of its own objects and links count. Its reports of other nodes, or of
+            // this one, do not: each node judges those by its own links.
+            let theirs = match &fault.location {
+                FaultLocation::Object(address) => Some(&address.node),
+                FaultLocation::Link { node, .. } => Some(node),
+                FaultLocation::Node(_) => None,
+            };
+            if from.peer.is_none() || theirs.map(NodeId::of) != from.peer {
+                return answer.give(());
+            }
+            let taken = recoverer.send(Recover { fault });
+            actix_rt::spawn(async move {
+                if taken.await.is_ok() {
+                    answer.give(());
+                }
+            });
+        };
+    let port = ContractPort::of_service_fn(ServiceFn::<ForwardFault>(Arc::new(take)));
+    registry.register_hidden(object(), port);
+}
+
 /// Stands in for the recoverer of one other node.
 pub(super) struct RemoteRecoverer {
-    peer: NodeId,
-    gateway: Recipient<ForwardFault>,
+    address: String,
+    registry: Registry,
 }
 
 impl RemoteRecoverer {
-    pub(super) fn new(peer: NodeId, gateway: Recipient<ForwardFault>) -> Self {
-        RemoteRecoverer { peer, gateway }
+    pub(super) fn new(peer: &NodeName, registry: &Registry) -> Self {
+        RemoteRecoverer { address: format!("{peer}:{}", object()), registry: registry.clone() }
     }
 }
 
@@ -73,25 +123,26 @@ impl Actor for RemoteRecoverer {
 impl Supervised for RemoteRecoverer {}
 
 impl Handler<Recover> for RemoteRecoverer {
-    type Result = DeferredAnswer;
+    type Result = ForwardedAnswer;
 
-    fn handle(&mut self, message: Recover, _: &mut Context<Self>) -> DeferredAnswer {
-        let payload = encode(message.fault, platform::now());
-        let (confirm, confirmed) = oneshot::channel();
-        self.gateway.do_send(ForwardFault { peer: self.peer, payload, confirm });
-        DeferredAnswer(confirmed)
+    fn handle(&mut self, message: Recover, _: &mut Context<Self>) -> ForwardedAnswer {
+        let fault = encode(message.fault, platform::now());
+        ForwardedAnswer(self.registry.sender(&self.address), ForwardFault { fault })
     }
 }
 
-/// An answer that comes later. If it does not come, the asker's request fails instead of waiting.
-pub(super) struct DeferredAnswer(oneshot::Receiver<Confirmed>);
+/// Asks the other node. Without its reply the answer is dropped, so that the notifier tries again.
+pub(super) struct ForwardedAnswer(Result<Sender<ForwardFault>, DeliveryError>, ForwardFault);
 
-impl MessageResponse<RemoteRecoverer, Recover> for DeferredAnswer {
+impl MessageResponse<RemoteRecoverer, Recover> for ForwardedAnswer {
     fn handle(self, _: &mut Context<RemoteRecoverer>, answer: Option<OneshotSender<Confirmed>>) {
+        let (ForwardedAnswer(Ok(sender), fault), Some(answer)) = (self, answer) else { return };
         actix_rt::spawn(async move {
-            if let (Ok(confirmed), Some(answer)) = (self.0.await, answer) {
+            let taken = sender.ask(fault).await.map_err(|error| error.kind);
+            // A node that may not hand faults over does not try again.
+            if matches!(taken, Ok(()) | Err(DeliveryError::Forbidden { .. })) {
                 // The caller may have stopped waiting.
-                let _ = answer.send(confirmed);
+                let _ = answer.send(Confirmed);
             }
         });
     }
@@ -100,7 +151,6 @@ impl MessageResponse<RemoteRecoverer, Recover> for DeferredAnswer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use blastema_core::NodeName;
 
     #[test]
     fn a_fault_keeps_its_age_on_another_nodes_clock() {

@@ -7,13 +7,13 @@ mod peer;
 mod subscriptions;
 mod undelivered;
 
-pub(super) use super::gateway_messages::{ForwardFault, SendToPeer, StartCompleted};
+pub(super) use super::gateway_messages::{SendToPeer, StartCompleted};
 
+use super::NetEnvironment;
 use super::fault_reporter::FaultReporter;
-use super::gateway_messages::{FaultForwarded, LocalReply, TopicInterestChanged};
+use super::gateway_messages::{LocalReply, TopicInterestChanged};
 use super::isolation::IsolationControl;
 use super::stub::{PeerCondition, PeerSendState, PeerStubs};
-use super::{NetEnvironment, fault_forwarding};
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
 use crate::registry::remote_watch::DeathWatchService;
@@ -21,9 +21,7 @@ use crate::registry::{MessageMetadata, Registry, ReplyTo};
 use crate::runtime::guardian::answers_the_monitor;
 use crate::topic::{TopicKey, Topics};
 use actix::prelude::*;
-use blastema_contract::Confirmed;
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::recoverer::Recover;
 use blastema_contract::router::SetIsolation;
 use blastema_contract::session::{
     CloseSessions, PeerStatusChanged, ResetSession, SendLatest, SendReliable,
@@ -34,18 +32,14 @@ use blastema_core::net::peer_protocol::{
     PeerProtocol, PeerProtocolOutput, SessionEpoch, TopicContract,
 };
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_core::{
-    DeliveryError, FaultKind, FaultLocation, GatherBuffer, Incarnation, NodeName, ObjectName,
-};
-use bytes::Bytes;
+use blastema_core::{DeliveryError, FaultKind, GatherBuffer, Incarnation, NodeName, ObjectName};
 use forbidden::ForbiddenAlarm;
 use inbound::{InboundBacklog, PeerBinding, REFUSAL_CHECK_INTERVAL};
 use peer::GatewayPeer;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use subscriptions::Forwarded;
-use tokio::sync::oneshot;
-use tracing::{debug, error, info, warn};
+use tracing::{debug, error, info};
 
 /// How often what was lost is brought together, and what has waited too long given up.
 const TIME_INTERVAL: Duration = Duration::from_millis(200);
@@ -56,7 +50,6 @@ const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
 struct GatewaySetup {
     registry: Registry,
     topics: Topics,
-    recoverer: Option<Recipient<Recover>>,
     nodes: Option<Recipient<NodeReported>>,
     faults: FaultReporter,
     sessions: SessionRecipients,
@@ -92,7 +85,6 @@ pub(super) struct GatewayActor {
     forwards: SortedMap<(NodeId, u32), Forwarded>,
     /// What they listened to when their last sessions ended, until they have told it again.
     past: SortedMap<(NodeId, ObjectName), Forwarded>,
-    notices: SortedMap<u64, oneshot::Sender<Confirmed>>,
     next: u64,
     /// Messages of isolated nodes.
     of_isolated: u64,
@@ -109,7 +101,7 @@ impl GatewayActor {
         router: Recipient<SetIsolation>,
         control: Arc<OnceLock<IsolationControl>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
-        let NetEnvironment { registry, topics, recoverer, nodes, dead_letters, observers, .. } =
+        let NetEnvironment { registry, topics, nodes, dead_letters, observers, .. } =
             environment.clone();
         let may_be_away = environment.may_be_away.clone();
         let faults = environment.own_faults("gateway");
@@ -125,7 +117,6 @@ impl GatewayActor {
             GatewayActor::wired(GatewaySetup {
                 registry,
                 topics,
-                recoverer,
                 nodes,
                 faults,
                 sessions,
@@ -153,7 +144,6 @@ impl GatewayActor {
             queues: InboundBacklog::default(),
             forwards: SortedMap::new(),
             past: SortedMap::new(),
-            notices: SortedMap::new(),
             next: 0,
             of_isolated: 0,
             forbidden: ForbiddenAlarm::default(),
@@ -260,15 +250,6 @@ impl GatewayActor {
                     debug!(topic = %topic.topic, %why, "an event did not arrive");
                 }
             }
-            PeerProtocolOutput::Notice { peer, epoch, number, payload } => {
-                self.pass_notice(peer, epoch, number, &payload, context);
-            }
-            PeerProtocolOutput::Noticed { number, arrived } => {
-                // Dropped unanswered, the notifier knows that it has to try again.
-                if let (Some(confirm), true) = (self.notices.remove(&number), arrived) {
-                    let _ = confirm.send(Confirmed);
-                }
-            }
             PeerProtocolOutput::Announced { peer } => {
                 self.forget_past(peer);
                 self.with_send_state(peer, PeerSendState::handle_announced)
@@ -308,38 +289,6 @@ impl GatewayActor {
             let condition = NodeCondition::Offends { what: what.to_owned() };
             nodes.do_send(NodeReported { node, incarnation, condition });
         }
-    }
-
-    fn pass_notice(
-        &mut self,
-        peer: NodeId,
-        epoch: SessionEpoch,
-        number: u64,
-        payload: &Bytes,
-        context: &mut Context<Self>,
-    ) {
-        let fault = match fault_forwarding::decode(payload, platform::now()) {
-            Ok(fault) => fault,
-            Err(error) => return warn!(%peer, %error, "a fault that cannot be read"),
-        };
-        // A node's reports of its own objects and links count. Its reports of other nodes, or of
-        // this one, do not: each node judges those by its own links.
-        let theirs = match &fault.location {
-            FaultLocation::Object(address) => NodeId::of(&address.node) == peer,
-            FaultLocation::Link { node, .. } => NodeId::of(node) == peer,
-            FaultLocation::Node(_) => false,
-        };
-        if !theirs {
-            self.exchange.handle_noticed(peer, epoch, number);
-            return;
-        }
-        let Some(recoverer) = &self.wiring.recoverer else { return };
-        let (taken, gateway) = (recoverer.send(Recover { fault }), context.address());
-        actix_rt::spawn(async move {
-            if taken.await.is_ok() {
-                gateway.do_send(FaultForwarded { peer, epoch, number });
-            }
-        });
     }
 
     /// A node ends in order: that it will be silent is no fault.
@@ -455,7 +404,6 @@ impl Supervised for GatewayActor {
         peers.into_iter().for_each(|peer| self.end_lines(peer, &why));
         self.peers.values().for_each(|peer| peer.send_state.forget_backlog());
         self.skeletons.clear();
-        self.notices.clear();
         self.exchange = self.exchange.restarted(&why);
         self.peers.keys().for_each(|peer| self.set(*peer, PeerCondition::Opening));
         let peers: Vec<_> = self.peers.keys().copied().collect();

@@ -3,14 +3,11 @@
 use crate::registry::ReplyTo;
 use crate::topic::TopicKey;
 use actix::Message;
-use blastema_contract::Confirmed;
 use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::SessionEpoch;
 use blastema_core::{
     ContractIdentity, Credit, DeliveryError, GatherBuffer, Instant, MessageId, ObjectAddress,
 };
-use bytes::Bytes;
-use tokio::sync::oneshot;
 
 /// An object here sends a message to one of another node.
 #[derive(Message)]
@@ -49,22 +46,4 @@ pub(super) struct LocalReply {
 #[rtype(result = "()")]
 pub(super) struct TopicInterestChanged {
     pub(super) key: TopicKey,
-}
-
-/// A fault is to be told to a peer's recoverer.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(in crate::net) struct ForwardFault {
-    pub(in crate::net) peer: NodeId,
-    pub(in crate::net) payload: Bytes,
-    pub(in crate::net) confirm: oneshot::Sender<Confirmed>,
-}
-
-/// Our recoverer has taken a peer's fault.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(super) struct FaultForwarded {
-    pub(super) peer: NodeId,
-    pub(super) epoch: SessionEpoch,
-    pub(super) number: u64,
 }

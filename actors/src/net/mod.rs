@@ -34,7 +34,6 @@ pub(crate) mod peer_messages;
 mod roster_exchange;
 mod roster_watch;
 mod router;
-pub(crate) mod safe_state;
 mod sessions;
 mod stub;
 #[cfg(test)]
@@ -45,6 +44,7 @@ pub(crate) use discovery::DiscoverySpec;
 pub use roster_exchange::RosterRow;
 pub(crate) use roster_watch::RosterChanged;
 
+use self::fault_forwarding::RemoteRecoverer;
 use self::fault_reporter::FaultReporter;
 use self::own_incarnation::OwnIncarnation;
 use self::own_name::OwnName;
@@ -69,8 +69,8 @@ use blastema_contract::session::{
 };
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, ReadCounters, Transport, TransportCounters};
+use blastema_core::net::LinkId;
 use blastema_core::net::discovery::LEARNED_MAX;
-use blastema_core::net::{LinkId, NodeId};
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use discovery::{AddNetworks, DiscoveryActor, DiscoveryNetwork, NetworkLinks};
@@ -207,6 +207,7 @@ pub(crate) struct NetHandle {
     discovery: Option<Addr<DiscoveryActor>>,
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
+    registry: Registry,
     stubs: Arc<stub::PeerStubs>,
     deaths: DeathWatchService,
     isolation: Arc<OnceLock<isolation::IsolationControl>>,
@@ -252,6 +253,9 @@ pub(crate) fn start(
     });
     if roster.is_none() {
         peer_messages::register_sink(named("roster"), &environment.registry);
+    }
+    if let Some(recoverer) = environment.recoverer.clone() {
+        fault_forwarding::serve(&environment.registry, recoverer);
     }
     environment.observers.extend(roster.clone().map(Addr::recipient));
 
@@ -373,6 +377,7 @@ pub(crate) fn start(
         discovery,
         guardian,
         arbiter,
+        registry: environment.registry,
         stubs,
         deaths,
         isolation,
@@ -440,12 +445,9 @@ impl NetHandle {
     /// Takes faults for another node's recoverer. Its answer does not come, and the mailbox reports
     /// itself closed, when the session with that node ends first.
     pub(crate) fn recoverer_of(&self, node: &NodeName) -> Recipient<Recover> {
-        let (peer, gateway) = (NodeId::of(node), self.gateway.clone().recipient());
         let name = named(&format!("port/{node}"));
-        let make = move |_: &mut Context<fault_forwarding::RemoteRecoverer>| {
-            fault_forwarding::RemoteRecoverer::new(peer, gateway)
-        };
-        self.guardian.start(name, self.arbiter.as_ref(), make).recipient()
+        let recoverer = RemoteRecoverer::new(node, &self.registry);
+        self.guardian.start(name, self.arbiter.as_ref(), |_| recoverer).recipient()
     }
 
     /// Whether another process has this node's name.

@@ -3,7 +3,6 @@
 //! What a node may not claim is remembered of it, so that both agree on what it has told, and does
 //! not count.
 
-use super::claims::{EPOCH_OF_CLOCKS, EPOCH_STEP};
 use super::types::{ClaimRefused, DirectoryOutput};
 use super::{Directory, DirectoryKey, NameClaim};
 use crate::net::NodeId;
@@ -34,7 +33,7 @@ impl Directory {
                     self.believe(&node, &name, claim);
                     names.push(name);
                 }
-                DirectoryKey::Object(_) => {}
+                DirectoryKey::Object(_) | DirectoryKey::SafeState(_) => {}
                 DirectoryKey::Publisher { .. } => self.show_record(&node, key),
             }
         }
@@ -45,9 +44,7 @@ impl Directory {
     pub(super) fn believe(&mut self, node: &NodeName, name: &ObjectName, claim: NameClaim) {
         match self.may_claim(node, name) {
             Ok(()) => {
-                let bound = self.last_epoch.max(EPOCH_OF_CLOCKS).saturating_add(EPOCH_STEP);
-                let epoch = claim.epoch.unwrap_or_default().min(bound);
-                self.last_epoch = self.last_epoch.max(epoch);
+                self.last_epoch = self.last_epoch.max(claim.epoch.unwrap_or_default());
                 self.known.entry(name.clone()).or_default().insert(node.clone(), claim);
             }
             Err(denied) => {
@@ -74,7 +71,7 @@ impl Directory {
                 let node = NodeId::of(node);
                 policy.check(node, Verb::Publish, topic.as_str(), contract).is_ok()
             }
-            DirectoryKey::Object(_) | DirectoryKey::Name(_) => true,
+            _ => true,
         };
         let counts = self.access.as_ref().is_none_or(may_publish);
         let node = node.clone();

@@ -9,10 +9,7 @@ use crate::{Incarnation, Instant, ObjectName};
 pub(super) const EPOCH_MAX: u64 = 1 << 62;
 /// The greatest epoch that an incarnation begins with: the milliseconds of its clock times 2^16,
 /// until the year 2527.
-pub(super) const EPOCH_OF_CLOCKS: u64 = 1 << 60;
-/// How far one claim of another node raises epochs above that. Greater ones keep epochs in their
-/// order for longer after a claimant has told one above it, and use them up sooner.
-pub(super) const EPOCH_STEP: u64 = 1 << 10;
+const EPOCH_OF_CLOCKS: u64 = 1 << 60;
 
 /// A claim of this node.
 #[derive(Debug)]

@@ -2,7 +2,7 @@
 //!
 //! One table of records. Each node writes its own and tells every other node of them, over their
 //! session; there is no broker. Its records are the objects that it has, the topics that it
-//! publishes on, and the global names that it claims. (What a node listens to its subscriptions
+//! publishes on, that it is in the safe state, and the global names that it claims. (What a node listens to its subscriptions
 //! say.)
 //!
 //! ```text
@@ -25,19 +25,8 @@
 //! That is enough for finding things. Where two at a time would do harm, use a service, which needs
 //! a majority.
 //!
-//! Epochs do not run out, whatever a claimant tells. It is believed to hold the name under the
-//! epoch that it tells, but how far that raises the epochs of others is bounded:
-//!
-//! ```text
-//!  up to 2^60    all the way: clocks reach it until the year 2527, so that any epoch below it may
-//!                be honest
-//!  above it      by 2^10 for each claim: honest nodes come there by single steps alone
-//!  from 2^62 on  refused
-//! ```
-//!
-//! A hostile claimant takes 3 * 2^50 claims to use them up: a thousand years at 100,000 claims in a
-//! second. It cannot be refused instead: a node that has just started cannot know which epochs the
-//! others have reached. After such a claim the next holder's epoch may be the smaller one.
+//! An epoch of 2^62 or more is refused, so that a claim always has a greater one after it. The policy
+//! says which nodes may claim: one that claims to spend epochs is not given the right.
 
 pub use self::types::{
     ClaimPolicy, ClaimRefused, ClaimRequest, DirectoryConfig, DirectoryKey, DirectoryOutput,
@@ -171,8 +160,8 @@ impl Directory {
         self.peers.iter().map(|(node, peer)| (node, peer.refusals))
     }
 
-    /// This node has exactly these objects and publishers now. Returns how many of them others are
-    /// not told of, because there are too many.
+    /// This node has exactly these objects and publishers now, and is in the safe state if that is
+    /// among them. Returns how many of them others are not told of, because there are too many.
     pub fn handle_present(&mut self, present: SortedSet<DirectoryKey>) -> usize {
         let (all, mut bytes) = (present.len(), 0);
         let fits = |key: &DirectoryKey| {

@@ -1,4 +1,4 @@
-use super::claims::{EPOCH_MAX, EPOCH_OF_CLOCKS, EPOCH_STEP};
+use super::claims::EPOCH_MAX;
 use super::types::{DirectoryMessage, DirectoryRecord};
 use super::*;
 use crate::contract::codec;
@@ -26,6 +26,7 @@ fn text(key: &DirectoryKey) -> String {
         DirectoryKey::Object(name) => name.to_string(),
         DirectoryKey::Publisher { topic, contract } => format!("{contract} on {topic}"),
         DirectoryKey::Name(name) => format!("the name {name}"),
+        DirectoryKey::SafeState(reason) => format!("the safe state ({reason})"),
     }
 }
 
@@ -265,40 +266,6 @@ fn an_epoch_that_leaves_no_greater_one_is_refused() {
 }
 
 #[test]
-fn a_claimant_that_tells_the_greatest_epoch_again_and_again_leaves_greater_ones_to_others() {
-    let mut robot = Robot::new(&["a", "b"]);
-    let claims = robot.nodes.get_mut(&node("b")).unwrap();
-    for n in 0..CLAIMS_MAX {
-        claims.hear(&node("a"), outputs(&format!("name{n}"), EPOCH_MAX - 1), ms(0));
-    }
-    claims.hear(&node("a"), outputs("map", EPOCH_MAX - 1), ms(0));
-    let name = DirectoryKey::Name(ObjectName::new("name0").unwrap());
-    claims.unhear(&node("a"), &name, ms(0));
-    claims.hear(&node("a"), outputs("map", EPOCH_MAX - 1), ms(0));
-    assert_eq!(claims.holder(&map()).map(|holder| holder.node), Some(node("a")));
-
-    claims.handle_left(&node("a"), ms(0));
-    let mut taken = Vec::new();
-    for _ in 0..3 {
-        taken.extend(robot.claim("b", ClaimPolicy::Refuse).unwrap());
-        robot.nodes.get_mut(&node("b")).unwrap().handle_withdrawn(&map());
-    }
-    assert!(taken.is_sorted_by(|a, b| a < b) && taken.len() == 3, "{taken:?}");
-    assert!(taken[2] < EPOCH_MAX / 2, "{taken:?}");
-}
-
-#[test]
-fn an_epoch_that_a_clock_can_bring_forth_is_exceeded_by_the_next_claim() {
-    let mut robot = Robot::new(&["a", "b"]);
-    let claims = robot.nodes.get_mut(&node("b")).unwrap();
-    claims.hear(&node("a"), outputs("map", EPOCH_OF_CLOCKS), ms(0));
-    claims.hear(&node("a"), outputs("plan", EPOCH_OF_CLOCKS + EPOCH_STEP), ms(0));
-    claims.handle_left(&node("a"), ms(0));
-    let taken = robot.claim("b", ClaimPolicy::Refuse).unwrap();
-    assert_eq!(taken, Some(EPOCH_OF_CLOCKS + EPOCH_STEP + 1));
-}
-
-#[test]
 fn a_node_that_starts_takes_no_name_before_it_has_heard_who_holds_it() {
     let mut robot = Robot::new(&["a", "b"]);
     robot.claim("a", ClaimPolicy::Refuse).unwrap();
@@ -486,6 +453,21 @@ fn objects_and_publishers_come_and_go_beside_names_that_are_called_alike() {
     robot.has("a", &[]);
     assert_eq!(robot.outputs().len(), 3);
     assert_eq!(robot.holder("b").as_deref(), Some("a"));
+}
+
+#[test]
+fn a_safe_state_is_told_to_all_and_to_who_comes_later_until_it_is_over() {
+    let mut robot = Robot::new(&["a", "b"]);
+    robot.has("a", &[object("arm"), DirectoryKey::safe_state(&"ä".repeat(2_000))]);
+    let reason = "ä".repeat(256);
+    let told = [format!("b sees the safe state ({reason}) of a"), "b sees arm of a".to_owned()];
+    assert_eq!(robot.outputs(), told);
+    robot.start("c", 0);
+    assert_eq!(robot.outputs()[0], format!("c sees the safe state ({reason}) of a"));
+
+    robot.has("a", &[object("arm")]);
+    let over = ["b", "c"].map(|node| format!("{node} misses the safe state ({reason}) of a"));
+    assert_eq!(robot.outputs(), over);
 }
 
 #[test]

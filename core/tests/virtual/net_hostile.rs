@@ -161,8 +161,7 @@ fn genuine_of_peer() -> Vec<Bytes> {
         PeerMessage::SubscribeRefused { subscription: 1, why: DeliveryError::Stopped },
         PeerMessage::SubscribeAgain { subscription: 1 },
         PeerMessage::Unsubscribe { subscription: 1 },
-        PeerMessage::Event { subscription: 1, timestamp_us: 1, payload: payload.clone().into() },
-        PeerMessage::Notice { number: 1, payload: payload.into() },
+        PeerMessage::Event { subscription: 1, timestamp_us: 1, payload: payload.into() },
     ];
     messages.into_iter().map(|message| message.encode().into_bytes()).collect()
 }
@@ -175,13 +174,8 @@ fn policy() -> AccessPolicy {
         role: Role::Node,
     });
     let roster = NodeRoster::new(name("robot"), listed).unwrap();
-    let lines = [
-        "policy",
-        "only other may tell publish on **",
-        "only other may listen on news",
-        "only other may recover on own",
-        "end",
-    ];
+    let lines =
+        ["policy", "only other may tell publish on **", "only other may listen on news", "end"];
     let text = roster.to_text().replace("end", &lines.join("\n"));
     AccessPolicy::new(name("own"), &NodeRoster::parse(&text).unwrap())
 }
@@ -365,7 +359,6 @@ proptest! {
                     PeerProtocolOutput::Subscribe { topic, .. } => {
                         prop_assert!(topic.topic != "news", "it may not listen");
                     }
-                    PeerProtocolOutput::Notice { .. } => prop_assert!(false, "it may not recover"),
                     PeerProtocolOutput::Event { .. } => prop_assert!(false, "it may not publish"),
                     _ => {}
                 }

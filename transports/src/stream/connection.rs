@@ -1,11 +1,12 @@
 //! A connection on which both sides have said where they listen.
 
-use super::ByteStream;
 use super::framing::{announced, capacity, decode};
 use super::outgoing::StreamSendQueue;
 use bytes::{BufMut, Bytes, BytesMut};
-use std::io;
-use std::task;
+use std::future::Future;
+use std::pin::pin;
+use std::task::{self, Poll};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite};
 
 /// A stream, and what was read of a frame that is not whole.
 pub(super) struct Connection<S> {
@@ -45,7 +46,7 @@ pub(super) enum DisconnectReason {
     Refused,
 }
 
-impl<S: ByteStream> Connection<S> {
+impl<S: AsyncRead + AsyncWrite + Unpin> Connection<S> {
     pub(super) fn new(stream: S, number: Option<u32>) -> Self {
         Connection { number, stream, buffer: BytesMut::new() }
     }
@@ -67,23 +68,21 @@ impl<S: ByteStream> Connection<S> {
         }
         let capacity = capacity(buffer, limit);
         buffer.reserve(capacity);
-        match stream.try_read_buf(&mut buffer.limit(capacity)) {
-            Ok(0) => Err(DisconnectReason::Lost),
-            Ok(_) => Ok(ReadStep::Part),
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                let ready = stream.poll_read_ready(task).is_ready();
-                Ok(if ready { ReadStep::Part } else { ReadStep::Nothing })
-            }
-            Err(_) => Err(DisconnectReason::Lost),
+        let mut part = buffer.limit(capacity);
+        // Nothing is lost with the future: it holds no bytes.
+        match pin!(stream.read_buf(&mut part)).poll(task) {
+            Poll::Ready(Ok(0) | Err(_)) => Err(DisconnectReason::Lost),
+            Poll::Ready(Ok(_)) => Ok(ReadStep::Part),
+            Poll::Pending => Ok(ReadStep::Nothing),
         }
     }
 
     /// Writes what waits, as far as the kernel takes it; the answer is how many frames went out.
     pub(super) fn write(
-        &self,
+        &mut self,
         waiting: &mut StreamSendQueue,
         task: &mut task::Context<'_>,
     ) -> Result<u64, DisconnectReason> {
-        waiting.write(&self.stream, task).map_err(|_| DisconnectReason::Lost)
+        waiting.write(&mut self.stream, task).map_err(|_| DisconnectReason::Lost)
     }
 }

@@ -41,15 +41,14 @@ use blastema_contract::transport::{
 };
 use blastema_core::GatherBuffer;
 use blastema_core::medium::lane::FrameLane;
-use bytes::BytesMut;
-use bytes::buf::Limit;
 use std::collections::{BTreeSet, VecDeque};
 use std::fmt::Debug;
 use std::future::Future;
-use std::io::{self, IoSlice};
+use std::io;
 use std::pin::Pin;
 use std::task::{self, Poll};
 use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::time::Sleep;
 
 /// So many connections the kernel holds until we take them.
@@ -68,18 +67,9 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 /// A handshake under way.
 pub(crate) type HandshakeFuture<T> = Pin<Box<dyn Future<Output = io::Result<T>>>>;
 
-/// A connection, as tokio's streams are.
-pub(crate) trait ByteStream: 'static {
-    /// Reads so many bytes at most.
-    fn try_read_buf(&self, buffer: &mut Limit<&mut BytesMut>) -> io::Result<usize>;
-    fn try_write_vectored(&self, slices: &[IoSlice<'_>]) -> io::Result<usize>;
-    fn poll_read_ready(&self, task: &mut task::Context<'_>) -> Poll<io::Result<()>>;
-    fn poll_write_ready(&self, task: &mut task::Context<'_>) -> Poll<io::Result<()>>;
-}
-
-/// Makes a transport of a newtype of [`Streams`], whose connections are these of tokio.
+/// Makes a transport of a newtype of [`Streams`].
 macro_rules! stream_transport {
-    ($transport:ty, $stream:ty) => {
+    ($transport:ty) => {
         crate::medium::transport!($transport);
 
         impl crate::medium::MediumActor for $transport {
@@ -119,36 +109,6 @@ macro_rules! stream_transport {
                 self.0.shut();
             }
         }
-
-        impl crate::stream::ByteStream for $stream {
-            fn try_read_buf(
-                &self,
-                buffer: &mut bytes::buf::Limit<&mut bytes::BytesMut>,
-            ) -> std::io::Result<usize> {
-                <$stream>::try_read_buf(self, buffer)
-            }
-
-            fn try_write_vectored(
-                &self,
-                slices: &[std::io::IoSlice<'_>],
-            ) -> std::io::Result<usize> {
-                <$stream>::try_write_vectored(self, slices)
-            }
-
-            fn poll_read_ready(
-                &self,
-                task: &mut std::task::Context<'_>,
-            ) -> std::task::Poll<std::io::Result<()>> {
-                <$stream>::poll_read_ready(self, task)
-            }
-
-            fn poll_write_ready(
-                &self,
-                task: &mut std::task::Context<'_>,
-            ) -> std::task::Poll<std::io::Result<()>> {
-                <$stream>::poll_write_ready(self, task)
-            }
-        }
     };
 }
 
@@ -157,7 +117,7 @@ pub(crate) use stream_transport;
 /// What makes streams.
 pub(crate) trait StreamFamily: 'static {
     /// A connection.
-    type Stream: ByteStream;
+    type Stream: AsyncRead + AsyncWrite + Unpin + 'static;
     /// Takes connections.
     type Listener;
     /// Where a peer listens.

@@ -1,13 +1,14 @@
 //! Frames that wait for a connection to take them.
 
-use super::ByteStream;
 use super::framing::{HEADER, encode_header};
 use blastema_contract::transport::TransmitBacklog;
 use blastema_core::medium::lane::FrameLane;
 use blastema_core::{GatherBuffer, Instant};
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
+use std::pin::Pin;
 use std::task::{self, Poll};
+use tokio::io::AsyncWrite;
 
 /// So many frames go into one system call.
 const AT_ONCE: usize = 32;
@@ -83,26 +84,23 @@ impl StreamSendQueue {
     /// went out whole.
     pub(super) fn write(
         &mut self,
-        stream: &impl ByteStream,
+        stream: &mut (impl AsyncWrite + Unpin),
         task: &mut task::Context<'_>,
     ) -> io::Result<u64> {
         let mut sent = 0;
-        while !self.frames.is_empty() {
-            match self.write_once(stream) {
-                Ok(frames) => sent += frames,
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                    match stream.poll_write_ready(task) {
-                        Poll::Ready(ready) => ready?,
-                        Poll::Pending => break,
-                    }
-                }
-                Err(error) => return Err(error),
-            }
+        while !self.frames.is_empty()
+            && let Poll::Ready(frames) = self.write_once(stream, task)?
+        {
+            sent += frames;
         }
         Ok(sent)
     }
 
-    fn write_once(&mut self, stream: &impl ByteStream) -> io::Result<u64> {
+    fn write_once(
+        &mut self,
+        stream: &mut (impl AsyncWrite + Unpin),
+        task: &mut task::Context<'_>,
+    ) -> io::Result<Poll<u64>> {
         let mut headers = [[0; HEADER]; AT_ONCE];
         for (header, (_, frame, _)) in headers.iter_mut().zip(&self.frames) {
             *header = encode_header(frame.len());
@@ -116,9 +114,9 @@ impl StreamSendQueue {
         }
         let mut slices = &mut slices[..SLICES * self.frames.len().min(AT_ONCE)];
         IoSlice::advance_slices(&mut slices, self.written);
-        match stream.try_write_vectored(slices)? {
-            0 => Err(io::ErrorKind::WriteZero.into()),
-            written => Ok(self.advance(written)),
+        match Pin::new(stream).poll_write_vectored(task, slices)? {
+            Poll::Ready(0) => Err(io::ErrorKind::WriteZero.into()),
+            written => Ok(written.map(|written| self.advance(written))),
         }
     }
 

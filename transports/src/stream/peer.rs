@@ -125,7 +125,7 @@ impl<F: StreamFamily> StreamPeer<F> {
         task: &mut task::Context<'_>,
         outlet: &mut Upstream,
     ) -> Result<(), DisconnectReason> {
-        if let ConnectionState::Connected(connection) = &self.state {
+        if let ConnectionState::Connected(connection) = &mut self.state {
             outlet.counters.sent += connection.write(&mut self.outgoing, task)?;
         }
         Ok(())

@@ -2,7 +2,7 @@
 
 use super::connection::{Connection, DisconnectReason, ReadEnd, ReadStep};
 use super::outgoing::{StreamSendQueue, WaitingFrame};
-use super::{ByteStream, HandshakeFuture, StreamFamily};
+use super::{HandshakeFuture, StreamFamily};
 use crate::medium::PollBudget;
 use crate::upstream::Upstream;
 use blastema_contract::transport::MediumAddress;
@@ -11,6 +11,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task;
 use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::time::Sleep;
 
 /// The largest frame of a handshake, in bytes.
@@ -70,7 +71,7 @@ impl<F: StreamFamily> Stranger<F> {
     }
 }
 
-impl<S: ByteStream> UnprovenConnection<S> {
+impl<S: AsyncRead + AsyncWrite + Unpin> UnprovenConnection<S> {
     pub(super) fn new(number: u32, claimed: MediumAddress, stream: S, patience: Duration) -> Self {
         UnprovenConnection {
             number,

@@ -84,7 +84,7 @@ impl Tcp {
     }
 }
 
-stream_transport!(Tcp, TcpStream);
+stream_transport!(Tcp);
 
 struct OverIp {
     config: TcpConfig,

@@ -42,7 +42,7 @@ impl Unix {
     }
 }
 
-stream_transport!(Unix, UnixStream);
+stream_transport!(Unix);
 
 struct OverPaths {
     config: UnixConfig,

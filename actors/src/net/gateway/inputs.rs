@@ -3,9 +3,7 @@
 use super::peer::GatewayPeer;
 use super::subscriptions::LocalEvent;
 use super::{GatewayActor, LEAVE_TIMEOUT, topic};
-use crate::net::gateway_messages::{
-    FaultForwarded, ForwardFault, LocalReply, SendToPeer, StartCompleted, TopicInterestChanged,
-};
+use crate::net::gateway_messages::{LocalReply, SendToPeer, StartCompleted, TopicInterestChanged};
 use crate::net::isolation::IsolationChanged;
 use crate::net::stub::PeerCondition;
 use crate::platform;
@@ -191,28 +189,6 @@ impl Handler<TopicInterestChanged> for GatewayActor {
         self.compare_forwards(&key);
         let identities = self.wiring.topics.settle_interest(&key.topic);
         self.exchange.handle_interest(topic(&key), identities);
-        self.drive(context);
-    }
-}
-
-impl Handler<ForwardFault> for GatewayActor {
-    type Result = ();
-
-    fn handle(&mut self, message: ForwardFault, context: &mut Context<Self>) {
-        let ForwardFault { peer, payload, confirm } = message;
-        let number = self.number();
-        self.notices.insert(number, confirm);
-        self.exchange.handle_notice(peer, number, payload);
-        self.drive(context);
-    }
-}
-
-impl Handler<FaultForwarded> for GatewayActor {
-    type Result = ();
-
-    fn handle(&mut self, message: FaultForwarded, context: &mut Context<Self>) {
-        let FaultForwarded { peer, epoch, number } = message;
-        self.exchange.handle_noticed(peer, epoch, number);
         self.drive(context);
     }
 }

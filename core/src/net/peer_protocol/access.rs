@@ -56,8 +56,8 @@ impl BindingAccess {
             BindingNeeds::OwnNode => both(Err(policy.deny(peer, &name(), contract))),
             // A service and a name of the robot belong to no node.
             BindingNeeds::Right(verb) => both(policy.check(peer, verb, object.as_str(), contract)),
-            BindingNeeds::Operation => {
-                both(policy.check(peer, Verb::Operate, policy.own().as_str(), contract))
+            BindingNeeds::RightAtNode(verb) => {
+                both(policy.check(peer, verb, policy.own().as_str(), contract))
             }
             BindingNeeds::AskOrTell => {
                 // The component of a service has no way around the rights at the service.
@@ -168,20 +168,6 @@ impl PeerProtocol {
     ) -> Result<(), DeliveryError> {
         let Some(policy) = &self.access else { return Ok(()) };
         listen(policy, peer, topic).map_err(|denied| self.refuse_access(denied))
-    }
-
-    /// Whether a peer may hand its faults to this node.
-    pub(super) fn admit_notice(&mut self, peer: NodeId) -> bool {
-        let policy = self.access.as_ref();
-        let verdict =
-            policy.map(|policy| policy.check(peer, Verb::Recover, policy.own().as_str(), ""));
-        match verdict {
-            Some(Err(denied)) => {
-                self.refuse_access(denied);
-                false
-            }
-            _ => true,
-        }
     }
 
     /// Tells a peer that this node listens to a topic, unless it may not publish there.

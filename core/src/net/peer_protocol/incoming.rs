@@ -139,18 +139,6 @@ impl PeerProtocol {
                 let age = session.age(timestamp_us, now);
                 self.handle_peers_event(peer, subscription, age, payload.into_bytes());
             }
-            PeerMessage::Notice { number, payload } => {
-                if !self.admit_notice(peer) {
-                    return self.handle_noticed(peer, epoch, number);
-                }
-                let payload = payload.into_bytes();
-                self.outputs.push_back(PeerProtocolOutput::Notice { peer, epoch, number, payload });
-            }
-            PeerMessage::Confirmed { number } => {
-                if session.notices.remove(&number) {
-                    self.outputs.push_back(PeerProtocolOutput::Noticed { number, arrived: true });
-                }
-            }
             PeerMessage::Announced { timestamp_us } => {
                 session.age(timestamp_us, now);
                 self.outputs.push_back(PeerProtocolOutput::Announced { peer });

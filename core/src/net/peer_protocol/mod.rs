@@ -1,5 +1,5 @@
-//! What this node's objects and those of other nodes want of each other: bindings, calls,
-//! subscriptions, fault notices.
+//! What this node's objects and those of other nodes want of each other: bindings, calls and
+//! subscriptions.
 //!
 //! The first message of a contract to an object asks its node to bind: both compare the contract's
 //! name, version and fingerprint, and what follows carries only a number. Whatever was promised is
@@ -41,8 +41,6 @@ use std::time::Duration;
 /// The most bindings and subscriptions that a peer may have here, each.
 const BINDINGS_MAX: usize = 16 * 1024;
 
-/// The most requests to one peer that wait for its next session.
-const AGAIN_MAX: usize = 1024;
 /// The most unanswered requests of one peer whose replies have a stream of their own; beyond, they go with
 /// what others send.
 const CALLS_MAX: usize = 64 * 1024;
@@ -84,8 +82,6 @@ struct PeerRecord {
     session: Option<PeerSession>,
     /// What the bindings of the session before were, for messages that come back late.
     past: BindingTable,
-    /// Requests that are sent again in the next session.
-    again: Vec<Call>,
 }
 
 impl PeerProtocol {
@@ -162,13 +158,11 @@ impl PeerProtocol {
         let session = PeerSession::new(SessionEpoch(self.epochs), incarnation, now);
         let state = self.peers.entry(peer).or_default();
         state.session = Some(session);
-        let again = std::mem::take(&mut state.again);
         let topics: Vec<_> = self.interests.keys().cloned().collect();
         topics.iter().for_each(|topic| self.offer_interest(peer, topic));
         if self.is_started {
             self.outputs.push_back(control(peer, &PeerMessage::Announced { timestamp_us: 0 }));
         }
-        again.into_iter().for_each(|call| self.handle_call(call));
     }
 
     /// The session with this peer is over: everything that is under way with it is resolved.
@@ -177,35 +171,24 @@ impl PeerProtocol {
         let Some(mut session) = state.session.take() else { return };
         state.past = std::mem::take(&mut session.numbers);
         for pending in session.calls.into_values() {
-            give_up(state, &mut self.outputs, pending, why, TransmitState::Perhaps);
+            self.outputs.push_back(unanswered(&pending, why, TransmitState::Perhaps));
         }
         for ((object, contract, _), binding) in session.bindings {
             for waiting in binding.waiting.into_iter().flatten() {
-                match waiting.pending {
-                    Some(pending) => {
-                        give_up(state, &mut self.outputs, pending, why, TransmitState::Nothing)
-                    }
+                self.outputs.push_back(match waiting.pending {
+                    Some(pending) => unanswered(&pending, why, TransmitState::Nothing),
                     None => {
                         let to = MessageTarget::Object(object.clone(), contract);
-                        self.outputs.push_back(PeerProtocolOutput::Lost {
-                            peer,
-                            to,
-                            why: why.clone(),
-                        });
+                        PeerProtocolOutput::Lost { peer, to, why: why.clone() }
                     }
-                }
+                });
             }
-        }
-        for number in session.notices {
-            self.outputs.push_back(PeerProtocolOutput::Noticed { number, arrived: false });
         }
         self.outputs.push_back(PeerProtocolOutput::Forget { peer, why: why.clone() });
     }
 
     /// An object here wants to send.
     pub fn handle_call(&mut self, call: Call) {
-        let again = (call.contract.idempotent && call.id.is_some() && call.reply_as.is_some())
-            .then(|| Box::new(call.without_credit()));
         let Call { node, object, contract, id, sent, until, payload, reply_as, credit } = call;
         let peer = NodeId::of(&node);
         let known = self.peers.get_mut(&peer);
@@ -217,7 +200,7 @@ impl PeerProtocol {
             return;
         };
         let key = (object, contract.name, contract.fingerprint);
-        let pending = reply_as.map(|reply_as| PendingCall { reply_as, until, again });
+        let pending = reply_as.map(|reply_as| PendingCall { reply_as, until });
         let waiting = QueuedMessage { id, sent, payload, pending, credit };
         if let Some(binding @ Binding { waiting: None, .. }) = session.bindings.get(&key) {
             let bound = binding.way();
@@ -321,8 +304,6 @@ impl PeerProtocol {
         let late = |until: Option<Instant>| until.is_some_and(|until| until + GRACE <= now);
         let mut over = Vec::new();
         for state in self.peers.values_mut() {
-            let again = state.again.extract_if(.., |call| late(call.until));
-            over.extend(again.filter_map(|call| call.reply_as));
             let Some(session) = &mut state.session else { continue };
             session.calls.retain(|_, pending| {
                 let late = late(pending.until);
@@ -402,25 +383,6 @@ impl PeerProtocol {
         }
     }
 
-    /// Tells a peer's recoverer of a fault. The number is the caller's.
-    pub fn handle_notice(&mut self, peer: NodeId, number: u64, payload: Bytes) {
-        match self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) {
-            Some(session) => {
-                session.notices.insert(number);
-                let message = PeerMessage::Notice { number, payload: payload.into() };
-                self.outputs.push_back(control(peer, &message));
-            }
-            None => self.outputs.push_back(PeerProtocolOutput::Noticed { number, arrived: false }),
-        }
-    }
-
-    /// A peer's fault has arrived at our recoverer.
-    pub fn handle_noticed(&mut self, peer: NodeId, epoch: SessionEpoch, number: u64) {
-        if self.session(peer, epoch).is_some() {
-            self.outputs.push_back(control(peer, &PeerMessage::Confirmed { number }));
-        }
-    }
-
     /// This node ends in order.
     pub fn handle_leave(&mut self) {
         self.tell_all(&PeerMessage::Leaving);
@@ -460,10 +422,9 @@ impl PeerProtocol {
         let Ok(message) = PeerMessage::decode(message) else { return };
         match message {
             PeerMessage::Request { call, .. } => {
-                let Some(state) = self.peers.get_mut(&peer) else { return };
-                let session = state.session.as_mut();
+                let session = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut());
                 if let Some(pending) = session.and_then(|session| session.calls.remove(&call)) {
-                    give_up(state, &mut self.outputs, pending, &why, sent);
+                    self.outputs.push_back(unanswered(&pending, &why, sent));
                 }
             }
             PeerMessage::Tell { binding, .. } => {
@@ -501,35 +462,19 @@ impl PeerProtocol {
     }
 }
 
-/// A request is not going to be answered in this session: it waits for the next one, or is
-/// resolved.
-fn give_up(
-    state: &mut PeerRecord,
-    outputs: &mut VecDeque<PeerProtocolOutput>,
-    pending: PendingCall,
+/// A request is not going to be answered in this session.
+fn unanswered(
+    pending: &PendingCall,
     why: &DeliveryError,
     sent: TransmitState,
-) {
-    let PendingCall { reply_as, again, .. } = pending;
-    // A peer that has left, or has no capacity, is not asked again.
-    let helps = !matches!(
-        why,
-        DeliveryError::Left { .. }
-            | DeliveryError::WayFull { .. }
-            | DeliveryError::TooLargeForSession { .. }
-    );
-    match again {
-        Some(call) if helps && state.again.len() < AGAIN_MAX => state.again.push(*call),
-        _ => {
-            let result = Err(match why {
-                why if sent == TransmitState::Nothing => why.clone(),
-                // Its death is certain, and so is that no answer will come.
-                DeliveryError::PeerDied { .. } => why.clone(),
-                why => DeliveryError::OutcomeUnknown { reason: why.to_string() },
-            });
-            outputs.push_back(PeerProtocolOutput::Resolve { reply_as, result });
-        }
-    }
+) -> PeerProtocolOutput {
+    let result = Err(match why {
+        why if sent == TransmitState::Nothing => why.clone(),
+        // Its death is certain, and so is that no answer will come.
+        DeliveryError::PeerDied { .. } => why.clone(),
+        why => DeliveryError::OutcomeUnknown { reason: why.to_string() },
+    });
+    PeerProtocolOutput::Resolve { reply_as: pending.reply_as, result }
 }
 
 fn control(peer: NodeId, message: &PeerMessage) -> PeerProtocolOutput {

@@ -2,7 +2,7 @@
 
 use super::BINDINGS_MAX;
 use super::access::{PeerBound, PeerSubscription};
-use super::types::{Call, PeerProtocolOutput, SessionEpoch};
+use super::types::{PeerProtocolOutput, SessionEpoch};
 use crate::net::peer_protocol::age::AgeEstimator;
 use crate::net::session::ordering_key::OrderingKey;
 use crate::net::wire::message::{PeerMessage, TICK_US};
@@ -32,7 +32,6 @@ pub(super) struct PeerSession {
     pub(super) numbers: BindingTable,
     /// Our requests that are not answered, by their number on the wire.
     pub(super) calls: SortedMap<u64, PendingCall>,
-    pub(super) notices: SortedSet<u64>,
     /// What the peer has bound here.
     pub(super) bound: SortedMap<u32, PeerBound>,
     /// What it listens to here.
@@ -87,8 +86,6 @@ pub(super) struct PendingCall {
     /// The caller's number.
     pub(super) reply_as: u64,
     pub(super) until: Option<Instant>,
-    /// It may be sent again.
-    pub(super) again: Option<Box<Call>>,
 }
 
 impl PeerSession {
@@ -101,7 +98,6 @@ impl PeerSession {
             bindings: SortedMap::new(),
             numbers: SortedMap::new(),
             calls: SortedMap::new(),
-            notices: SortedSet::new(),
             bound: SortedMap::new(),
             subscriptions: SortedMap::new(),
             barred: SortedSet::new(),

@@ -23,7 +23,6 @@ fn contract(message: crate::contract::layout::LayoutOf) -> ContractIdentity {
         version: 1,
         delivery: Delivery::Reliable,
         bulk: false,
-        idempotent: false,
         fingerprint,
         message,
         reply,
@@ -212,7 +211,6 @@ fn everything_is_resolved_when_the_session_ends_and_late_answers_go_nowhere() {
     let right = pair.ids[1];
     pair.call(count(), Some(10));
     let epoch = pair.agree();
-    pair.ends[0].handle_notice(right, 77, payload());
     pair.run();
 
     pair.ends[0].handle_ended(right, &DeliveryError::Stopped);
@@ -220,9 +218,8 @@ fn everything_is_resolved_when_the_session_ends_and_late_answers_go_nowhere() {
 
     let unknown = DeliveryError::OutcomeUnknown { reason: DeliveryError::Stopped.to_string() };
     let resolved = PeerProtocolOutput::Resolve { reply_as: 10, result: Err(unknown) };
-    let noticed = PeerProtocolOutput::Noticed { number: 77, arrived: false };
     let why = DeliveryError::Stopped;
-    assert_eq!(pair.take(0), [resolved, noticed, PeerProtocolOutput::Forget { peer: right, why }]);
+    assert_eq!(pair.take(0), [resolved, PeerProtocolOutput::Forget { peer: right, why }]);
 
     let left = pair.ids[0];
     pair.ends[1].handle_ended(left, &DeliveryError::Stopped);
@@ -389,23 +386,6 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     pair.run();
     assert_eq!(pair.take(0), []);
     assert_eq!(pair.ends[0].refusals().stale, 1);
-}
-
-#[test]
-fn a_notice_is_confirmed_only_when_it_was_taken() {
-    let mut pair = Pair::open();
-    pair.ends[0].handle_notice(pair.ids[1], 77, payload());
-    pair.run();
-    let outputs = pair.take(1);
-    let [PeerProtocolOutput::Notice { peer, epoch, number, .. }] = outputs[..] else {
-        panic!("{outputs:?}");
-    };
-    assert_eq!(pair.take(0), []);
-
-    pair.ends[1].handle_noticed(peer, epoch, number);
-    pair.run();
-
-    assert_eq!(pair.take(0), [PeerProtocolOutput::Noticed { number: 77, arrived: true }]);
 }
 
 #[test]

@@ -46,23 +46,6 @@ pub struct Call {
     pub credit: Option<Credit>,
 }
 
-impl Call {
-    /// The same, to be sent again in another session.
-    pub(super) fn without_credit(&self) -> Call {
-        Call {
-            node: self.node.clone(),
-            object: self.object.clone(),
-            contract: self.contract.clone(),
-            id: self.id,
-            sent: self.sent,
-            until: self.until,
-            payload: self.payload.clone(),
-            reply_as: self.reply_as,
-            credit: None,
-        }
-    }
-}
-
 /// How much of a message that came back was on its way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TransmitState {
@@ -230,26 +213,6 @@ pub enum PeerProtocolOutput {
         age: Duration,
         /// The event.
         payload: Bytes,
-    },
-    /// Another node's fault for our recoverer; confirm with
-    /// [`Exchange::handle_noticed`](super::PeerProtocol::handle_noticed).
-    Notice {
-        /// Whose.
-        peer: NodeId,
-        /// In which session.
-        epoch: SessionEpoch,
-        /// Under which number.
-        number: u64,
-        /// The fault.
-        payload: Bytes,
-    },
-    /// A fault that we told a peer of has arrived, or its session has ended before it had.
-    Noticed {
-        /// The number that was given to
-        /// [`Exchange::handle_notice`](super::PeerProtocol::handle_notice).
-        number: u64,
-        /// It has arrived.
-        arrived: bool,
     },
     /// A peer has told all that it listens to, and its objects answer.
     Announced {

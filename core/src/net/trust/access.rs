@@ -49,8 +49,8 @@ pub(in crate::net) enum BindingNeeds {
     OwnNode,
     /// This right.
     Right(Verb),
-    /// The right to operate this node.
-    Operation,
+    /// This right at this node.
+    RightAtNode(Verb),
     /// The right to ask for requests, to tell for messages without a reply.
     AskOrTell,
 }
@@ -65,7 +65,10 @@ pub(in crate::net) fn needs(contract: &str) -> BindingNeeds {
         Some("actor-message") => BindingNeeds::Nothing,
         Some("serve" | "who-serves") => BindingNeeds::Right(Verb::Ask),
         Some("replica" | "service-configuration") => BindingNeeds::Right(Verb::Claim),
-        Some("key-status" | "order-isolation" | "order-component") => BindingNeeds::Operation,
+        Some("key-status" | "order-isolation" | "order-component") => {
+            BindingNeeds::RightAtNode(Verb::Operate)
+        }
+        Some("recover") => BindingNeeds::RightAtNode(Verb::Recover),
         // What a replica says to the component of its own node.
         Some("save-state" | "load-state" | "role") => BindingNeeds::OwnNode,
         Some(_) => BindingNeeds::Membership,

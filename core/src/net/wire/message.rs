@@ -1,4 +1,4 @@
-//! The messages between nodes within a session: bindings, requests, events, faults.
+//! The messages between nodes within a session: bindings, requests, events.
 //!
 //! ```text
 //! kind 1 │ fields in the order of the variant
@@ -140,18 +140,6 @@ pub enum PeerMessage {
         /// The event.
         payload: GatherBuffer,
     },
-    /// A fault, for the receiver's recoverer.
-    Notice {
-        /// By which number to confirm.
-        number: u64,
-        /// The fault, as the fault chain encodes it.
-        payload: GatherBuffer,
-    },
-    /// The fault has arrived.
-    Confirmed {
-        /// Which.
-        number: u64,
-    },
     /// All that this node listens to was told, and its objects answer. Each session with a node
     /// that has started begins so, that the age of what follows can be measured against a message
     /// that came without delay.
@@ -185,8 +173,6 @@ const SUBSCRIBE: u8 = 7;
 const SUBSCRIBE_REFUSED: u8 = 8;
 const UNSUBSCRIBE: u8 = 9;
 const EVENT: u8 = 10;
-const NOTICE: u8 = 11;
-const CONFIRMED: u8 = 12;
 const ANNOUNCED: u8 = 13;
 const BYE: u8 = 14;
 const FULL: u8 = 15;
@@ -212,7 +198,6 @@ impl PeerMessage {
             PeerMessage::Request { payload, .. }
             | PeerMessage::Tell { payload, .. }
             | PeerMessage::Event { payload, .. }
-            | PeerMessage::Notice { payload, .. }
             | PeerMessage::Reply { result: Ok(payload), .. } => Some(payload),
             _ => None,
         }
@@ -266,8 +251,6 @@ impl PeerMessage {
                 numbered(bytes, EVENT, *subscription);
                 bytes.varint(*timestamp_us);
             }
-            PeerMessage::Notice { number, payload: _ } => numbered(bytes, NOTICE, *number),
-            PeerMessage::Confirmed { number } => numbered(bytes, CONFIRMED, *number),
             PeerMessage::Announced { timestamp_us } => numbered(bytes, ANNOUNCED, *timestamp_us),
             PeerMessage::Leaving => bytes.put_u8(BYE),
             PeerMessage::NotReady { binding } => numbered(bytes, FULL, *binding),
@@ -332,10 +315,6 @@ impl PeerMessage {
                 timestamp_us: reader.varint()?,
                 payload: reader.rest().into(),
             },
-            NOTICE => {
-                PeerMessage::Notice { number: reader.varint()?, payload: reader.rest().into() }
-            }
-            CONFIRMED => PeerMessage::Confirmed { number: reader.varint()? },
             ANNOUNCED => PeerMessage::Announced { timestamp_us: reader.varint()? },
             BYE => PeerMessage::Leaving,
             FULL => PeerMessage::NotReady { binding: number(reader)? },
@@ -483,8 +462,6 @@ mod tests {
                 },
                 b"\x0a\x03\xac\x02xy",
             ),
-            (PeerMessage::Notice { number: 4, payload: payload.into() }, b"\x0b\x04xy"),
-            (PeerMessage::Confirmed { number: 4 }, b"\x0c\x04"),
             (PeerMessage::Announced { timestamp_us: 300 }, b"\x0d\xac\x02"),
             (PeerMessage::Leaving, b"\x0e"),
             (PeerMessage::NotReady { binding: 200 }, b"\x0f\xc8\x01"),

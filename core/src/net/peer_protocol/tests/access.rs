@@ -150,17 +150,6 @@ fn a_peer_that_may_not_publish_is_not_told_who_listens_and_its_events_are_droppe
 }
 
 #[test]
-fn a_fault_of_a_peer_that_may_not_hand_any_over_is_confirmed_and_dropped() {
-    let mut pair = guarded(Role::Node, &["only other may recover on right"]);
-    let right = pair.ids[1];
-    pair.ends[0].handle_notice(right, 3, payload());
-    pair.run();
-    assert_eq!(refused(&mut pair), ["recover"]);
-    let noticed = PeerProtocolOutput::Noticed { number: 3, arrived: true };
-    assert_eq!(pair.take(0), [noticed], "it is not sent again");
-}
-
-#[test]
 fn another_policy_counts_at_once_for_bindings_and_the_session_goes_on() {
     let mut pair = guarded(Role::Node, &[]);
     pair.call(count(), Some(7));
