@@ -145,7 +145,7 @@ impl NodeKeys {
     }
 
     /// The file that keeps it.
-    pub(super) fn incarnation_path(&self) -> PathBuf {
+    fn incarnation_path(&self) -> PathBuf {
         folder_of(&self.path).join(format!("{}.incarnation", self.own.node))
     }
 

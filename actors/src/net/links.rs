@@ -12,7 +12,6 @@ pub(super) use discovered::{
 use super::LinkSpec;
 use super::fault_reporter::FaultReporter;
 use super::keys::{NodeKeys, SealTerms};
-use super::own_incarnation::{IncarnationRaised, OwnIncarnation};
 use super::own_name::OwnName;
 use super::roster_watch::RosterChanged;
 use crate::platform;
@@ -39,7 +38,7 @@ use blastema_core::net::{
     LinkState,
 };
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_core::{GatherBuffer, Instant, NodeName};
+use blastema_core::{GatherBuffer, Incarnation, Instant, NodeName};
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::{error, info, warn};
@@ -60,7 +59,7 @@ fn link(wiring: &LinksRecipients, spec: &LinkSpec, now: Instant) -> Link {
         expected: spec.neighbour.clone(),
         peer_timeout: spec.expected_within,
         hello_interval: spec.hello_interval,
-        ..LinkConfig::new(node.clone(), incarnation.present())
+        ..LinkConfig::new(node.clone(), *incarnation)
     };
     Link::new(config, now)
 }
@@ -71,7 +70,7 @@ const REFUSAL_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// The actors and recipients that the links report to.
 pub(super) struct LinksRecipients {
     pub(super) node: NodeName,
-    pub(super) incarnation: OwnIncarnation,
+    pub(super) incarnation: Incarnation,
     pub(super) own_name: OwnName,
     pub(super) network: Arc<str>,
     pub(super) transport: Transport,
@@ -141,8 +140,7 @@ impl LinksActor {
     fn build(&mut self, now: Instant) {
         // Keys and counters die with the links: none is ever used by another life of them.
         let sealer = self.wiring.seal.as_ref();
-        let sealer =
-            sealer.map(|(keys, terms)| keys.sealer(self.wiring.incarnation.present(), *terms));
+        let sealer = sealer.map(|(keys, terms)| keys.sealer(self.wiring.incarnation, *terms));
         self.bundle = LinkLayer::new(sealer);
         self.let_operators_dial_in();
         self.unheard.clear();
@@ -358,19 +356,6 @@ impl Supervised for LinksActor {
     }
 }
 
-impl Handler<IncarnationRaised> for LinksActor {
-    type Result = ();
-
-    fn handle(&mut self, _: IncarnationRaised, context: &mut Context<Self>) {
-        self.take_down();
-        // Its timer goes on.
-        let wake = std::mem::take(&mut self.wake);
-        self.build(platform::now());
-        self.wake = wake;
-        self.drive(context);
-    }
-}
-
 impl MachineActor for LinksActor {
     type Machine = LinkLayer<NoiseCrypto, MediumAddress>;
 
@@ -384,9 +369,6 @@ impl MachineActor for LinksActor {
             LinkLayerOutput::Transmit { to, frame, lane } => self.transmit(to, frame, lane),
             LinkLayerOutput::Adopt { connection, peer } => {
                 self.wiring.transport.adopt.do_send(Adopt { connection, peer });
-            }
-            LinkLayerOutput::Outnumbered { peer, known } => {
-                self.wiring.incarnation.handle_known(peer, known);
             }
             LinkLayerOutput::DialedIn { peer, address } => self.dialed_in(peer, address),
             LinkLayerOutput::Stranger(from) => {

@@ -46,7 +46,6 @@ pub(crate) use roster_watch::RosterChanged;
 
 use self::fault_forwarding::RemoteRecoverer;
 use self::fault_reporter::FaultReporter;
-use self::own_incarnation::OwnIncarnation;
 use self::own_name::OwnName;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
@@ -213,7 +212,6 @@ pub(crate) struct NetHandle {
     isolation: Arc<OnceLock<isolation::IsolationControl>>,
     carrier: Arc<carrier::CarrierMonitor>,
     roster: Option<Addr<RosterActor>>,
-    own: OwnIncarnation,
     own_name: OwnName,
     /// Ends with the last handle.
     _roster_watch: Option<Arc<RosterWatch>>,
@@ -231,9 +229,7 @@ pub(crate) fn start(
     platform::keep_freed_memory();
     let mut environment = environment;
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
-    let file = environment.keys.as_ref().map(|keys| keys.incarnation_path());
-    let own = OwnIncarnation::new(node.clone(), incarnation, file);
-    let (identity, on_arbiter) = ((node.clone(), own.clone()), arbiter.as_ref());
+    let (identity, on_arbiter) = ((node.clone(), incarnation), arbiter.as_ref());
 
     let ((numbers, dial_in), fields) = number(&networks);
     let wiring = discovery::DiscoveryRecipients {
@@ -315,8 +311,8 @@ pub(crate) fn start(
         let discovery_actor = spec.discovery.and(discovery.clone()).map(Addr::recipient);
         let faults = environment.own_faults(&format!("links/{}", spec.name));
         let wiring = links::LinksRecipients {
-            node: identity.0.clone(),
-            incarnation: identity.1.clone(),
+            node: node.clone(),
+            incarnation,
             own_name: own_name.clone(),
             network: spec.name,
             transport: spec.transport,
@@ -348,10 +344,6 @@ pub(crate) fn start(
         (name, address)
     });
     let networks: Vec<(_, Addr<links::LinksActor>)> = networks.collect();
-    let links = networks.iter().map(|(_, links)| links.clone().recipient());
-    // Sessions of the earlier number end before the router finds their nodes again.
-    let first = [sessions.clone().recipient(), router.clone().recipient()].into_iter();
-    own.tell(first.chain(links).collect());
     let roster_watch = roster.as_ref().zip(keys).map(|(roster, keys)| {
         let links = networks.iter().map(|(_, links)| links.clone().recipient());
         // Who is not missed any more is known before the links go down.
@@ -383,7 +375,6 @@ pub(crate) fn start(
         isolation,
         carrier,
         roster,
-        own,
         own_name,
         _roster_watch: roster_watch,
     })
@@ -453,11 +444,6 @@ impl NetHandle {
     /// Whether another process has this node's name.
     pub(crate) fn own_name(&self) -> &OwnName {
         &self.own_name
-    }
-
-    /// Which incarnation of this node the others know.
-    pub(crate) fn incarnation(&self) -> Incarnation {
-        self.own.present()
     }
 
     /// Whether messages can be sent to this node, and it has told what it listens to.

@@ -1,32 +1,14 @@
 //! Which incarnation of a node with keys starts: above the one before it, whatever the clock says.
 //!
-//! ```text
-//!  links, router ── handle_known ──► OwnIncarnation ── thread: the file ──┐
-//!       ▲                                                                 │
-//!       └───────────────────────── IncarnationRaised ─────────────────────┘
-//! ```
-//!
-//! A peer that had a channel with a later incarnation says so in its handshake, which is
-//! authenticated. The node then goes on with the number above that one: links, router and sessions
-//! are built again under it.
-//!
 //! The file is written before the node sends its first frame. Where it cannot be, or holds no
 //! number, the wall clock alone numbers the incarnation, and the log says what to do.
 
-use crate::platform;
 use crate::platform::file_lock::{FileLock, LockError};
 use crate::platform::key_files::read_public;
 use crate::platform::replace_file::replace_file;
-use actix::prelude::*;
-use blastema_core::net::NodeId;
 use blastema_core::net::trust::incarnation_file::{IncarnationFile, following};
-use blastema_core::net::wire::advertisement::INCARNATION_MAX;
-use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName};
-use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicU64;
-use std::sync::atomic::Ordering::Relaxed;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::path::Path;
 use std::thread;
 use std::time::Duration;
 use tracing::warn;
@@ -34,84 +16,6 @@ use tracing::warn;
 /// Another process that starts with the same key has the file for the time of one write to a disk.
 const ATTEMPTS: u32 = 50;
 const PAUSE: Duration = Duration::from_millis(10);
-/// From here on no peer is believed: so many starts are left below the highest number that the file
-/// can hold.
-const KNOWN_MAX: Incarnation = Incarnation(INCARNATION_MAX.0 - (1 << 20));
-
-/// The node goes on with a higher incarnation than before.
-#[derive(Clone, Copy, Debug, Message)]
-#[rtype(result = "()")]
-pub(super) struct IncarnationRaised;
-
-/// The incarnation of a node that has keys. Clones are the same.
-#[derive(Clone)]
-pub(super) struct OwnIncarnation(Arc<Numbering>);
-
-struct Numbering {
-    node: NodeName,
-    file: Option<PathBuf>,
-    present: AtomicU64,
-    /// Peers whose word was taken. Each is believed once: a hostile one cannot have the links built
-    /// again and again.
-    believed: Mutex<SortedSet<NodeId>>,
-    told: OnceLock<Vec<Recipient<IncarnationRaised>>>,
-}
-
-impl OwnIncarnation {
-    /// It is kept in the file. A node without one has no keys, and believes no peer.
-    pub(super) fn new(node: NodeName, present: Incarnation, file: Option<PathBuf>) -> Self {
-        OwnIncarnation(Arc::new(Numbering {
-            node,
-            file,
-            present: AtomicU64::new(present.0),
-            believed: Mutex::default(),
-            told: OnceLock::new(),
-        }))
-    }
-
-    /// These are told when it is raised, in this order.
-    pub(super) fn tell(&self, recipients: Vec<Recipient<IncarnationRaised>>) {
-        // The network is started once.
-        let _ = self.0.told.set(recipients);
-    }
-
-    /// The present one.
-    pub(super) fn present(&self) -> Incarnation {
-        Incarnation(self.0.present.load(Relaxed))
-    }
-
-    /// A peer, which has proved itself, knows this incarnation of the node.
-    pub(super) fn handle_known(&self, peer: NodeId, known: Incarnation) {
-        let Numbering { node, file: Some(file), believed, .. } = &*self.0 else { return };
-        let mut believed = believed.lock().unwrap_or_else(PoisonError::into_inner);
-        let present = self.present();
-        if known < present || known >= KNOWN_MAX || !believed.insert(peer) {
-            return;
-        }
-        let incarnation = known.next();
-        self.0.present.store(incarnation.0, Relaxed);
-        warn!(
-            %node, %peer,
-            "this node has started as {present}, and the node with the number {peer} has seen {known}: \
-             its clock or its file {} was set back; it goes on as {incarnation}: set the clock",
-            file.display()
-        );
-        // A disk may take its time.
-        let (own, file) = (self.clone(), file.clone());
-        let keep = move || {
-            begin(&file, &own.0.node, incarnation);
-            own.tell_all();
-        };
-        if platform::start_thread("incarnation", keep).is_err() {
-            self.tell_all();
-        }
-    }
-
-    fn tell_all(&self) {
-        let recipients = self.0.told.get().into_iter().flatten();
-        recipients.for_each(|to| to.do_send(IncarnationRaised));
-    }
-}
 
 /// The incarnation that starts when the clock gives this number; it is kept in the file.
 pub(super) fn begin(file: &Path, node: &NodeName, clock: Incarnation) -> Incarnation {
@@ -172,6 +76,7 @@ fn read(file: &Path, node: &NodeName) -> Result<Option<Incarnation>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use blastema_core::sorted::SortedSet;
     use std::fs;
 
     const NOON: Incarnation = Incarnation(1_795_500_000_000);
@@ -230,28 +135,6 @@ mod tests {
             let told = ["cannot be kept in", "base.incarnation", "let this user write"];
             assert!(told.iter().all(|words| complaint.contains(words)), "{complaint}");
         }
-    }
-
-    #[test]
-    fn each_peer_is_believed_once_that_it_knows_a_later_incarnation() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let file = folder.path().join("base.incarnation");
-        let own = OwnIncarnation::new(base(), NOON, Some(file));
-        let check = |peer, known: u64, present: u64| {
-            own.handle_known(NodeId(peer), Incarnation(known));
-            assert_eq!(own.present().0 - NOON.0, present);
-        };
-
-        check(1, NOON.0 - 1, 0);
-        check(1, NOON.0 + 10, 11);
-        check(1, NOON.0 + 20, 11);
-        check(2, NOON.0 + 5, 11);
-        check(2, KNOWN_MAX.0, 11);
-        check(2, NOON.0 + 30, 31);
-
-        let without_keys = OwnIncarnation::new(base(), NOON, None);
-        without_keys.handle_known(NodeId(1), NOON.next());
-        assert_eq!(without_keys.present(), NOON);
     }
 
     #[test]

@@ -2,7 +2,6 @@
 
 use super::fault_reporter::FaultReporter;
 use super::keys::NodeKeys;
-use super::own_incarnation::{IncarnationRaised, OwnIncarnation};
 use super::own_name::OwnName;
 use super::roster_watch::RosterChanged;
 use crate::platform;
@@ -49,27 +48,23 @@ pub(super) struct RouterActor {
     /// Where the links lead, for display.
     remotes: SortedMap<LinkId, Arc<str>>,
     own_name: OwnName,
-    /// Which incarnation of the node this is.
-    own: OwnIncarnation,
     /// Each life of the machine agrees on keys of its own.
     keys: Option<Arc<NodeKeys>>,
 }
 
 impl RouterActor {
     pub(super) fn maker(
-        (node, own): (NodeName, OwnIncarnation),
+        (node, incarnation): (NodeName, Incarnation),
         (monitor, own_name): (Option<Recipient<NodeReported>>, OwnName),
         faults: FaultReporter,
         keys: Option<Arc<NodeKeys>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         move |_| {
-            let incarnation = own.present();
             let config = RouterConfig::new(node, incarnation);
             let machine = net::Router::new(config.clone(), platform::now());
             RouterActor {
                 machine: with_keys(machine, keys.as_deref(), incarnation),
                 keys,
-                own,
                 config,
                 wake: WakeTimer::default(),
                 links: SortedMap::new(),
@@ -155,7 +150,6 @@ impl RouterActor {
 
     /// Builds the machine again.
     fn build(&mut self) {
-        self.config.incarnation = self.own.present();
         let reached = self.reached.clone();
         let machine = net::Router::restarted(self.config.clone(), reached, platform::now());
         self.machine = with_keys(machine, self.keys.as_deref(), self.config.incarnation);
@@ -199,16 +193,6 @@ impl Supervised for RouterActor {
     }
 }
 
-impl Handler<IncarnationRaised> for RouterActor {
-    type Result = ();
-
-    fn handle(&mut self, _: IncarnationRaised, context: &mut Context<Self>) {
-        self.build();
-        // The links are built again as well, and report themselves.
-        self.drive(context);
-    }
-}
-
 impl MachineActor for RouterActor {
     type Machine = net::Router;
 
@@ -247,7 +231,6 @@ impl MachineActor for RouterActor {
                      rename it"
                 ));
             }
-            RouterOutput::Outnumbered { peer, known } => self.own.handle_known(peer, known),
             RouterOutput::KeysDiffer { neighbour } => match &self.keys {
                 Some(_) => warn!(
                     %neighbour,

@@ -1,7 +1,6 @@
 //! The body of all sessions of this node.
 
 use super::fault_reporter::FaultReporter;
-use super::own_incarnation::{IncarnationRaised, OwnIncarnation};
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
@@ -34,7 +33,7 @@ const NUMBERS_PER_LIFE: u32 = 1 << 16;
 /// One session per peer node.
 pub(super) struct SessionsActor {
     node: NodeName,
-    incarnation: OwnIncarnation,
+    incarnation: Incarnation,
     idle_timeout: Duration,
     machines: MachineSet<NodeId, Session>,
     wake: WakeTimer,
@@ -64,7 +63,7 @@ struct Peer {
 
 impl SessionsActor {
     pub(super) fn new(
-        (node, incarnation): (NodeName, OwnIncarnation),
+        (node, incarnation): (NodeName, Incarnation),
         idle_timeout: Duration,
         router: Recipient<SendSegment>,
         (faults, nodes): (FaultReporter, Option<Recipient<NodeReported>>),
@@ -89,7 +88,7 @@ impl SessionsActor {
 
     fn build(&mut self, id: NodeId) {
         let Some(peer) = self.peers.get(&id) else { return };
-        let (node, incarnation) = (self.node.clone(), self.incarnation.present());
+        let (node, incarnation) = (self.node.clone(), self.incarnation);
         let config = SessionConfig::new(node, incarnation, peer.node.clone());
         let (number, idle_timeout) = (peer.number, self.idle_timeout);
         let seed = platform::random_seed();
@@ -218,16 +217,6 @@ impl Supervised for SessionsActor {
         if let Some(id) = self.machines.last() {
             self.build_again(id);
         }
-        self.drive(context);
-    }
-}
-
-impl Handler<IncarnationRaised> for SessionsActor {
-    type Result = ();
-
-    fn handle(&mut self, _: IncarnationRaised, context: &mut Context<Self>) {
-        let all: Vec<NodeId> = self.peers.keys().copied().collect();
-        all.into_iter().for_each(|id| self.build_again(id));
         self.drive(context);
     }
 }

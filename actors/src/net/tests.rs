@@ -63,11 +63,6 @@ struct Add(u64);
 #[contract(reply = Vec<u8>, max_size = 1_000_000)]
 struct Mirror(Vec<u8>);
 
-/// Panics.
-#[derive(Clone, Debug, PartialEq, Request)]
-#[contract(reply = ())]
-struct Boom;
-
 /// Is written down.
 #[derive(Clone, Debug, PartialEq, Event)]
 struct Note(u64);
@@ -104,7 +99,7 @@ struct Acc {
 
 impl Component for Acc {
     fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Add>().serve::<Mirror>().serve::<Boom>().accept::<Note>().accept::<Fresh>();
+        ports.serve::<Add>().serve::<Mirror>().accept::<Note>().accept::<Fresh>();
         let _ = ports.listen::<Note>();
         let _ = ports.listen::<Fresh>();
     }
@@ -120,12 +115,6 @@ impl Handle<Add> for Acc {
 impl Handle<Mirror> for Acc {
     async fn handle(&mut self, Mirror(bytes): Mirror, _: &mut Context<Self>) -> Vec<u8> {
         bytes
-    }
-}
-
-impl Handle<Boom> for Acc {
-    async fn handle(&mut self, Boom: Boom, _: &mut Context<Self>) {
-        panic!("boom");
     }
 }
 

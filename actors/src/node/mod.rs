@@ -178,10 +178,6 @@ impl Node {
 
     /// Which incarnation of the node this is.
     pub fn incarnation(&self) -> Incarnation {
-        #[cfg(feature = "network")]
-        if let Some(networks) = &self.0.networks {
-            return networks.handle.incarnation();
-        }
         self.0.incarnation
     }
 

@@ -108,13 +108,6 @@ pub enum LinkLayerOutput<A> {
     Stranger(A),
     /// This node was not run for so long: a timer fired so late.
     Stalled(Duration),
-    /// A neighbour knows a later incarnation of this node.
-    Outnumbered {
-        /// The neighbour.
-        peer: NodeId,
-        /// Which.
-        known: Incarnation,
-    },
     /// A node with the neighbour's key is there in another incarnation, and the neighbour has
     /// answered a hello that was sent after that one came. The other one is told so, each time.
     KeyInUse {
@@ -222,7 +215,7 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         let Some(channel) = channel.filter(|_| !is_known && !address.is_connection()) else {
             return false;
         };
-        link.handle_authenticated(channel.peer.incarnation, now);
+        link.handle_authenticated(channel.incarnation, now);
         self.by_peer.insert(peer, number);
         self.add(number, link, (address, Some(peer), true));
         self.collect(now);
@@ -492,7 +485,7 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
     fn reopen(&mut self, link: LinkId, output: &LinkOutput, now: Instant) {
         let (Some(sealer), Some(end)) = (&mut self.sealer, self.ends.get(&link)) else { return };
         let Some(peer) = end.peer else { return };
-        let open = sealer.channel(peer).map(|channel| channel.peer.incarnation);
+        let open = sealer.channel(peer).map(|channel| channel.incarnation);
         let is_silent = match output {
             LinkOutput::Missing { .. } => true,
             // Where it has restarted, the keys of its new incarnation are open already.
@@ -516,7 +509,7 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
                     let (frame, lane) = (frame.into(), FrameLane::Hello);
                     self.outputs.push_back(LinkLayerOutput::Transmit { to, frame, lane });
                 }
-                SealerOutput::PeerOpen { peer, address, payload, .. } => {
+                SealerOutput::PeerOpen { peer, address, incarnation, .. } => {
                     let Some(link) = self.by_peer.get(&peer).copied() else {
                         if self.may_dial_in.contains_key(&peer) {
                             self.outputs.push_back(LinkLayerOutput::DialedIn { peer, address });
@@ -526,14 +519,11 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
                     self.follow_dialed_in(link, &address);
                     self.adopt(link, peer, address);
                     if let Some(link) = self.links.get_mut(link) {
-                        link.handle_authenticated(payload.incarnation, now);
+                        link.handle_authenticated(incarnation, now);
                     }
                 }
                 SealerOutput::KeyInUse { peer, address, open, refused } => {
                     self.refuse_other((peer, address), (open, refused), now);
-                }
-                SealerOutput::Outnumbered { peer, known } => {
-                    self.outputs.push_back(LinkLayerOutput::Outnumbered { peer, known });
                 }
                 SealerOutput::KeyWornOut { peer } => {
                     let Some(link) = self.by_peer.get(&peer).copied() else { continue };

@@ -155,7 +155,7 @@ impl LinksActor {
     /// The neighbour reaches another process with this node's name, which answers.
     pub(super) fn taken(&self, number: LinkId, holder: &NameHolder) {
         let NameHolder { incarnation, address } = holder;
-        let (node, own) = (&self.wiring.node, self.wiring.incarnation.present());
+        let (node, own) = (&self.wiring.node, self.wiring.incarnation);
         let local = &self.local;
         // The neighbour may know no other address of that name.
         let address: &str = if address == local { NameHolder::NOWHERE } else { address };

@@ -3,41 +3,6 @@
 use super::*;
 
 #[test]
-fn a_cut_cable_loses_and_doubles_nothing_while_there_is_another() {
-    paused(async {
-        let (robot, left, right) = pair().await;
-        let sender = left.sender::<Note>("right:acc");
-
-        for n in 0..300 {
-            match n {
-                100 => robot.cut("ethernet/left"),
-                200 => robot.restore("ethernet/left"),
-                _ => {}
-            }
-            sender.tell(Note(n)).unwrap();
-            advance(5 * MS).await;
-        }
-        advance(500 * MS).await;
-
-        assert_eq!(right.log.take(), (0..300).collect::<Vec<_>>());
-        let down = left
-            .links
-            .drain()
-            .into_iter()
-            .filter(|report| matches!(report.condition, LinkCondition::Down { .. }));
-        let down: Vec<_> = down.map(|report| report.link.to_string()).collect();
-        assert_eq!(down, ["ethernet-left"]);
-        assert!(
-            !left
-                .nodes
-                .drain()
-                .iter()
-                .any(|report| { matches!(report.condition, NodeCondition::Lost { .. }) })
-        );
-    });
-}
-
-#[test]
 fn a_network_whose_interface_lost_its_carrier_is_given_up_at_once_and_proves_itself_again() {
     paused(async {
         let (robot, left, right) = pair().await;
@@ -79,24 +44,6 @@ fn a_slow_medium_is_dearer_and_is_spared_hellos() {
         assert_eq!(rows[1].hello_interval, 50 * MS);
         assert!(rows.iter().all(|row| row.state == LinkState::Up && row.phi < 1.0), "{rows:?}");
         assert_eq!(left.net.read_routes().await.routes[0].next, LinkId(1));
-    });
-}
-
-#[test]
-fn a_node_between_two_others_passes_their_messages_on() {
-    paused(async {
-        let mut robot = Robot::default();
-        let middle: [(&str, &[&str]); 2] = [("ethernet", &["left"]), ("ieee1394", &["right"])];
-        let _middle = robot.module("middle", 1, &middle).await;
-        let left = robot.module("left", 1, &[("ethernet", &["middle"])]).await;
-        let _right = robot.module("right", 1, &[("ieee1394", &["middle"])]).await;
-        advance(1000 * MS).await;
-
-        assert_eq!(left.sender::<Add>("right:acc").ask(Add(3)).await.unwrap(), 3);
-
-        let routes = left.net.read_routes().await.routes;
-        let costs: Vec<_> = routes.iter().map(|route| (route.node.as_str(), route.cost)).collect();
-        assert_eq!(costs, [("middle", 10), ("right", 20)]);
     });
 }
 

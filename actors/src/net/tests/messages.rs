@@ -3,38 +3,6 @@
 use super::*;
 
 #[test]
-fn a_remote_object_is_asked_and_told_with_the_code_for_a_local_one() {
-    paused(async {
-        let (_robot, left, right) = pair().await;
-
-        assert_eq!(left.sender::<Add>("right:acc").ask(Add(3)).await.unwrap(), 3);
-        assert_eq!(right.sender::<Add>("acc").ask(Add(4)).await.unwrap(), 7);
-        left.sender::<Note>("right:acc").tell(Note(5)).unwrap();
-        advance(10 * MS).await;
-
-        assert_eq!(right.log.take(), [5]);
-        assert_eq!(left.log.take(), [0; 0]);
-    });
-}
-
-#[test]
-fn events_reach_listeners_on_every_node_once() {
-    paused(async {
-        let (_robot, left, right) = pair().await;
-
-        for n in 0..100 {
-            left.publisher().publish(Note(n)).unwrap();
-            advance(MS).await;
-        }
-        advance(50 * MS).await;
-
-        let all: Vec<_> = (0..100).collect();
-        assert_eq!(left.log.take(), all);
-        assert_eq!(right.log.take(), all);
-    });
-}
-
-#[test]
 fn a_message_larger_than_any_frame_arrives_whole() {
     paused(async {
         let (_robot, left, _right) = pair().await;
@@ -59,29 +27,6 @@ fn a_contract_that_differs_is_refused_and_the_difference_shown() {
         let declared = right.declared.expect().await;
         assert_eq!(declared.kind, FaultKind::ContractMismatch);
         assert_eq!(declared.object.as_str(), "acc");
-    });
-}
-
-#[test]
-fn an_unknown_object_and_an_unknown_node_are_told_apart() {
-    paused(async {
-        let (_robot, left, _right) = pair().await;
-
-        let unknown = left.sender::<Add>("right:absent").ask(Add(1)).await.unwrap_err();
-        assert!(matches!(unknown.kind, DeliveryError::Unknown { .. }), "{unknown:?}");
-        let nowhere = left.sender::<Add>("nowhere:acc").ask(Add(1)).await.unwrap_err();
-        assert_eq!(nowhere.kind, DeliveryError::Unreachable { node: "nowhere".into() });
-    });
-}
-
-#[test]
-fn a_request_that_kills_the_remote_object_is_resolved_with_its_death() {
-    paused(async {
-        let (_robot, left, _right) = pair().await;
-
-        let error = left.sender::<Boom>("right:acc").ask(Boom).await.unwrap_err();
-
-        assert_eq!(error.kind, DeliveryError::PeerDied { incarnation: Incarnation(1) });
     });
 }
 

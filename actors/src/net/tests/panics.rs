@@ -3,33 +3,6 @@
 use super::*;
 
 #[test]
-fn a_panic_in_the_router_loses_nothing() {
-    paused(async {
-        let (_robot, left, right) = pair().await;
-        let sender = left.sender::<Note>("right:acc");
-
-        for n in 0..100 {
-            if n % 20 == 10 {
-                left.net.router().do_send(InjectPanic);
-            }
-            sender.tell(Note(n)).unwrap();
-            advance(5 * MS).await;
-        }
-        advance(500 * MS).await;
-
-        assert_eq!(right.log.take(), (0..100).collect::<Vec<_>>());
-        let exits = left.exits.drain();
-        assert_eq!(exits.len(), 5);
-        assert!(exits.iter().all(|exit| {
-            exit.object == ObjectName::new("net/router").unwrap() && exit.restarted_as.is_some()
-        }));
-        let reported = left.nodes.drain().into_iter().chain(right.nodes.drain());
-        let fine = [NodeCondition::Reachable, NodeCondition::InSession];
-        assert!(reported.into_iter().all(|report| fine.contains(&report.condition)));
-    });
-}
-
-#[test]
 fn a_panic_in_any_actor_of_the_network_is_survived_and_every_promise_resolved() {
     paused(async {
         let (_robot, left, right) = pair().await;

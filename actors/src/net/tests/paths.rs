@@ -51,31 +51,6 @@ fn mtu(left: &[blastema_core::net::Route]) -> u16 {
 }
 
 #[test]
-fn large_messages_arrive_over_a_path_that_drops_large_frames_and_a_fault_names_the_size() {
-    paused(async {
-        for (largest, passes) in [(1_300, "1293"), (1_000, "996")] {
-            let (_robot, left, right) = pair_over(largest).await;
-
-            // At once, while the path is still probed.
-            mirror(&left, 3_000, 1).await;
-            mirror(&left, 100_000, 1).await;
-            advance(3_000 * MS).await;
-            mirror(&left, 3_000, 20).await;
-            mirror(&left, 100_000, 3).await;
-
-            let LinkCondition::Degraded { reason } = condition(&left) else { panic!("no fault") };
-            let named = ["ethernet/right", "1472", &format!("mtu={passes}")];
-            assert!(named.iter().all(|part| reason.contains(part)), "{reason}");
-            assert_eq!(mtu(&left.net.read_routes().await.routes).to_string(), passes);
-            for module in [&left, &right] {
-                assert_eq!(module.host.dead_letters.counts(), []);
-                assert_eq!(module.declared.drain(), []);
-            }
-        }
-    });
-}
-
-#[test]
 fn a_path_that_becomes_smaller_resets_no_session_and_the_fault_ends_when_it_is_as_large_again() {
     paused(async {
         let (robot, left, right) = pair_over(CONFIGURED).await;

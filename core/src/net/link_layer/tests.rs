@@ -486,7 +486,7 @@ fn a_node_that_is_received_and_does_not_receive_keeps_no_name_from_the_one_that_
         let told = with_a_copy(&mut world, of, &mut copy, 1_000);
         assert_eq!(told, []);
         let open = world.ends[1 - of].channel(LINK).expect("the copy has proved itself");
-        assert_eq!(open.peer.incarnation, Incarnation(2));
+        assert_eq!(open.incarnation, Incarnation(2));
 
         world.stopped = None;
         let told = with_a_copy(&mut world, of, &mut copy, 3_000);

@@ -217,7 +217,7 @@ impl Router {
     pub(super) fn ask_for_keys(&mut self, node: NodeId) {
         let (now, route) = (self.now, self.routes.get(&node));
         let (Some(keys), Some(route)) = (&mut self.keys, route) else { return };
-        let agreed = keys.sealer.channel(node).map(|channel| channel.peer.incarnation);
+        let agreed = keys.sealer.channel(node).map(|channel| channel.incarnation);
         if agreed != Some(route.incarnation) && keys.know(node) {
             keys.sealer.connect(node, node, now);
         }
@@ -307,9 +307,6 @@ impl Router {
                         let mtu = route.segment_limit();
                         self.outputs.push_back(RouterOutput::PathChanged { node: peer, mtu });
                     }
-                }
-                SealerOutput::Outnumbered { peer, known } => {
-                    self.outputs.push_back(RouterOutput::Outnumbered { peer, known });
                 }
                 // The peer's neighbours tell of another node with its key.
                 SealerOutput::PeerOpen { .. }

@@ -155,13 +155,6 @@ pub enum RouterOutput {
         /// The link with the other one; `None` where it is reached over other nodes.
         over: Option<LinkId>,
     },
-    /// A node that is reached over relays knows a later incarnation of this one.
-    Outnumbered {
-        /// Which node.
-        peer: NodeId,
-        /// The incarnation of this node.
-        known: Incarnation,
-    },
     /// The neighbour signs what it advertises, and this node has no keys, or the other way round:
     /// what it says is not taken.
     KeysDiffer {

@@ -11,7 +11,6 @@
 
 use super::cipher::{ChannelKeys, CipherSuite, FrameCipher};
 use super::compact::CompactCipher;
-use super::handshake_frame::HandshakePayload;
 use super::header::{COUNTER_END, SealHeader, SealProfile};
 use super::window::ReplayWindow;
 use crate::medium::lane::FrameLane;
@@ -100,8 +99,8 @@ pub(super) struct ChannelTerms {
     pub(super) local: u32,
     /// The channel's number in frames to the peer.
     pub(super) remote: u32,
-    /// The peer, as it named itself.
-    pub(super) peer: HandshakePayload,
+    /// The peer's incarnation, as the handshake says.
+    pub(super) peer: Incarnation,
 }
 
 /// Two keys, and the counters under them.
@@ -317,7 +316,7 @@ impl<F: FrameCipher> PeerChannels<F> {
         now: Instant,
     ) -> Option<Incarnation> {
         let present = self.present.as_ref()?;
-        let open = present.terms.peer.incarnation;
+        let open = present.terms.peer;
         let is_heard = self.opened_at.is_some_and(|at| now - at < Self::HEARD_WITHIN);
         (is_heard && open != incarnation).then_some(open)
     }
@@ -343,15 +342,15 @@ impl<F: FrameCipher> PeerChannels<F> {
         Some(self.offered.as_mut()?.channel.seal(lane, pieces))
     }
 
-    /// Opens a frame under the channel that its header names. Returns the peer, as it named itself
-    /// in that channel's handshake.
+    /// Opens a frame under the channel that its header names. Returns the peer's
+    /// incarnation, as that channel's handshake says.
     pub(super) fn open(
         &mut self,
         header: &SealHeader,
         frame: &mut BytesMut,
         limits: &KeyLimits,
         now: Instant,
-    ) -> Result<(Opening, HandshakePayload), OpenError> {
+    ) -> Result<(Opening, Incarnation), OpenError> {
         let usable = |channel: &Channel<F>| channel.has(header) && !channel.is_worn_out(limits);
         if let Some(present) = self.present.as_mut().filter(|channel| usable(channel)) {
             present.open(header, frame)?;
@@ -368,7 +367,7 @@ impl<F: FrameCipher> PeerChannels<F> {
         let offered = &mut offered.ok_or(OpenError::Unknown)?.channel;
         offered.open(header, frame)?;
         let peer = offered.terms.peer;
-        if let Some(open) = self.in_use_by_other(peer.incarnation, now) {
+        if let Some(open) = self.in_use_by_other(peer, now) {
             return Ok((Opening::InUse(open), peer));
         }
         let mut channel = self.offered.take().expect("it was opened under it").channel;
@@ -383,9 +382,9 @@ impl<F: FrameCipher> PeerChannels<F> {
         self.offered = Some(offer);
     }
 
-    /// Takes the offered channel into use, and offers the present one instead. Returns the peer, as
-    /// it named itself in the channel that is used now.
-    pub(super) fn exchange(&mut self, now: Instant) -> Option<HandshakePayload> {
+    /// Takes the offered channel into use, and offers the present one instead. Returns the
+    /// peer's incarnation in the channel that is used now.
+    pub(super) fn exchange(&mut self, now: Instant) -> Option<Incarnation> {
         let (offer, present) = (self.offered.as_mut()?, self.present.as_mut()?);
         std::mem::swap(&mut offer.channel, present);
         (offer.since, offer.answer) = (now, Bytes::new());
@@ -401,10 +400,10 @@ impl<F: FrameCipher> PeerChannels<F> {
 
     /// Takes a channel into use. Frames of another incarnation of the peer are not opened any more.
     pub(super) fn replace(&mut self, channel: Channel<F>, limits: &KeyLimits, now: Instant) {
-        let incarnation = channel.terms.peer.incarnation;
+        let incarnation = channel.terms.peer;
         let former = self.present.replace(channel);
         self.former = former
-            .filter(|former| former.terms.peer.incarnation == incarnation)
+            .filter(|former| former.terms.peer == incarnation)
             .map(|former| (former, now + limits.former));
     }
 

@@ -3,7 +3,7 @@
 use super::channel::{Channel, ChannelTerms, OfferedChannel, OpenError};
 use super::cipher::{ChannelKeys, CipherSuite, HandshakeTerms, SealCrypto};
 use super::handshake_frame::{
-    AnswerFrame, CookieFrame, HandshakeFrame, HandshakePayload, InitFrame, mac2,
+    AnswerFrame, CookieFrame, HandshakeFrame, InitFrame, decode_payload, encode_payload, mac2,
 };
 use super::noise::MacKey;
 use super::sealed_peer::{Approach, SealedPeer};
@@ -348,7 +348,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     fn send_init(&mut self, node: NodeId, now: Instant) {
         let (from, seed, number) = (self.config.node, self.seeds.next_seed(), self.new_number());
         let prologue = self.config.prologue(from, node);
-        let payload = self.payload_for(node).encode();
+        let payload = encode_payload(self.config.incarnation);
         let Some(peer) = self.peers.get_mut(&node) else { return };
         if !matches!(peer.approach, Approach::Waiting) {
             return;
@@ -396,13 +396,10 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             return;
         };
         self.repeats.insert(node, init.ephemeral());
-        let payload = HandshakePayload::decode(&payload);
-        if self.is_outnumbered(node, payload.known) {
-            return;
-        }
-        let ours = self.payload_for(node).encode();
+        let theirs = decode_payload(&payload);
+        let ours = encode_payload(self.config.incarnation);
         let Some((noise, keys)) = self.crypto.write_answer(handshake, &ours) else { return };
-        let channel = self.new_channel(init.suite, number, init.channel, payload, &keys, now);
+        let channel = self.new_channel(init.suite, number, init.channel, theirs, &keys, now);
         let answer = AnswerFrame { channel: number, answered: init.channel, noise };
         let Some(peer) = self.peers.get_mut(&node) else { return };
         let answer = peer.encoded(&HandshakeFrame::Answer(answer), now);
@@ -445,18 +442,14 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             return;
         };
         peer.approach = Approach::Waiting;
-        let payload = HandshakePayload::decode(&payload);
-        if self.is_outnumbered(node, payload.known) {
-            return self.index(node);
-        }
-        let channel = self.new_channel(suite, number, answer.channel, payload, &keys, now);
+        let theirs = decode_payload(&payload);
+        let channel = self.new_channel(suite, number, answer.channel, theirs, &keys, now);
         let Some(peer) = self.peers.get_mut(&node) else { return };
-        if let Some(open) = peer.channels.in_use_by_other(payload.incarnation, now) {
+        if let Some(open) = peer.channels.in_use_by_other(theirs, now) {
             // For what the other one is told.
             let offer = OfferedChannel { channel, since: now, ephemeral, answer: Bytes::new() };
             peer.channels.offer(offer);
-            let refused = payload.incarnation;
-            let in_use = SealerOutput::KeyInUse { peer: node, address: to, open, refused };
+            let in_use = SealerOutput::KeyInUse { peer: node, address: to, open, refused: theirs };
             self.outputs.push_back(in_use);
             return self.index(node);
         }
@@ -470,30 +463,12 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         self.schedule(node, now);
     }
 
-    /// What the peer is told of this node, and of itself.
-    fn payload_for(&self, node: NodeId) -> HandshakePayload {
-        let known = self.peers.get(&node).and_then(|peer| peer.was_open).unwrap_or_default();
-        HandshakePayload { incarnation: self.config.incarnation, known }
-    }
-
-    /// Whether the peer knows a later incarnation of this node than any that was reported. This
-    /// handshake is left, since the node goes on under another number; should it not, the next
-    /// one is complete.
-    fn is_outnumbered(&mut self, peer: NodeId, known: Incarnation) -> bool {
-        let is_news = known > self.config.incarnation.max(self.known);
-        if is_news {
-            self.known = known;
-            self.outputs.push_back(SealerOutput::Outnumbered { peer, known });
-        }
-        is_news
-    }
-
     fn new_channel(
         &self,
         suite: CipherSuite,
         local: u32,
         remote: u32,
-        peer: HandshakePayload,
+        peer: Incarnation,
         keys: &ChannelKeys,
         now: Instant,
     ) -> Channel<C::Cipher> {

@@ -7,7 +7,7 @@
 //! prefer  1011 0010 │ kind 12      │ your channel 3 │ suite 1 │ mac1 8                                  14
 //! knock   1011 0010 │ kind 13      │ from 4 │ to 4 │ nonce 8 │ mac1 8 │ zeros 63                        89
 //!
-//! payload within Noise: own incarnation 6 │ the last one of the receiver that was open, or 0: 6
+//! payload within Noise: own incarnation 6 │ zeros 6
 //! ```
 //!
 //! `mac1` is the first 8 bytes of HMAC-SHA-256 under the pair's filter key over all bytes before
@@ -42,30 +42,15 @@ pub(crate) fn is_handshake(frame: &[u8]) -> bool {
     frame.first() == Some(&FIRST)
 }
 
-/// What the ends tell each other within a handshake.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct HandshakePayload {
-    /// The sender's incarnation; no number has more than 48 bits.
-    pub incarnation: Incarnation,
-    /// The receiver's incarnation that the sender had a channel with last, or 0.
-    pub known: Incarnation,
+/// What a handshake says of its sender: the incarnation, which has no more than 48 bits.
+pub(super) fn encode_payload(incarnation: Incarnation) -> [u8; PAYLOAD] {
+    let mut bytes = [0; PAYLOAD];
+    bytes[..6].copy_from_slice(&incarnation.0.to_be_bytes()[2..]);
+    bytes
 }
 
-impl HandshakePayload {
-    pub(super) fn encode(&self) -> [u8; PAYLOAD] {
-        let mut bytes = [0; PAYLOAD];
-        bytes[..6].copy_from_slice(&self.incarnation.0.to_be_bytes()[2..]);
-        bytes[6..].copy_from_slice(&self.known.0.to_be_bytes()[2..]);
-        bytes
-    }
-
-    pub(super) fn decode(bytes: &[u8; PAYLOAD]) -> Self {
-        let number =
-            |bytes: &[u8]| bytes.iter().fold(0, |number, byte| number << 8 | u64::from(*byte));
-        let (incarnation, known) = bytes.split_at(6);
-        let (incarnation, known) = (Incarnation(number(incarnation)), Incarnation(number(known)));
-        HandshakePayload { incarnation, known }
-    }
+pub(super) fn decode_payload(bytes: &[u8; PAYLOAD]) -> Incarnation {
+    Incarnation(bytes[..6].iter().fold(0, |number, byte| number << 8 | u64::from(*byte)))
 }
 
 /// A frame of a handshake. Codes are not checked yet.
@@ -322,9 +307,9 @@ mod tests {
 
     #[test]
     fn a_payload_reads_as_it_was_written() {
-        let (incarnation, known) = (Incarnation(0x0102_0304_0506), Incarnation(7));
-        let payload = HandshakePayload { incarnation, known };
-        assert_eq!(payload.encode(), [1, 2, 3, 4, 5, 6, 0, 0, 0, 0, 0, 7]);
-        assert_eq!(HandshakePayload::decode(&payload.encode()), payload);
+        let incarnation = Incarnation(0x0102_0304_0506);
+        let payload = encode_payload(incarnation);
+        assert_eq!(payload, [1, 2, 3, 4, 5, 6, 0, 0, 0, 0, 0, 0]);
+        assert_eq!(decode_payload(&payload), incarnation);
     }
 }

@@ -59,7 +59,6 @@ pub mod window;
 pub use crate::medium::lane::FrameLane;
 pub use channel::{KeyLimits, OpenError};
 pub use cipher::{CipherSuite, SealCrypto};
-pub use handshake_frame::HandshakePayload;
 pub(crate) use handshake_frame::{INIT_LENGTH, is_handshake};
 pub use header::SealProfile;
 pub use noise::NoiseCrypto;
@@ -194,8 +193,8 @@ pub enum SealerOutput<A> {
         peer: NodeId,
         /// Where its first frame came from, which may be forged.
         address: A,
-        /// Its incarnation, and what it knows of ours.
-        payload: HandshakePayload,
+        /// Its incarnation.
+        incarnation: Incarnation,
         /// It had a channel in the same incarnation: these are new keys.
         renewed: bool,
     },
@@ -211,14 +210,6 @@ pub enum SealerOutput<A> {
         open: Incarnation,
         /// The other one, which is refused.
         refused: Incarnation,
-    },
-    /// The peer had a channel with a later incarnation of this node before: the clock that numbers
-    /// this one was set back. It is reported once for each number.
-    Outnumbered {
-        /// The peer.
-        peer: NodeId,
-        /// The incarnation of this node that it knows.
-        known: Incarnation,
     },
     /// No new keys could be agreed on until the old ones must not be used any more. The channel is
     /// closed; the sealer goes on asking for another.
@@ -288,8 +279,8 @@ pub struct ChannelStatus {
     pub suite: CipherSuite,
     /// Since when these keys are used.
     pub since: Instant,
-    /// The peer, as it named itself.
-    pub peer: HandshakePayload,
+    /// The peer's incarnation, as the handshake says.
+    pub incarnation: Incarnation,
 }
 
 /// The channels with all peers on one network. `A` are its addresses.
@@ -306,8 +297,6 @@ pub struct Sealer<C: SealCrypto, A> {
     cookies: CookieJar,
     /// Messages of handshakes that wait for their turn.
     steps: VecDeque<HandshakeStep<A>>,
-    /// The highest incarnation of this node that a peer knows.
-    known: Incarnation,
     refusals: SealRefusals,
     wake_at: Option<Instant>,
     outputs: VecDeque<SealerOutput<A>>,
@@ -327,7 +316,6 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             cookies: CookieJar::new(&mut seeds, now),
             seeds,
             steps: VecDeque::new(),
-            known: Incarnation::default(),
             refusals: SealRefusals::default(),
             wake_at: None,
             outputs: VecDeque::new(),
@@ -433,9 +421,9 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     /// reported just now; the one that it was until now is the other one.
     pub fn accept_other(&mut self, peer: NodeId, address: A, now: Instant) {
         let Some(known) = self.peers.get_mut(&peer) else { return };
-        let Some(payload) = known.channels.exchange(now) else { return };
-        let renewed = known.handle_open(payload.incarnation, address.clone());
-        self.outputs.push_back(SealerOutput::PeerOpen { peer, address, payload, renewed });
+        let Some(incarnation) = known.channels.exchange(now) else { return };
+        let renewed = known.handle_open(incarnation, address.clone());
+        self.outputs.push_back(SealerOutput::PeerOpen { peer, address, incarnation, renewed });
         self.rearm();
     }
 
@@ -470,8 +458,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         // A frame that a transport has received into a buffer of its own is opened there.
         let mut frame = frame.try_into_mut().unwrap_or_else(|frame| BytesMut::from(&frame[..]));
         let limits = &self.config.limits;
-        let (opening, payload) = known.channels.open(&header, &mut frame, limits, now)?;
-        let incarnation = payload.incarnation;
+        let (opening, incarnation) = known.channels.open(&header, &mut frame, limits, now)?;
         if let Opening::InUse(open) = opening {
             let (address, refused) = (from.clone(), incarnation);
             self.outputs.push_back(SealerOutput::KeyInUse { peer, address, open, refused });
@@ -480,7 +467,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if opening != Opening::Continued {
             let renewed = known.handle_open(incarnation, from.clone());
             let address = from.clone();
-            self.outputs.push_back(SealerOutput::PeerOpen { peer, address, payload, renewed });
+            self.outputs.push_back(SealerOutput::PeerOpen { peer, address, incarnation, renewed });
             self.index(peer);
             self.rearm();
         }
@@ -513,7 +500,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             profile: terms.profile,
             suite: terms.suite,
             since: present.since(),
-            peer: terms.peer,
+            incarnation: terms.peer,
         })
     }
 

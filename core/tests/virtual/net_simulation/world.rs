@@ -421,8 +421,7 @@ impl World {
                 // A node that goes on with its number is found all the same.
                 RouterOutput::NameTaken { .. }
                 | RouterOutput::KeptOut { .. }
-                | RouterOutput::Refuse { .. }
-                | RouterOutput::Outnumbered { .. } => {}
+                | RouterOutput::Refuse { .. } => {}
                 other => panic!("{other:?}"),
             }
         }

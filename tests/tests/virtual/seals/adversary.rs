@@ -268,12 +268,11 @@ impl<C: SealCrypto, F: Fn(u32) -> C> World<C, F> {
         while let Some(output) = self.nodes[node as usize].poll_output() {
             match output {
                 SealerOutput::Transmit { to, frame } => self.send(node, to, frame),
-                SealerOutput::PeerOpen { peer, payload, .. } => {
+                SealerOutput::PeerOpen { peer, incarnation, .. } => {
                     let newest = self.incarnations[peer.0 as usize];
-                    assert!(payload.incarnation.0 <= newest);
+                    assert!(incarnation.0 <= newest);
                 }
                 SealerOutput::KeyInUse { open, refused, .. } => assert_ne!(open, refused),
-                SealerOutput::Outnumbered { known, .. } => panic!("no node has been {known}"),
                 SealerOutput::KeyWornOut { .. } => {}
             }
         }
@@ -302,7 +301,7 @@ impl<C: SealCrypto, F: Fn(u32) -> C> World<C, F> {
                 continue;
             }
             let open = self.nodes[from as usize].channel(NodeId(to));
-            let open = open.map(|status| status.peer.incarnation.0);
+            let open = open.map(|status| status.incarnation.0);
             assert_eq!(open, Some(self.incarnations[to as usize]), "{from} -> {to}");
             let number = self.seal(from, to, FrameLane::Usual).expect("there is a channel");
             for (from, to, frame) in std::mem::take(&mut self.in_flight) {

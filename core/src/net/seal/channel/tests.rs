@@ -28,7 +28,7 @@ fn end(
     incarnation: u64,
 ) -> Channel<AeadCipher> {
     let (profile, suite) = format;
-    let peer = HandshakePayload { incarnation: Incarnation(incarnation), known: Incarnation(0) };
+    let peer = Incarnation(incarnation);
     let number_of = |side: u8| u32::from(number * 2 + side);
     let (local, remote) = (number_of(side), number_of(1 - side));
     let terms = ChannelTerms { profile, suite, local, remote, peer };
