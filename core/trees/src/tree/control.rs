@@ -1,7 +1,7 @@
 //! The nodes with several children.
 
 use super::execute::NodeAnswer;
-use super::{TickError, TickProblem, Tree, TreeNodeId};
+use super::{TickError, Tree, TreeNodeId};
 use crate::model::ChildOrder;
 use crate::script::equal;
 use crate::status::Status;
@@ -89,7 +89,8 @@ impl Tree {
             threshold.unsigned_abs()
         };
         if threshold > children {
-            return Err(self.error(id, TickProblem::Threshold { threshold, children }));
+            let problem = format!("a threshold of {threshold} with {children} children");
+            return Err(self.error(id, problem));
         }
         Ok((threshold, from_above))
     }
@@ -170,7 +171,7 @@ impl Tree {
                 Status::Success => 1,
                 Status::Failure if self.node(id).child_count == 3 => 2,
                 Status::Failure => return Ok(Status::Failure),
-                status => return Err(self.error(self.child(id, 0), TickProblem::Answer(status))),
+                status => return Err(self.may_not_answer(self.child(id, 0), status)),
             };
             self.memory(id).index = branch;
         }
@@ -199,7 +200,7 @@ impl Tree {
                 self.execute(self.child(id, 2))?
             }
             Status::Failure => Status::Failure,
-            status => return Err(self.error(self.child(id, 0), TickProblem::Answer(status))),
+            status => return Err(self.may_not_answer(self.child(id, 0), status)),
         };
         if status != Status::Running {
             self.reset_children(id, 0)?;

@@ -164,7 +164,7 @@ impl Tree {
                 let value = element.to_string();
                 self.board.assign(key, element).map_err(|kind| {
                     let error = PortError::Type { port: "value".into(), value, kind };
-                    self.error(id, error.into())
+                    self.error(id, error)
                 })?;
             }
         }
@@ -192,7 +192,7 @@ impl Tree {
         }
         let kind = element.name();
         let error = PortError::Type { port: "queue".into(), value: value.to_string(), kind };
-        Err(self.error(id, error.into()))
+        Err(self.error(id, error))
     }
 
     /// `SkipUnlessUpdated` and `WaitValueUpdate`. The flag is set while the child runs.

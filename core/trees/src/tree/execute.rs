@@ -2,7 +2,7 @@
 
 use super::{Code, TickError, TickProblem, Tree, TreeNodeId};
 use crate::model::{ChildOrder, Kind};
-use crate::script::{ScriptError, truth};
+use crate::script::truth;
 use crate::status::Status;
 use crate::value::{PortValue, Value};
 
@@ -24,7 +24,7 @@ impl Tree {
             None => self.tick_kind(id)?,
         };
         if status == Status::Idle {
-            return Err(self.error(id, TickProblem::Answer(status)));
+            return Err(self.may_not_answer(id, status));
         }
         if status.is_completed() && self.node(id).hooks.is_some() {
             self.run_hook(id, if status == Status::Success { 4 } else { 5 })?;
@@ -110,16 +110,15 @@ impl Tree {
         let Code { text, script } = &self.codes[code as usize];
         script
             .run(&mut self.board, &self.enums)
-            .map_err(|error| self.error(id, TickProblem::Script { text: text.clone(), error }))
+            .map_err(|why| self.error(id, format!("its script `{text}` fails: {why}")))
     }
 
     /// Whether a script of a node holds.
     pub(super) fn holds(&mut self, id: TreeNodeId, code: u32) -> Checked<bool> {
         let value = self.run(id, code)?;
         truth(&value).ok_or_else(|| {
-            let text = self.codes[code as usize].text.clone();
-            let error = ScriptError::NotBool(value);
-            self.error(id, TickProblem::Script { text, error })
+            let text = &self.codes[code as usize].text;
+            self.error(id, format!("its script `{text}` fails: `{value}` is neither true nor false"))
         })
     }
 
@@ -179,10 +178,18 @@ impl Tree {
     /// The value of a port of a built-in node.
     pub(super) fn port<T: PortValue>(&self, id: TreeNodeId, port: usize) -> Checked<T> {
         let value = super::leaf::read(self, self.bound(id, port));
-        value.map_err(|error| self.error(id, error.into()))
+        value.map_err(|error| self.error(id, error))
     }
 
-    pub(super) fn error(&self, id: TreeNodeId, problem: TickProblem) -> Box<TickError> {
+    pub(super) fn may_not_answer(&self, id: TreeNodeId, status: Status) -> Box<TickError> {
+        self.error(id, format!("it answered {status}, which it may not"))
+    }
+
+    pub(super) fn error(&self, id: TreeNodeId, why: impl ToString) -> Box<TickError> {
+        self.failed(id, TickProblem::Node(why.to_string()))
+    }
+
+    pub(super) fn failed(&self, id: TreeNodeId, problem: TickProblem) -> Box<TickError> {
         Box::new(TickError { node: id, path: self.path(id).to_owned(), problem })
     }
 }

@@ -1,7 +1,7 @@
 //! What others fell into, each by the number of its report.
 
 use crate::scripted::{Bench, factory, file};
-use blastema_trees::{Factory, Halt, Leaf, LeafContext, LeafResult, Port, Problem, Status};
+use blastema_trees::{Factory, Halt, Leaf, LeafContext, LeafResult, Port, Status};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -38,8 +38,8 @@ fn two_asynchronous_children_of_one_reactive_sequence_are_refused_at_load() {
 
     let errors = factory.load("test.xml", &file(&body)).err().unwrap();
 
-    let problems: Vec<_> = errors.iter().map(|error| &error.problem).collect();
-    assert_eq!(problems, [&Problem::AsyncChildren]);
+    let problems: Vec<_> = errors.iter().map(|error| &*error.problem).collect();
+    assert_eq!(problems, ["a ReactiveSequence has at most one AsyncSequence as its child"]);
 }
 
 /// BehaviorTree.CPP#605.
