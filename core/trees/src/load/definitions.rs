@@ -34,8 +34,7 @@ impl Definitions {
             match element.name.as_str() {
                 "BehaviorTree" => definitions.define(factory, sources, element, count),
                 "TreeNodesModel" => definitions.model(factory, sources, &element),
-                _ => sources
-                    .meaningless(&element, &["BehaviorTree", "TreeNodesModel", "include"]),
+                _ => sources.meaningless(&element, &["BehaviorTree", "TreeNodesModel", "include"]),
             }
         }
         definitions.circles(sources);

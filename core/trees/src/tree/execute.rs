@@ -50,17 +50,22 @@ impl Tree {
             Kind::Reactive { go } => self.reactive(id, go),
             Kind::Parallel => self.parallel(id),
             Kind::ParallelAll => self.parallel_all(id),
-            Kind::IfThenElse => self.if_then_else(id),
-            Kind::WhileDoElse => self.while_do_else(id),
+            Kind::Branch { looks_again } => self.branch(id, looks_again),
             Kind::Switch(cases) => self.switch(id, u32::from(cases)),
             Kind::TryCatch => self.try_catch(id),
             Kind::Inverter => self.map_child(id, |status| match status {
                 Status::Success => Status::Failure,
-                _ => Status::Success,
+                Status::Failure => Status::Success,
+                other => other,
             }),
-            Kind::Force(status) => self.map_child(id, |_| status),
+            Kind::Force(forced) => {
+                self.map_child(id, |status| if status.is_completed() { forced } else { status })
+            }
             Kind::Repeat { until } => self.repeat(id, until),
-            Kind::KeepRunningUntilFailure => self.keep_running(id),
+            Kind::KeepRunningUntilFailure => self.map_child(id, |status| match status {
+                Status::Failure => status,
+                _ => Status::Running,
+            }),
             Kind::Delay => self.delay(id),
             Kind::Timeout => self.timeout(id),
             Kind::RunOnce => self.run_once(id),
@@ -118,7 +123,10 @@ impl Tree {
         let value = self.run(id, code)?;
         truth(&value).ok_or_else(|| {
             let text = &self.codes[code as usize].text;
-            self.error(id, format!("its script `{text}` fails: `{value}` is neither true nor false"))
+            self.error(
+                id,
+                format!("its script `{text}` fails: `{value}` is neither true nor false"),
+            )
         })
     }
 

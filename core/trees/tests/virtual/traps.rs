@@ -17,18 +17,6 @@ fn a_reactive_sequence_whose_first_child_turns_running_halts_the_second_once_and
     assert_eq!((bench.tick(), bench.calls()), ('R', "A:start:R B:halt".into()));
 }
 
-/// The same for a condition, which is asked in each tick.
-#[test]
-fn a_condition_that_turns_running_halts_what_runs_behind_it_once() {
-    let body = "<ReactiveSequence><C/><B/></ReactiveSequence>";
-    let mut bench = Bench::new("C=SRRS B=R", body);
-
-    assert_eq!((bench.tick(), bench.calls()), ('R', "C:tick:S B:start:R".into()));
-    assert_eq!((bench.tick(), bench.calls()), ('R', "C:tick:R B:halt".into()));
-    assert_eq!((bench.tick(), bench.calls()), ('R', "C:tick:R".into()));
-    assert_eq!((bench.tick(), bench.calls()), ('R', "C:tick:S B:start:R".into()));
-}
-
 /// BehaviorTree.CPP#875.
 #[test]
 fn two_asynchronous_children_of_one_reactive_sequence_are_refused_at_load() {
