@@ -8,6 +8,7 @@ use crate::actuator::ActuatorTable;
 use crate::directory::DirectoryTable;
 #[cfg(feature = "network")]
 use crate::net::NetHandle;
+use crate::platform::lock;
 use crate::registry::Registry;
 use crate::runtime::reports::FaultReports;
 use crate::topic::Topics;
@@ -28,7 +29,7 @@ use blastema_core::net::LinkState;
 use blastema_core::suggestion::nearest;
 use blastema_core::{Instant, ObjectName};
 use std::any::Any;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// What conditions read from, and report to.
@@ -178,7 +179,7 @@ impl ChannelSource {
     ) -> ChannelReading {
         match &self.channel {
             ConnectedChannel::Topic(topic, events) => {
-                let measured = *self.measured.lock().unwrap_or_else(PoisonError::into_inner);
+                let measured = *lock(&self.measured);
                 let last = &mut self.last;
                 (last.arrived, last.heard_at) = (measured.arrived(), measured.heard_at());
                 last.jitter = last.heard_at.map(|_| measured.jitter());
@@ -228,7 +229,7 @@ impl ChannelSource {
                 if self.wants_latency {
                     self.last.latency = shared.latency_to(node, wiring, now);
                 }
-                let rows = shared.rows.lock().unwrap_or_else(PoisonError::into_inner);
+                let rows = lock(&shared.rows);
                 let row = rows.sessions.iter().find(|row| row.node == *node);
                 if let Some(row) = row.filter(|_| self.network.wants_loss) {
                     let NetworkSource { counted, loss, .. } = &mut self.network;
@@ -243,7 +244,7 @@ impl ChannelSource {
             #[cfg(feature = "network")]
             ConnectedChannel::Link(name) => {
                 let last = &mut self.last;
-                let rows = shared.rows.lock().unwrap_or_else(PoisonError::into_inner);
+                let rows = lock(&shared.rows);
                 let link = rows.links.iter().find(|row| *row.link == **name);
                 if let Some(link) = link
                     && matches!(link.state, LinkState::Up | LinkState::Suspect)
@@ -328,8 +329,7 @@ impl SharedReadings {
         actix_rt::spawn(async move {
             let (links, sessions) = (net.read_links().await, net.read_sessions().await);
             let at = crate::platform::now();
-            *rows.lock().unwrap_or_else(PoisonError::into_inner) =
-                NetworkRows { links, sessions, at };
+            *lock(&rows) = NetworkRows { links, sessions, at };
         });
     }
 }
