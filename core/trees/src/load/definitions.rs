@@ -37,7 +37,10 @@ impl Definitions {
                 _ => sources.meaningless(&element, &["BehaviorTree", "TreeNodesModel", "include"]),
             }
         }
-        definitions.circles(sources);
+        let mut done = BTreeSet::new();
+        for name in definitions.trees.keys() {
+            definitions.circles(sources, name, &mut Vec::new(), &mut done);
+        }
         definitions
     }
 
@@ -91,44 +94,34 @@ impl Definitions {
         }
     }
 
-    /// Reports each tree that contains itself, once for each circle.
-    fn circles(&self, sources: &mut Sources) {
-        let mut subtrees = Named::new();
-        for (name, root) in &self.trees {
-            let mut found = Vec::new();
-            root.iter().for_each(|root| collect_subtrees(root, &mut found));
-            subtrees.insert(name.clone(), found);
+    /// Reports each tree that contains itself, once for each circle: follows the subtrees of each
+    /// tree once.
+    fn circles<'a>(
+        &'a self,
+        sources: &mut Sources,
+        name: &'a str,
+        path: &mut Vec<&'a str>,
+        done: &mut BTreeSet<&'a str>,
+    ) {
+        // Deeper trees are refused when they are built.
+        if path.len() >= MAX_DEPTH || !done.insert(name) {
+            return;
         }
-        let mut done = BTreeSet::new();
-        for name in self.trees.keys() {
-            follow(sources, &subtrees, name, &mut Vec::new(), &mut done);
-        }
-    }
-}
-
-fn follow<'a>(
-    sources: &mut Sources,
-    subtrees: &'a Named<Vec<&'a Attribute>>,
-    name: &'a str,
-    path: &mut Vec<&'a str>,
-    done: &mut BTreeSet<&'a str>,
-) {
-    // Deeper trees are refused when they are built.
-    if done.contains(name) || path.len() >= MAX_DEPTH {
-        return;
-    }
-    path.push(name);
-    for id in subtrees.get(name).into_iter().flatten() {
-        match path.iter().position(|known| *known == id.value) {
-            Some(first) => {
-                let circle = [&path[first..], &[&id.value]].concat().join(" -> ");
-                sources.error(id.value_place, format!("a circle: {circle}"));
+        path.push(name);
+        let mut found = Vec::new();
+        let root = self.trees.get(name).into_iter().flatten();
+        root.for_each(|root| collect_subtrees(root, &mut found));
+        for id in found {
+            match path.iter().position(|known| *known == id.value) {
+                Some(first) => {
+                    let circle = [&path[first..], &[&id.value]].concat().join(" -> ");
+                    sources.error(id.value_place, format!("a circle: {circle}"));
+                }
+                None => self.circles(sources, &id.value, path, done),
             }
-            None => follow(sources, subtrees, &id.value, path, done),
         }
+        path.pop();
     }
-    path.pop();
-    done.insert(name);
 }
 
 /// The names of the subtrees at or below an element.
