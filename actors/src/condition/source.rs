@@ -51,10 +51,9 @@ pub(crate) struct ConditionWiring {
 
 /// A channel with what was read of it before.
 pub(super) struct ChannelSource {
+    spec: ChannelSpec,
     channel: ConnectedChannel,
     last: ChannelReading,
-    wants_latency: bool,
-    clocks_within: Option<Duration>,
     /// What is known of a topic, and what measures it until this is dropped.
     measured: Arc<Mutex<TopicEstimator>>,
     _tapped: Option<Box<dyn Any + Send>>,
@@ -66,7 +65,6 @@ pub(super) struct ChannelSource {
 #[cfg(feature = "network")]
 #[derive(Default)]
 struct NetworkSource {
-    wants_loss: bool,
     /// The fastest round trip of late to the slowest node that published.
     trip: Option<Duration>,
     /// How many chunks the session had sent, and sent again.
@@ -117,7 +115,7 @@ impl ConnectedChannel {
             ConnectedChannel::Node(name) | ConnectedChannel::Session(name)
                 if node.1.elsewhere(name.clone()).is_none() =>
             {
-                Err(format!("{name} is this node itself: name another one"))
+                Err(format!("{self}, which is this node: name another one"))
             }
             _ => Ok(None),
         }
@@ -133,30 +131,20 @@ impl ChannelSource {
         listener: &ObjectName,
     ) -> Result<Self, String> {
         #[cfg(feature = "network")]
-        match channel {
-            ConnectedChannel::Link(link) => wiring.check_link(link)?,
-            ConnectedChannel::Node(node) | ConnectedChannel::Session(node)
-                if wiring.registry.elsewhere(node.clone()).is_none() =>
-            {
-                return Err(format!("{channel}, which is this node: name another one"));
-            }
-            _ => {}
+        if let ConnectedChannel::Link(link) = channel {
+            wiring.check_link(link)?;
         }
         let measured = Arc::<Mutex<TopicEstimator>>::default();
         let node = (&wiring.topics, &wiring.registry);
         let tapped = channel.tap(node, listener, measured.clone())?;
         Ok(ChannelSource {
+            spec: spec.clone(),
             channel: channel.clone(),
             last: ChannelReading::default(),
-            wants_latency: spec.wants_latency(),
-            clocks_within: spec.clocks_within,
             measured,
             _tapped: tapped,
             #[cfg(feature = "network")]
-            network: NetworkSource {
-                wants_loss: spec.limits.loss_permille.is_some(),
-                ..NetworkSource::default()
-            },
+            network: NetworkSource::default(),
         })
     }
 
@@ -165,7 +153,9 @@ impl ChannelSource {
     pub(super) fn needs_rows(&self) -> bool {
         match &self.channel {
             ConnectedChannel::Link(_) => true,
-            ConnectedChannel::Node(_) | ConnectedChannel::Session(_) => self.network.wants_loss,
+            ConnectedChannel::Node(_) | ConnectedChannel::Session(_) => {
+                self.spec.limits.loss_permille.is_some()
+            }
             ConnectedChannel::Topic(..) | ConnectedChannel::Commander(_) => false,
         }
     }
@@ -187,13 +177,15 @@ impl ChannelSource {
                 #[cfg(not(feature = "network"))]
                 let (trip, _) = (Some(Duration::ZERO), (topic, events, shared, now));
                 #[cfg(feature = "network")]
-                let trip = match self.wants_latency {
+                let trip = match self.spec.wants_latency() {
                     true => self.network.topic_trip((topic, events.contract), wiring, shared, now),
                     false => None,
                 };
                 // What was known stays while a round trip is not.
-                if let (Some(trip), Some(_), true) = (trip, last.heard_at, self.wants_latency) {
-                    let agreed = self.clocks_within;
+                if let (Some(trip), Some(_), true) =
+                    (trip, last.heard_at, self.spec.wants_latency())
+                {
+                    let agreed = self.spec.clocks_within;
                     let one_way = agreed.and_then(|error| measured.one_way(error, trip));
                     last.latency = Some(one_way.unwrap_or_else(|| measured.latency(trip)));
                 }
@@ -206,7 +198,7 @@ impl ChannelSource {
                 #[cfg(not(feature = "network"))]
                 let _ = commander;
                 #[cfg(feature = "network")]
-                if self.wants_latency {
+                if self.spec.wants_latency() {
                     let node = commander.name.split(':').next().map(NodeName::new);
                     let node = node.and_then(Result::ok);
                     self.last.latency = match node.and_then(|node| wiring.registry.elsewhere(node))
@@ -226,12 +218,12 @@ impl ChannelSource {
                 if is_there {
                     self.last.heard_at = Some(now);
                 }
-                if self.wants_latency {
+                if self.spec.wants_latency() {
                     self.last.latency = shared.latency_to(node, wiring, now);
                 }
                 let rows = lock(&shared.rows);
                 let row = rows.sessions.iter().find(|row| row.node == *node);
-                if let Some(row) = row.filter(|_| self.network.wants_loss) {
+                if let Some(row) = row.filter(|_| self.spec.limits.loss_permille.is_some()) {
                     let NetworkSource { counted, loss, .. } = &mut self.network;
                     let counters = row.status.counters;
                     let now = (counters.sent, counters.retransmitted);
