@@ -1,9 +1,9 @@
 //! How long a command counts, and how old the data may be that it is made from, in virtual time.
 
+use crate::scenarios::linked;
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, CommandTimeout, Commander, Direction, Hold, Impairment, LeaseStatus, Link,
-    MemoryMedium, Network,
+    ActuatorSpec, CommandTimeout, Commander, Direction, Hold, Impairment, LeaseStatus, MemoryMedium,
 };
 use blastema_testkit::{TestNode, now};
 use std::sync::{Arc, Mutex};
@@ -322,12 +322,9 @@ async fn a_command_made_from_old_data_is_refused_and_one_of_unknown_age_is_an_er
 #[blastema_testkit::test]
 async fn between_nodes_the_age_grows_by_the_upper_bound_of_the_way() {
     let (log, medium) = (Log::default(), MemoryMedium::default());
-    let describe = |name: &str, far: &str| {
-        let network = Network::memory("ethernet", &medium, name).link(Link::in_memory(far, far));
-        Node::builder(name).network(network.with_faults(7))
-    };
-    let here = TestNode::start(describe("module1", "module2")).await;
-    let there = TestNode::start(describe("module2", "module1").child(wheels(&log))).await;
+    let here = TestNode::start(linked("module1", "module2", &medium)).await;
+    let there = linked("module2", "module1", &medium).child(wheels(&log));
+    let there = TestNode::start(there).await;
     here.advance(2 * SECOND).await;
     for node in [&here, &there] {
         let long = Impairment { delay: 30 * MS, ..Impairment::default() };

@@ -1,9 +1,10 @@
 //! Commanders and the actuators that they hold, in virtual time.
 
+use crate::scenarios::linked;
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Commander, Direction, FaultTransition, Hold, Impairment, LeaseStatus, Link,
-    MemoryMedium, Network, NodeBuilder,
+    ActuatorSpec, Commander, Direction, FaultTransition, Hold, Impairment, LeaseStatus,
+    MemoryMedium, NodeBuilder,
 };
 use blastema_testkit::{TestNode, now};
 use std::sync::atomic::AtomicU32;
@@ -48,11 +49,6 @@ impl Handle<Blow> for Wheels {
     }
 }
 
-fn node(name: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
-    let network = Network::memory("ethernet", medium, name).link(Link::in_memory(far, far));
-    Node::builder(name).network(network.with_faults(7))
-}
-
 struct Robot {
     here: TestNode,
     there: TestNode,
@@ -68,8 +64,8 @@ impl Robot {
         let (track, medium) = (Track::default(), MemoryMedium::default());
         let kept = track.clone();
         let wheels = ChildSpec::new("wheels", move || Wheels(kept.clone()));
-        let here = TestNode::start(more(node("module1", "module2", &medium))).await;
-        let there = TestNode::start(node("module2", "module1", &medium).child(wheels)).await;
+        let here = TestNode::start(more(linked("module1", "module2", &medium))).await;
+        let there = TestNode::start(linked("module2", "module1", &medium).child(wheels)).await;
         here.advance(2000 * MS).await;
         Robot { here, there, track }
     }
@@ -329,8 +325,8 @@ async fn a_lease_is_kept_and_commands_are_answered_beside_scans_as_fast_as_they_
     let (wheels, counts) = (track.clone(), scans.clone());
     let wheels = ChildSpec::new("wheels", move || Wheels(wheels.clone()));
     let map = ChildSpec::new("map", move || Map(counts.clone())).queue(16, WhenFull::Wait);
-    let here = TestNode::start(node("module1", "module2", &medium)).await;
-    let there = node("module2", "module1", &medium).child(wheels).child(map);
+    let here = TestNode::start(linked("module1", "module2", &medium)).await;
+    let there = linked("module2", "module1", &medium).child(wheels).child(map);
     let there = TestNode::start(there).await;
     here.advance(2000 * MS).await;
     let commander = here.commander::<Drive>("module2:wheels", "console").unwrap();

@@ -1,7 +1,8 @@
 //! Commanders and actuators that start in either order, and restart, in virtual time.
 
+use crate::scenarios::linked;
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Commander, Hold, Link, MemoryMedium, Network, NodeBuilder};
+use blastema::{ActuatorSpec, Commander, Hold, MemoryMedium};
 use blastema_testkit::{TestNode, now};
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::SeqCst;
@@ -170,21 +171,16 @@ async fn a_claim_waits_for_an_actuator_that_another_commander_holds() {
     assert_eq!(waiting.command(Drive(1.0)).await, Ok(1));
 }
 
-fn networked(name: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
-    let network = Network::memory("ethernet", medium, name).link(Link::in_memory(far, far));
-    Node::builder(name).network(network)
-}
-
 #[blastema_testkit::test]
 async fn a_claim_waits_for_the_node_of_its_actuator() {
     let medium = MemoryMedium::default();
-    let here = TestNode::start(networked("module1", "module2", &medium)).await;
+    let here = TestNode::start(linked("module1", "module2", &medium)).await;
     let commander: Commander<Drive> = here.commander("module2:motors", "console").unwrap();
 
     let claim = commander.claim_within(Duration::from_secs(20));
     let start = async {
         here.advance(3000 * MS).await;
-        TestNode::start(networked("module2", "module1", &medium).child(motors())).await
+        TestNode::start(linked("module2", "module1", &medium).child(motors())).await
     };
     let (claimed, _there) = tokio::join!(claim, start);
 

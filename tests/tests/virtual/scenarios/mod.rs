@@ -45,3 +45,12 @@ mod tree;
 mod two_types;
 mod variables;
 mod watching;
+
+use blastema::{Link, MemoryMedium, Network, Node, NodeBuilder};
+
+/// A node with this neighbour on one network, `ethernet`, whose cable can be harmed.
+fn linked(own: &str, neighbour: &str, medium: &MemoryMedium) -> NodeBuilder {
+    let network = Network::memory("ethernet", medium, own);
+    let network = network.link(Link::in_memory(neighbour, neighbour)).with_faults(7);
+    Node::builder(own).network(network)
+}

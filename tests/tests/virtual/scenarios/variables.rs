@@ -1,10 +1,8 @@
 //! Variables of objects here and on another node, in virtual time.
 
+use crate::scenarios::linked;
 use blastema::prelude::*;
-use blastema::{
-    Direction, Link, MemoryMedium, Network, NodeBuilder, RestoreDecision, RestorePolicy,
-    Transaction, ValueState,
-};
+use blastema::{Direction, MemoryMedium, RestoreDecision, RestorePolicy, Transaction, ValueState};
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -56,17 +54,12 @@ impl Handle<Blow> for Arm {
     }
 }
 
-fn node(name: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
-    let network = Network::memory("ethernet", medium, name).link(Link::in_memory(far, far));
-    Node::builder(name).network(network.with_faults(7))
-}
-
 /// The arm's node, and another one.
 async fn two_nodes() -> (TestNode, TestNode) {
     let medium = MemoryMedium::default();
-    let arm = node("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
+    let arm = linked("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
     let (here, there) =
-        (TestNode::start(node("module1", "module2", &medium)).await, TestNode::start(arm).await);
+        (TestNode::start(linked("module1", "module2", &medium)).await, TestNode::start(arm).await);
     here.advance(2000 * MS).await;
     (here, there)
 }
@@ -207,8 +200,8 @@ async fn a_watcher_hears_of_every_change_and_after_a_cut_of_what_is_true_then() 
     let kept = heard.clone();
     let medium = MemoryMedium::default();
     let console = ChildSpec::new("console", move || Console(kept.clone()));
-    let here = TestNode::start(node("module1", "module2", &medium).child(console)).await;
-    let arm = node("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
+    let here = TestNode::start(linked("module1", "module2", &medium).child(console)).await;
+    let arm = linked("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
     let there = TestNode::start(arm).await;
     here.advance(2000 * MS).await;
     let speed = there.variable::<Speed>("arm").unwrap();
@@ -233,10 +226,10 @@ async fn a_watcher_hears_of_every_change_and_after_a_cut_of_what_is_true_then() 
     // Its node ends, and comes back later without the arm at first.
     there.shutdown().await;
     here.advance(5000 * MS).await;
-    let there = TestNode::start(node("module2", "module1", &medium)).await;
+    let there = TestNode::start(linked("module2", "module1", &medium)).await;
     here.advance(5000 * MS).await;
     there.shutdown().await;
-    let arm = node("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
+    let arm = linked("module2", "module1", &medium).child(ChildSpec::new("arm", || Arm));
     let _there = TestNode::start(arm).await;
     here.advance(5000 * MS).await;
     assert_eq!(heard.lock().unwrap()[5..], ["0.5"]);
