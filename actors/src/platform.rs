@@ -32,7 +32,7 @@ use blastema_core::{Incarnation, Instant};
 use scheduling::ThreadScheduling;
 use std::hash::{BuildHasher, RandomState};
 use std::io::Write;
-use std::sync::OnceLock;
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, SystemTime};
 use std::{hint, io, process, thread};
 
@@ -52,6 +52,11 @@ pub(crate) trait ProcessWatchdog: Send {
 
     /// The process ends in order: it is not to fire.
     fn close(&mut self) {}
+}
+
+/// Locks what a panic leaves as good as it was: no update of it is left half done.
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The point at which both clocks were read together.

@@ -8,7 +8,8 @@
 
 use blastema::prelude::*;
 use blastema::{ClaimPolicy, LinkRow, LinkState, Network, NodeBuilder};
-use std::net::{SocketAddr, UdpSocket};
+use blastema_examples::free_addresses;
+use std::net::SocketAddr;
 use std::time::Duration;
 
 /// For nodes to find each other, and names their holders.
@@ -84,15 +85,4 @@ async fn linked(node: &Node, neighbour: &str) {
     while !node.links().await.iter().any(up) {
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
-}
-
-/// Four addresses of this computer that are free.
-fn free_addresses() -> std::io::Result<[SocketAddr; 4]> {
-    // Held together, so that they differ, and given back for the nodes to take.
-    let held = [0; 4].map(|_| UdpSocket::bind("127.0.0.1:0"));
-    let mut addresses = [SocketAddr::from(([127, 0, 0, 1], 0)); 4];
-    for (address, socket) in addresses.iter_mut().zip(held) {
-        *address = socket?.local_addr()?;
-    }
-    Ok(addresses)
 }

@@ -12,9 +12,9 @@
 use blastema::prelude::*;
 use blastema::trees::{LeafResult, LeafTask, Status, TreeLeaves};
 use blastema::{ActuatorSpec, Direction, Hold, Impairment};
+use blastema_examples::free_addresses;
 use blastema_robot::Types;
 use std::error::Error;
-use std::net::UdpSocket;
 use std::path::Path;
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::sync::LazyLock;
@@ -179,7 +179,7 @@ impl Show {
 /// Shows a rover with this tree, until the node is shut down.
 async fn show(tree: &str) -> Result<(), Box<dyn Error>> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/rover.robot.xml");
-    let [rover, operator] = free_addresses()?;
+    let [rover, operator] = free_addresses()?.map(|address| address.to_string());
     let set = [("tree", tree), ("stop-after", "3s"), ("rover", &rover), ("operator", &operator)];
     let start_operator = || -> std::io::Result<Child> {
         let mut process = Command::new(std::env::current_exe()?);
@@ -222,12 +222,6 @@ async fn show(tree: &str) -> Result<(), Box<dyn Error>> {
     }
     show.node.shutdown().await;
     Ok(())
-}
-
-/// Two addresses of this computer that are free.
-fn free_addresses() -> std::io::Result<[String; 2]> {
-    let held = [UdpSocket::bind("127.0.0.1:0")?, UdpSocket::bind("127.0.0.1:0")?];
-    Ok([held[0].local_addr()?.to_string(), held[1].local_addr()?.to_string()])
 }
 
 const RIGHT: &str = "rover.tree.xml";

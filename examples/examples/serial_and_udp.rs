@@ -7,8 +7,8 @@
 
 use blastema::prelude::*;
 use blastema::{Direction, FaultEvents, FaultLocation, FaultTransition, Link, LinkState, Network};
+use blastema_examples::free_addresses;
 use blastema_ptys::Cable;
-use std::net::UdpSocket;
 use std::path::Path;
 use std::time::Duration;
 
@@ -54,7 +54,7 @@ fn networks(own: &str, serial: &Path, far: &str, peer: &str) -> [Network; 2] {
 
 #[blastema::main]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let [a, b] = free_addresses()?;
+    let [a, b] = free_addresses()?.map(|address| address.to_string());
     let line = Cable::new();
     let [ethernet, serial] = networks(&b, &line.right(), &a, "body");
     let module = Node::builder("arm")
@@ -113,11 +113,4 @@ async fn all_links_up(node: &Node) {
     while node.links().await.iter().any(|link| link.state != LinkState::Up) {
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
-}
-
-/// Two addresses of this computer that are free.
-fn free_addresses() -> std::io::Result<[String; 2]> {
-    // Held together, so that they differ, and given back for the nodes to take.
-    let (a, b) = (UdpSocket::bind("127.0.0.1:0")?, UdpSocket::bind("127.0.0.1:0")?);
-    Ok([a.local_addr()?.to_string(), b.local_addr()?.to_string()])
 }

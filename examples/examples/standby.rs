@@ -4,7 +4,8 @@
 
 use blastema::prelude::*;
 use blastema::{Direction, Link, Network, Role, ServiceSpec, StandbyKind, Stateful};
-use std::net::{SocketAddr, UdpSocket};
+use blastema_examples::free_addresses;
+use std::net::SocketAddr;
 use std::time::Duration;
 
 /// For the nodes to find each other, and for a standby to take over.
@@ -96,14 +97,4 @@ fn ethernet(addresses: &[SocketAddr; 4], own: usize) -> Network {
         network = network.link(Link::new(&format!("module{number}"), *address));
     }
     network
-}
-
-/// Four addresses of this computer that are free.
-fn free_addresses() -> std::io::Result<[SocketAddr; 4]> {
-    let held = [0; 4].map(|_| UdpSocket::bind("127.0.0.1:0"));
-    let mut addresses = [SocketAddr::from(([127, 0, 0, 1], 0)); 4];
-    for (address, socket) in addresses.iter_mut().zip(held) {
-        *address = socket?.local_addr()?;
-    }
-    Ok(addresses)
 }

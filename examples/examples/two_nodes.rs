@@ -7,7 +7,7 @@
 
 use blastema::prelude::*;
 use blastema::{Direction, FaultLocation, Link, Network};
-use std::net::{SocketAddr, UdpSocket};
+use blastema_examples::free_addresses;
 use std::time::Duration;
 
 /// For the nodes to find each other.
@@ -114,15 +114,4 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     node.shutdown().await;
     sums.shutdown().await;
     Ok(())
-}
-
-/// Four addresses of this computer that are free.
-fn free_addresses() -> std::io::Result<[SocketAddr; 4]> {
-    // Held together, so that they differ, and given back for the nodes to take.
-    let held = [0; 4].map(|_| UdpSocket::bind("127.0.0.1:0"));
-    let mut addresses = [SocketAddr::from(([127, 0, 0, 1], 0)); 4];
-    for (address, socket) in addresses.iter_mut().zip(held) {
-        *address = socket?.local_addr()?;
-    }
-    Ok(addresses)
 }

@@ -4,7 +4,7 @@
 
 use blastema::prelude::*;
 use blastema::{Link, Network, RestoreDecision, RestorePolicy, Transaction};
-use std::net::{SocketAddr, UdpSocket};
+use blastema_examples::free_addresses;
 use std::time::Duration;
 
 /// For the nodes to find each other.
@@ -93,14 +93,4 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     node.shutdown().await;
     arm.shutdown().await;
     Ok(())
-}
-
-/// Two addresses of this computer that are free.
-fn free_addresses() -> std::io::Result<[SocketAddr; 2]> {
-    let held = [0; 2].map(|_| UdpSocket::bind("127.0.0.1:0"));
-    let mut addresses = [SocketAddr::from(([127, 0, 0, 1], 0)); 2];
-    for (address, socket) in addresses.iter_mut().zip(held) {
-        *address = socket?.local_addr()?;
-    }
-    Ok(addresses)
 }

@@ -17,7 +17,7 @@ pub(crate) use table::{ActuatorKey, ActuatorTable, DeclaredActuator};
 
 use crate::messaging::error::decode_kind;
 use crate::messaging::sender::Sender;
-use crate::platform;
+use crate::platform::{self, lock};
 use crate::registry::encoding::{differs, encoded};
 use crate::settings::LEASE;
 use blastema_core::contract::codec;
@@ -29,7 +29,7 @@ use std::fmt;
 use std::future::Future;
 use std::marker::PhantomData;
 use std::ops::RangeInclusive;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, Weak};
 use std::time::Duration;
 use tokio::sync::Notify;
 
@@ -264,7 +264,7 @@ async fn renew_lease(state: Weak<CommanderState>) {
 
 impl CommanderState {
     fn lock(&self) -> MutexGuard<'_, Option<Held>> {
-        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.held)
     }
 
     fn held(&self) -> Option<Held> {
@@ -272,7 +272,7 @@ impl CommanderState {
     }
 
     fn may_hold(&self) -> Result<(), DeliveryError> {
-        let guard = self.guard.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let guard = lock(&self.guard).clone();
         guard.map_or(Ok(()), |guard| guard())
     }
 
@@ -458,7 +458,7 @@ impl<M: Contract> Commander<M> {
 
     /// Lets the commander claim, command and renew its lease only while this returns no error.
     pub(crate) fn guard(&self, guard: CommandGuard) {
-        *self.0.guard.lock().unwrap_or_else(PoisonError::into_inner) = Some(guard);
+        *lock(&self.0.guard) = Some(guard);
     }
 }
 

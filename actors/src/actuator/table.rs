@@ -6,7 +6,7 @@
 
 use super::command::{ActuatorCommand, CommandKind, CommandReply};
 use crate::messaging::reply::Responder;
-use crate::platform;
+use crate::platform::{self, lock};
 use crate::registry::access::{AccessControl, AccessWish, MessageOrigin};
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
@@ -26,7 +26,7 @@ use blastema_core::{
 use bytes::Bytes;
 use std::sync::atomic::Ordering::{Relaxed, SeqCst};
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tracing::{error, info, warn};
 
@@ -87,10 +87,6 @@ struct Actuator {
     turn: AtomicU64,
     /// A command has been handed over and not been answered.
     busy: Arc<AtomicBool>,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A component and the contract of its commands.

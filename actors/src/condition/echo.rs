@@ -4,7 +4,7 @@
 
 use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
-use crate::platform;
+use crate::platform::{self, lock};
 use crate::registry::access::MessageOrigin;
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry};
@@ -12,7 +12,7 @@ use blastema_core::connection::RoundTripEstimator;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{Instant, NodeName, ObjectName};
 use blastema_macros::Request;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// Under which name nodes ask each other. It is no object that others can see.
@@ -44,10 +44,6 @@ struct EchoedNode {
     sender: Option<Sender<RoundTripEcho>>,
     trips: Arc<Mutex<RoundTripEstimator>>,
     next_at: Instant,
-}
-
-fn lock(trips: &Mutex<RoundTripEstimator>) -> MutexGuard<'_, RoundTripEstimator> {
-    trips.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl RoundTrips {

@@ -8,6 +8,7 @@ use crate::actuator::ActuatorTable;
 use crate::directory::DirectoryTable;
 #[cfg(feature = "network")]
 use crate::net::NetHandle;
+use crate::platform::lock;
 use crate::registry::Registry;
 use crate::runtime::reports::FaultReports;
 use crate::topic::Topics;
@@ -28,7 +29,7 @@ use blastema_core::net::LinkState;
 use blastema_core::suggestion::nearest;
 use blastema_core::{Instant, ObjectName};
 use std::any::Any;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// What conditions read from, and report to.
@@ -50,10 +51,9 @@ pub(crate) struct ConditionWiring {
 
 /// A channel with what was read of it before.
 pub(super) struct ChannelSource {
+    spec: ChannelSpec,
     channel: ConnectedChannel,
     last: ChannelReading,
-    wants_latency: bool,
-    clocks_within: Option<Duration>,
     /// What is known of a topic, and what measures it until this is dropped.
     measured: Arc<Mutex<TopicEstimator>>,
     _tapped: Option<Box<dyn Any + Send>>,
@@ -65,7 +65,6 @@ pub(super) struct ChannelSource {
 #[cfg(feature = "network")]
 #[derive(Default)]
 struct NetworkSource {
-    wants_loss: bool,
     /// The fastest round trip of late to the slowest node that published.
     trip: Option<Duration>,
     /// How many chunks the session had sent, and sent again.
@@ -116,7 +115,7 @@ impl ConnectedChannel {
             ConnectedChannel::Node(name) | ConnectedChannel::Session(name)
                 if node.1.elsewhere(name.clone()).is_none() =>
             {
-                Err(format!("{name} is this node itself: name another one"))
+                Err(format!("{self}, which is this node: name another one"))
             }
             _ => Ok(None),
         }
@@ -132,30 +131,20 @@ impl ChannelSource {
         listener: &ObjectName,
     ) -> Result<Self, String> {
         #[cfg(feature = "network")]
-        match channel {
-            ConnectedChannel::Link(link) => wiring.check_link(link)?,
-            ConnectedChannel::Node(node) | ConnectedChannel::Session(node)
-                if wiring.registry.elsewhere(node.clone()).is_none() =>
-            {
-                return Err(format!("{channel}, which is this node: name another one"));
-            }
-            _ => {}
+        if let ConnectedChannel::Link(link) = channel {
+            wiring.check_link(link)?;
         }
         let measured = Arc::<Mutex<TopicEstimator>>::default();
         let node = (&wiring.topics, &wiring.registry);
         let tapped = channel.tap(node, listener, measured.clone())?;
         Ok(ChannelSource {
+            spec: spec.clone(),
             channel: channel.clone(),
             last: ChannelReading::default(),
-            wants_latency: spec.wants_latency(),
-            clocks_within: spec.clocks_within,
             measured,
             _tapped: tapped,
             #[cfg(feature = "network")]
-            network: NetworkSource {
-                wants_loss: spec.limits.loss_permille.is_some(),
-                ..NetworkSource::default()
-            },
+            network: NetworkSource::default(),
         })
     }
 
@@ -164,7 +153,9 @@ impl ChannelSource {
     pub(super) fn needs_rows(&self) -> bool {
         match &self.channel {
             ConnectedChannel::Link(_) => true,
-            ConnectedChannel::Node(_) | ConnectedChannel::Session(_) => self.network.wants_loss,
+            ConnectedChannel::Node(_) | ConnectedChannel::Session(_) => {
+                self.spec.limits.loss_permille.is_some()
+            }
             ConnectedChannel::Topic(..) | ConnectedChannel::Commander(_) => false,
         }
     }
@@ -178,7 +169,7 @@ impl ChannelSource {
     ) -> ChannelReading {
         match &self.channel {
             ConnectedChannel::Topic(topic, events) => {
-                let measured = *self.measured.lock().unwrap_or_else(PoisonError::into_inner);
+                let measured = *lock(&self.measured);
                 let last = &mut self.last;
                 (last.arrived, last.heard_at) = (measured.arrived(), measured.heard_at());
                 last.jitter = last.heard_at.map(|_| measured.jitter());
@@ -186,13 +177,15 @@ impl ChannelSource {
                 #[cfg(not(feature = "network"))]
                 let (trip, _) = (Some(Duration::ZERO), (topic, events, shared, now));
                 #[cfg(feature = "network")]
-                let trip = match self.wants_latency {
+                let trip = match self.spec.wants_latency() {
                     true => self.network.topic_trip((topic, events.contract), wiring, shared, now),
                     false => None,
                 };
                 // What was known stays while a round trip is not.
-                if let (Some(trip), Some(_), true) = (trip, last.heard_at, self.wants_latency) {
-                    let agreed = self.clocks_within;
+                if let (Some(trip), Some(_), true) =
+                    (trip, last.heard_at, self.spec.wants_latency())
+                {
+                    let agreed = self.spec.clocks_within;
                     let one_way = agreed.and_then(|error| measured.one_way(error, trip));
                     last.latency = Some(one_way.unwrap_or_else(|| measured.latency(trip)));
                 }
@@ -205,7 +198,7 @@ impl ChannelSource {
                 #[cfg(not(feature = "network"))]
                 let _ = commander;
                 #[cfg(feature = "network")]
-                if self.wants_latency {
+                if self.spec.wants_latency() {
                     let node = commander.name.split(':').next().map(NodeName::new);
                     let node = node.and_then(Result::ok);
                     self.last.latency = match node.and_then(|node| wiring.registry.elsewhere(node))
@@ -225,12 +218,12 @@ impl ChannelSource {
                 if is_there {
                     self.last.heard_at = Some(now);
                 }
-                if self.wants_latency {
+                if self.spec.wants_latency() {
                     self.last.latency = shared.latency_to(node, wiring, now);
                 }
-                let rows = shared.rows.lock().unwrap_or_else(PoisonError::into_inner);
+                let rows = lock(&shared.rows);
                 let row = rows.sessions.iter().find(|row| row.node == *node);
-                if let Some(row) = row.filter(|_| self.network.wants_loss) {
+                if let Some(row) = row.filter(|_| self.spec.limits.loss_permille.is_some()) {
                     let NetworkSource { counted, loss, .. } = &mut self.network;
                     let counters = row.status.counters;
                     let now = (counters.sent, counters.retransmitted);
@@ -243,7 +236,7 @@ impl ChannelSource {
             #[cfg(feature = "network")]
             ConnectedChannel::Link(name) => {
                 let last = &mut self.last;
-                let rows = shared.rows.lock().unwrap_or_else(PoisonError::into_inner);
+                let rows = lock(&shared.rows);
                 let link = rows.links.iter().find(|row| *row.link == **name);
                 if let Some(link) = link
                     && matches!(link.state, LinkState::Up | LinkState::Suspect)
@@ -328,8 +321,7 @@ impl SharedReadings {
         actix_rt::spawn(async move {
             let (links, sessions) = (net.read_links().await, net.read_sessions().await);
             let at = crate::platform::now();
-            *rows.lock().unwrap_or_else(PoisonError::into_inner) =
-                NetworkRows { links, sessions, at };
+            *lock(&rows) = NetworkRows { links, sessions, at };
         });
     }
 }

@@ -2,6 +2,7 @@
 
 use super::heartbeat::Heartbeat;
 use crate::component::envelope::Times;
+use crate::platform::{lock, stamp_us};
 use crate::topic::Topics;
 #[cfg(feature = "network")]
 use blastema_core::NodeName;
@@ -10,7 +11,7 @@ use blastema_core::connection::{TopicArrival, TopicEstimator};
 use blastema_core::{Contract, DeliveryError, Event, NameError, ObjectName};
 use std::any::Any;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// The timeout of a node without networks, and the default of the source's condition nodes.
@@ -63,7 +64,7 @@ pub(super) enum ConnectedChannel {
 }
 
 /// The events of a topic, and what measures them.
-#[derive(Clone)]
+#[derive(Clone, Copy)]
 pub(super) struct ConnectedEvents {
     pub(super) contract: &'static str,
     pub(super) listen: ListenFn,
@@ -83,39 +84,29 @@ impl fmt::Debug for ConnectedEvents {
 
 /// Lets the events of a topic be measured, for the condition of this name, until what is returned
 /// is dropped.
-pub(super) type ListenFn = Arc<
-    dyn Fn(
-            &Topics,
-            &ObjectName,
-            &ObjectName,
-            Arc<Mutex<TopicEstimator>>,
-        ) -> Result<Box<dyn Any + Send>, DeliveryError>
-        + Send
-        + Sync,
->;
+type ListenFn = fn(
+    &Topics,
+    &ObjectName,
+    &ObjectName,
+    Arc<Mutex<TopicEstimator>>,
+) -> Result<Box<dyn Any + Send>, DeliveryError>;
 
-impl ConnectedChannel {
-    /// The events of a topic; `more` completes what is known of one.
-    fn topic<E: Event>(
-        topic: &str,
-        more: fn(&E, TopicArrival) -> TopicArrival,
-    ) -> Result<Self, NameError> {
-        let listen = move |topics: &Topics,
-                           topic: &ObjectName,
-                           listener: &ObjectName,
-                           measured: Arc<Mutex<TopicEstimator>>| {
-            let tap = move |event: &E, times: Times| {
-                let age = times.posted_at - times.captured_at();
-                let arrival = TopicArrival { at: times.posted_at, age, ..TopicArrival::default() };
-                let mut measured = measured.lock().unwrap_or_else(PoisonError::into_inner);
-                measured.handle_arrival(more(event, arrival));
-            };
-            let tapped = topics.tap::<E>(topic.as_str(), listener, Arc::new(tap))?;
-            Ok(Box::new(tapped) as Box<dyn Any + Send>)
-        };
-        let events = ConnectedEvents { contract: E::NAME, listen: Arc::new(listen) };
-        Ok(ConnectedChannel::Topic(ObjectName::new(topic)?, events))
-    }
+fn listen<E: Event>(
+    topics: &Topics,
+    topic: &ObjectName,
+    listener: &ObjectName,
+    measured: Arc<Mutex<TopicEstimator>>,
+) -> Result<Box<dyn Any + Send>, DeliveryError> {
+    let tap = move |event: &E, times: Times| {
+        let beat = (event as &dyn Any).downcast_ref::<Heartbeat>();
+        lock(&measured).handle_arrival(TopicArrival {
+            at: times.posted_at,
+            age: times.posted_at - times.captured_at(),
+            sequence: beat.map(|beat| beat.sequence),
+            stamps_us: beat.map(|beat| (stamp_us(), beat.stamp_us)),
+        });
+    };
+    Ok(Box::new(topics.tap::<E>(topic.as_str(), listener, Arc::new(tap))?))
 }
 
 impl fmt::Display for ConnectedChannel {
@@ -190,17 +181,14 @@ impl Connected {
     /// [Heartbeats](Heartbeat) arrive on this topic. It is lost when none arrived for the
     /// [`timeout`](Self::timeout), and until the first one arrives.
     pub fn heartbeat(topic: &str) -> Self {
-        let more = |beat: &Heartbeat, arrival| TopicArrival {
-            sequence: Some(beat.sequence),
-            stamps_us: Some((crate::platform::stamp_us(), beat.stamp_us)),
-            ..arrival
-        };
-        ChannelSpec::of(ConnectedChannel::topic::<Heartbeat>(topic, more))
+        Connected::topic::<Heartbeat>(topic)
     }
 
     /// Events of this contract arrive on this topic.
     pub fn topic<E: Event>(topic: &str) -> Self {
-        ChannelSpec::of(ConnectedChannel::topic::<E>(topic, |_, arrival| arrival))
+        let events = ConnectedEvents { contract: E::NAME, listen: listen::<E> };
+        let topic = ObjectName::new(topic);
+        ChannelSpec::of(topic.map(|topic| ConnectedChannel::Topic(topic, events)))
     }
 
     /// Events of this contract arrive on this topic at a rate of `hz` or more, counted over

@@ -7,6 +7,7 @@ use super::spec::{ChannelSpec, Connected, ConnectedChannel, LOOK_INTERVAL, TIMEO
 use super::{Condition, ConditionError, ConditionStatus, object_of};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::extension::Extension;
+use crate::platform::lock;
 use crate::runtime::guardian::Guardian;
 use crate::runtime::reports::FaultReports;
 use crate::runtime::timekeeper::Timekeeper;
@@ -16,7 +17,7 @@ use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclare
 use blastema_core::connection::{Combination, ConditionState, ConnectionJudge, Presence};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{FaultKind, Incarnation, Instant, ObjectName};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 use std::time::Duration;
 use tokio::sync::watch;
 use tracing::info;
@@ -125,7 +126,7 @@ impl Conditions {
     }
 
     fn lock(&self) -> MutexGuard<'_, ConditionTable> {
-        self.0.table.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0.table)
     }
 
     /// The condition of this name, which needs this. It is declared if it is new, and lasts as long

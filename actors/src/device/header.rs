@@ -50,7 +50,8 @@ pub struct DeviceDescription {
 #[serde(deny_unknown_fields)]
 struct DescribedPort {
     contract: String,
-    direction: DevicePortKind,
+    #[serde(with = "DevicePortKind")]
+    direction: PortKind,
     object: u8,
     number: u8,
     size: u8,
@@ -60,8 +61,9 @@ struct DescribedPort {
     reply: LayoutDescription,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+/// The names of [`PortKind`] in a description.
+#[derive(Serialize, Deserialize)]
+#[serde(remote = "PortKind", rename_all = "snake_case")]
 enum DevicePortKind {
     In,
     Out,
@@ -69,41 +71,25 @@ enum DevicePortKind {
     Variable,
 }
 
-impl DevicePortKind {
-    /// As names of ports and of the library's constants end, and the first identifier on the wire.
-    fn of(kind: PortKind) -> (DevicePortKind, u8) {
-        match kind {
-            PortKind::In => (DevicePortKind::In, 0x40),
-            PortKind::Out => (DevicePortKind::Out, 0x60),
-            PortKind::Call => (DevicePortKind::Call, 0x80),
-            PortKind::Variable => (DevicePortKind::Variable, 0xc0),
-        }
-    }
-
-    fn text(self) -> &'static str {
-        match self {
-            DevicePortKind::In => "IN",
-            DevicePortKind::Out => "OUT",
-            DevicePortKind::Call => "CALL",
-            DevicePortKind::Variable => "VARIABLE",
-        }
-    }
-}
-
 impl DescribedPort {
     fn of(port: &DevicePort<DeviceProxy>) -> Self {
-        let (direction, first) = DevicePortKind::of(port.port.kind());
+        let direction = port.port.kind();
         DescribedPort {
             contract: port.contract.to_owned(),
             direction,
             object: port.port.object(),
-            number: port.port.id() - first,
+            number: port.port.id() & if direction == PortKind::Call { 0x3f } else { 0x1f },
             size: port.port.size(),
             reply_size: port.port.reply(),
             fingerprint: port.port.fingerprint(),
             message: LayoutDescription::of((port.message)()),
             reply: LayoutDescription::of((port.reply)()),
         }
+    }
+
+    /// As in the library's names: `BL_IN`.
+    fn kind(&self) -> String {
+        format!("{:?}", self.direction).to_uppercase()
     }
 
     /// `GRIPPER_CLOSE_IN0`: the contract, the direction and the number.
@@ -113,7 +99,7 @@ impl DescribedPort {
             object => format!("{object}_"),
         };
         let contract = identifier(&self.contract).to_uppercase();
-        format!("{contract}_{object}{}{}", self.direction.text(), self.number)
+        format!("{contract}_{object}{}{}", self.kind(), self.number)
     }
 }
 
@@ -204,7 +190,7 @@ impl DeviceDescription {
                  .size = {}, .reply = {}, .fingerprint = {:#010x}u}}",
                 port.name(),
                 port.object,
-                port.direction.text(),
+                port.kind(),
                 port.number,
                 port.size,
                 port.reply_size,
@@ -225,8 +211,7 @@ impl DeviceDescription {
             self.name
         );
         let data = |port: &DescribedPort| port.name().to_lowercase();
-        let has_data =
-            |port: &&DescribedPort| port.direction != DevicePortKind::Call && port.size > 0;
+        let has_data = |port: &&DescribedPort| port.direction != PortKind::Call && port.size > 0;
         for port in self.ports.iter().filter(has_data) {
             let _ = writeln!(text, "static {} {};", identifier(&port.contract), data(port));
         }
@@ -236,7 +221,7 @@ impl DeviceDescription {
                 "\nstatic uint8_t work{object}(uint8_t why) {{\n    (void)why;\n    \
                  /* What it does at its rate. */\n"
             );
-            let outs = self.ports.iter().filter(|port| port.direction == DevicePortKind::Out);
+            let outs = self.ports.iter().filter(|port| port.direction == PortKind::Out);
             for port in outs.filter(|port| port.object == object) {
                 let _ = writeln!(text, "    bl_publish({});", port.name());
             }
@@ -300,8 +285,10 @@ impl CType<'_> {
     /// The declaration of a member, or a type, of this name; without the semicolon.
     fn declared(&self, before: &str, of: u32, name: &str, depth: usize) -> String {
         let indent = "    ".repeat(depth);
+        let plain = |of: &str| format!("{indent}{before}{of} {name}");
+        let block = |members: &str| plain(&format!("struct {{\n{members}{indent}}}"));
         match self.shape(of, depth) {
-            Shape::Leaf(leaf) => format!("{indent}{before}{}", leaf_declared(*leaf, name)),
+            Shape::Leaf(leaf) => plain(leaf_type(*leaf)),
             Shape::Array(of, length) => {
                 self.declared(before, *of, &format!("{name}[{length}]"), depth)
             }
@@ -313,52 +300,40 @@ impl CType<'_> {
                     }
                     _ => format!("{indent}    uint8_t {item}"),
                 };
-                format!(
-                    "{indent}{before}struct {{\n{indent}    uint8_t len;\n{items};\n{indent}}} {name}"
-                )
+                block(&format!("{indent}    uint8_t len;\n{items};\n"))
             }
             Shape::Optional(of) => {
                 let value = self.declared("", *of, "value", depth + 1);
-                format!(
-                    "{indent}{before}struct {{\n{indent}    uint8_t some;\n{value};\n{indent}}} {name}"
-                )
+                block(&format!("{indent}    uint8_t some;\n{value};\n"))
             }
             Shape::Tuple(parts) => {
-                let members = parts.iter().enumerate();
-                let members: String = members
-                    .map(|(at, of)| self.declared("", *of, &format!("_{at}"), depth + 1) + ";\n")
-                    .collect();
-                format!("{indent}{before}struct {{\n{members}{indent}}} {name}")
+                let members = parts
+                    .iter()
+                    .enumerate()
+                    .map(|(at, of)| self.declared("", *of, &format!("_{at}"), depth + 1) + ";\n");
+                block(&members.collect::<String>())
             }
-            Shape::Struct(_, fields) => {
-                format!(
-                    "{indent}{before}struct {{\n{}{indent}}} {name}",
-                    self.members(fields, depth)
-                )
-            }
+            Shape::Struct(_, fields) => block(&self.members(fields, depth)),
             Shape::Enum(_, variants) => {
-                let names: Vec<_> = variants.iter().map(|variant| &*variant.name).collect();
-                let numbers = names.iter().enumerate().map(|(at, name)| format!("{at} {name}"));
+                let numbers = variants.iter().enumerate();
+                let numbers = numbers.map(|(at, variant)| format!("{at} {}", variant.name));
                 let listed = format!("/* {} */", numbers.collect::<Vec<_>>().join(", "));
-                let is_plain = |fields: &Fields<u32>| fields.as_slice().is_empty();
-                if variants.iter().all(|variant| is_plain(&variant.fields)) {
-                    return format!("{indent}{before}uint8_t {name} {listed}");
+                let with_fields = variants.iter().filter(|it| !it.fields.as_slice().is_empty());
+                let cases = with_fields.map(|variant| {
+                    let members = self.members(&variant.fields, depth + 2);
+                    let name = identifier(&variant.name);
+                    format!("{indent}        struct {{\n{members}{indent}        }} {name};\n")
+                });
+                match cases.collect::<String>().as_str() {
+                    "" => plain("uint8_t") + " " + &listed,
+                    cases => block(&format!(
+                        "{indent}    uint8_t tag; {listed}\n\
+                         {indent}    union {{\n{cases}{indent}    }} as;\n"
+                    )),
                 }
-                let cases = variants.iter().filter(|variant| !is_plain(&variant.fields));
-                let cases: String = cases
-                    .map(|variant| {
-                        let members = self.members(&variant.fields, depth + 2);
-                        let name = identifier(&variant.name);
-                        format!("{indent}        struct {{\n{members}{indent}        }} {name};\n")
-                    })
-                    .collect();
-                format!(
-                    "{indent}{before}struct {{\n{indent}    uint8_t tag; {listed}\n\
-                     {indent}    union {{\n{cases}{indent}    }} as;\n{indent}}} {name}"
-                )
             }
             // They have no packed form, and no port has them.
-            _ => format!("{indent}{before}uint8_t {name}"),
+            _ => plain("uint8_t"),
         }
     }
 
@@ -378,22 +353,19 @@ impl CType<'_> {
     }
 }
 
-fn leaf_declared(leaf: Primitive, name: &str) -> String {
+fn leaf_type(leaf: Primitive) -> &'static str {
     match leaf {
-        Primitive::Bool | Primitive::U8 | Primitive::Unit | Primitive::Text => {
-            format!("uint8_t {name}")
-        }
-        Primitive::U16 => format!("uint16_t {name}"),
-        Primitive::U32 | Primitive::Char => format!("uint32_t {name}"),
-        Primitive::U64 => format!("uint64_t {name}"),
-        Primitive::I8 => format!("int8_t {name}"),
-        Primitive::I16 => format!("int16_t {name}"),
-        Primitive::I32 => format!("int32_t {name}"),
-        Primitive::I64 => format!("int64_t {name}"),
-        Primitive::F32 => format!("float {name}"),
-        Primitive::F64 => format!("bl_f64 {name}"),
-        Primitive::U128 | Primitive::I128 => format!("struct {{ uint8_t bytes[16]; }} {name}"),
-        Primitive::Duration => format!("struct {{ uint64_t s; uint32_t ns; }} {name}"),
-        _ => format!("uint8_t {name}"),
+        Primitive::U16 => "uint16_t",
+        Primitive::U32 | Primitive::Char => "uint32_t",
+        Primitive::U64 => "uint64_t",
+        Primitive::I8 => "int8_t",
+        Primitive::I16 => "int16_t",
+        Primitive::I32 => "int32_t",
+        Primitive::I64 => "int64_t",
+        Primitive::F32 => "float",
+        Primitive::F64 => "bl_f64",
+        Primitive::U128 | Primitive::I128 => "struct { uint8_t bytes[16]; }",
+        Primitive::Duration => "struct { uint64_t s; uint32_t ns; }",
+        _ => "uint8_t",
     }
 }

@@ -11,7 +11,7 @@
 
 use super::link::{DeviceLink, DevicePhase, OrderOutcome, PendingOrder};
 use super::medium::{DeviceMedium, OpenLine};
-use crate::platform;
+use crate::platform::{self, lock};
 use blastema_core::Instant;
 use blastema_lite::{
     CommandError, CommandOutcome, DeviceCommand, DeviceState, FRAME_MAX, Host, HostEvent, HostLine,
@@ -20,7 +20,7 @@ use blastema_lite::{
 use std::collections::BTreeMap;
 use std::future::pending;
 use std::io;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 use tokio::sync::{Notify, oneshot};
 use tokio::time::sleep_until;
@@ -42,10 +42,6 @@ const LOOK: Duration = Duration::from_millis(100);
 
 /// The lines of the process: a port has one user.
 static LINES: Mutex<Vec<Weak<DeviceLine>>> = Mutex::new(Vec::new());
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// A line, for as long as a device is declared for it.
 pub(super) struct DeviceLine {

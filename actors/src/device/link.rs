@@ -1,6 +1,6 @@
 //! What the proxy of a device and the line share: orders one way, the device's status the other.
 
-use crate::platform;
+use crate::platform::{self, lock};
 use blastema_core::{DeliveryError, Instant};
 use blastema_lite::{
     CommandError, CommandOutcome, DeviceCommand, Host, HostConfig, LifecycleChange, Mismatch, Port,
@@ -9,7 +9,7 @@ use blastema_lite::{
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 use tokio::sync::{Notify, oneshot, watch};
 
@@ -113,7 +113,7 @@ impl DeviceLink {
     }
 
     fn orders(&self) -> MutexGuard<'_, Orders> {
-        self.orders.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.orders)
     }
 
     /// Sends the newest value of an in port, once.

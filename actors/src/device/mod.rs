@@ -28,7 +28,7 @@ use crate::variable::VariableSpec;
 use blastema_core::port::TypeDescription;
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Contract, Event, ObjectName, Request, Variable};
-use blastema_lite::{HostConfig, PORTS_MAX, PortKind, Tries, message};
+use blastema_lite::{HostConfig, PORTS_MAX, Port, PortKind, Tries, message};
 use line::{DeviceLine, LineClaim};
 use medium::DeviceMedium;
 use port::{DevicePort, PortUse};
@@ -79,7 +79,7 @@ type DeclarePort = Box<dyn FnOnce(&mut Ports<DeviceProxy>) + Send>;
 pub struct DeviceSpec {
     name: String,
     medium: Result<DeviceMedium, String>,
-    host: HostConfig<()>,
+    host: HostConfig<Vec<Port>>,
     period: Option<Duration>,
     object: u8,
     ports: Vec<DevicePort<DeviceProxy>>,
@@ -137,7 +137,7 @@ impl DeviceSpec {
         let host = HostConfig {
             address: None,
             device_type,
-            ports: (),
+            ports: Vec::new(),
             session: 0,
             interval: Self::INTERVAL,
             tries: Tries::Auto,
@@ -280,7 +280,7 @@ impl DeviceSpec {
     /// The component, for [`NodeBuilder::child`](crate::NodeBuilder::child) or a supervisor. What
     /// is wrong with the spec is an error when the node starts.
     pub fn child(self) -> ChildSpec<DeviceProxy> {
-        let DeviceSpec { name, medium, host, period, ports, declare, problem, .. } = self;
+        let DeviceSpec { name, medium, mut host, period, ports, declare, problem, .. } = self;
         let short = format!(
             "a deadman of {:?} is too short for an interval of {:?}: at least twice as long",
             host.deadman, host.interval
@@ -291,18 +291,7 @@ impl DeviceSpec {
             Err(error) => (None, problem.or(Some(("endpoint", error)))),
         };
         let claim = LineClaim::new(host.address);
-        let table = ports.iter().map(|port| port.port).collect();
-        let host = HostConfig {
-            address: host.address,
-            device_type: host.device_type,
-            ports: table,
-            session: host.session,
-            interval: host.interval,
-            tries: host.tries,
-            deadman: host.deadman,
-            byte_time: host.byte_time,
-            turnaround: host.turnaround,
-        };
+        host.ports = ports.iter().map(|port| port.port).collect();
         let period_ms = period.map(|period| period.as_millis() as u16);
         let settings =
             line.map(|line| Arc::new(ProxySettings { line, claim, host, ports, period_ms }));

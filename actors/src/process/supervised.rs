@@ -12,13 +12,13 @@ use crate::component::context::Context;
 use crate::component::{Component, Failure};
 use crate::platform::launcher::{LaunchOrder, ProcessEnd, ProcessStatus};
 use crate::platform::processes::{RunningProcess, start_process};
-use crate::platform::sleep;
+use crate::platform::{lock, sleep};
 use blastema_contract::reports::StateReported;
 use blastema_core::{FaultKind, Lifecycle};
 use std::future::poll_fn;
 use std::os::unix::process::ExitStatusExt;
 use std::process::ExitStatus;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::task::Poll;
 use std::time::Duration;
 use tracing::{info, warn};
@@ -56,7 +56,7 @@ impl SupervisedProcess {
     async fn start(&mut self, cx: &Context<Self>) -> Result<RunningProcess, String> {
         let limits = &cx.cell.record.limits;
         let latest = |next| {
-            let mut latest = self.settings.latest.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut latest = lock(&self.settings.latest);
             std::mem::replace(&mut *latest, next)
         };
         if let Some(earlier) = latest(None) {

@@ -44,8 +44,8 @@ use crate::component::envelope::{Times, enqueue_time};
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::messaging::message_log;
 use crate::messaging::queue::Pushed;
-use crate::platform;
 use crate::platform::panics::{self, PanicGuard};
+use crate::platform::{self, lock};
 use crate::runtime::reports::FaultReports;
 use blastema_core::contract::codec;
 use blastema_core::{
@@ -57,7 +57,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, Weak};
 use std::time::Duration;
 use tokio::sync::watch;
 use traffic::Traffic;
@@ -201,10 +201,6 @@ struct Hubs<E> {
     /// a listener that moves from one hub to another gets all events before a number from the
     /// first, and all others from the second.
     next: u64,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl<E: Event> Topic<E> {

@@ -2,12 +2,12 @@
 
 use crate::component::environment::ComponentEnvironment;
 use crate::condition::{Condition, ConditionUse, Connected};
-use crate::platform;
+use crate::platform::{self, lock};
 use blastema_core::FaultLocation;
 use blastema_core::detection::FaultRecord;
 use blastema_trees::{LeafContext, LeafError, TreeNodeId};
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// What a node lends to the conditions of a tree.
 pub(super) struct TreeHost {
@@ -38,7 +38,7 @@ impl TreeHost {
         needs: impl FnOnce() -> Connected,
     ) -> Result<Condition, LeafError> {
         let host = TreeHost::of(cx)?;
-        let mut known = host.conditions.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = lock(&host.conditions);
         let place = (cx.run().node, number);
         if let Some(ConditionUse(_, condition)) = known.get(&place)
             && condition.name() == name
@@ -48,18 +48,18 @@ impl TreeHost {
         let conditions = host.environment.conditions();
         let condition = conditions.declare(name, &needs(), platform::now(), Some(1))?;
         known.insert(place, ConditionUse(conditions.clone(), condition.clone()));
-        host.fresh.lock().unwrap_or_else(PoisonError::into_inner).push(condition.clone());
+        lock(&host.fresh).push(condition.clone());
         Ok(condition)
     }
 
     /// The conditions that were declared since this was called before.
     pub(super) fn take_fresh(&self) -> Vec<Condition> {
-        std::mem::take(&mut self.fresh.lock().unwrap_or_else(PoisonError::into_inner))
+        std::mem::take(&mut lock(&self.fresh))
     }
 
     /// Takes the record of faults. Says whether it has changed.
     pub(super) fn take_faults(&self, record: FaultRecord) -> bool {
-        let mut known = self.faults.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = lock(&self.faults);
         let before = std::mem::replace(&mut *known, record);
         before != *known
     }
@@ -71,7 +71,7 @@ impl TreeHost {
             (Some(object), FaultLocation::Object(at)) => at.object.as_str() == object,
             (Some(object), other) => other.to_string() == object,
         };
-        let faults = self.faults.lock().unwrap_or_else(PoisonError::into_inner);
+        let faults = lock(&self.faults);
         let mut standing = faults.entries.iter().filter(|entry| entry.stands());
         standing.any(|entry| entry.fault.kind.code() == code && is_there(&entry.fault.location))
     }

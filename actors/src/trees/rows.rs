@@ -1,14 +1,14 @@
 //! The trees of a node as monitors show them.
 
 use crate::component::extension::Extension;
-use crate::platform;
+use crate::platform::{self, lock};
 use actix::Recipient;
 use blastema_contract::detector::ReadRecord;
 use blastema_core::{Instant, ObjectName};
 use blastema_trees::{CalledLeaf, NodeView, Status, Tree};
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 
 /// The ticks with changes that are kept of each tree: what a person reads at once.
 const CHANGES: usize = 16;
@@ -57,7 +57,7 @@ impl Extension for TreeTable {}
 
 impl TreeTable {
     fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, Arc<TreeView>>> {
-        self.trees.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.trees)
     }
 
     /// Shows a tree, and returns what was shown of the incarnation before.
@@ -112,7 +112,7 @@ impl TreeView {
     }
 
     fn lock(&self) -> MutexGuard<'_, TreeViewState> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 
     /// Takes what the last tick, or halt, has changed. A tick without changes costs no allocation.

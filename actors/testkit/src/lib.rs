@@ -65,7 +65,7 @@ pub use blastema_doubles::{PATIENCE, advance, settle};
 pub use blastema_macros::test;
 pub use harness::Harness;
 pub use node::TestNode;
-pub use probe::{Actuator, Listener, Owner, Probe, Server, Target, owner};
+pub use probe::{Owner, Probe, TestDouble, owner};
 
 pub use blastema::platform::now;
 

@@ -87,31 +87,38 @@ impl<M: Contract> Probe<M> {
     }
 }
 
-impl<E: Event> Probe<E> {
-    /// A component that listens to the topic that has this event's contract name.
-    pub fn listener(&self, name: &str) -> ChildSpec<Listener<E>> {
-        let record = self.0.clone();
-        ChildSpec::new(name, move || Listener { record: record.clone() })
-    }
+type Answer<M> = Arc<dyn Fn(&M) -> <M as Contract>::Reply + Send + Sync>;
 
-    /// A component that accepts this event as a command by name.
-    pub fn target(&self, name: &str) -> ChildSpec<Target<E>> {
-        let record = self.0.clone();
-        ChildSpec::new(name, move || Target { record: record.clone() })
+impl<M: Contract> Probe<M> {
+    fn double(
+        &self,
+        name: &str,
+        answer: impl Fn(&M) -> M::Reply + Send + Sync + 'static,
+        declare: impl FnOnce(&mut Ports<TestDouble<M>>) + Send + 'static,
+    ) -> ChildSpec<TestDouble<M>> {
+        let (record, answer): (_, Answer<M>) = (self.0.clone(), Arc::new(answer));
+        let make = move || TestDouble { record: record.clone(), answer: answer.clone() };
+        ChildSpec::new(name, make).with_ports(declare)
     }
 }
 
 impl<E: Event> Probe<E> {
+    /// A component that listens to the topic that has this event's contract name.
+    pub fn listener(&self, name: &str) -> ChildSpec<TestDouble<E>> {
+        self.double(name, |_| (), |ports| _ = ports.listen::<E>())
+    }
+
+    /// A component that accepts this event as a command by name.
+    pub fn target(&self, name: &str) -> ChildSpec<TestDouble<E>> {
+        self.double(name, |_| (), |ports| _ = ports.accept::<E>())
+    }
+
     /// An actuator in the place of a real one: it records the commands that its lease lets through,
     /// and `safe` when its commander has gone. The lease lasts as long as that of an
     /// [`ActuatorSpec`] does by default. Its commands are an event; a request, whose commands have
     /// replies, has [`Probe::answering_actuator`].
-    pub fn actuator(&self, name: &str, safe: E) -> ChildSpec<Actuator<E>> {
-        let record = self.0.clone();
-        let spec = ChildSpec::new(name, move || Actuator { record: record.clone() });
-        spec.with_ports(|ports| {
-            ports.actuator(ActuatorSpec::new(safe, Hold));
-        })
+    pub fn actuator(&self, name: &str, safe: E) -> ChildSpec<TestDouble<E>> {
+        self.double(name, |_| (), |ports| _ = ports.actuator(ActuatorSpec::new(safe, Hold)))
     }
 }
 
@@ -123,13 +130,8 @@ impl<M: Request> Probe<M> {
         name: &str,
         safe: M,
         answer: impl Fn(&M) -> M::Reply + Send + Sync + 'static,
-    ) -> ChildSpec<AnsweringActuator<M>> {
-        let (record, answer) = (self.0.clone(), Arc::new(answer));
-        let make =
-            move || AnsweringActuator(Server { record: record.clone(), answer: answer.clone() });
-        ChildSpec::new(name, make).with_ports(|ports| {
-            ports.actuator(ActuatorSpec::new(safe, Hold));
-        })
+    ) -> ChildSpec<TestDouble<M>> {
+        self.double(name, answer, |ports| _ = ports.actuator(ActuatorSpec::new(safe, Hold)))
     }
 
     /// A component that serves this request as the closure says. A closure that panics is a
@@ -138,56 +140,24 @@ impl<M: Request> Probe<M> {
         &self,
         name: &str,
         answer: impl Fn(&M) -> M::Reply + Send + Sync + 'static,
-    ) -> ChildSpec<Server<M>> {
-        let (record, answer) = (self.0.clone(), Arc::new(answer));
-        ChildSpec::new(name, move || Server { record: record.clone(), answer: answer.clone() })
+    ) -> ChildSpec<TestDouble<M>> {
+        self.double(name, answer, |ports| _ = ports.serve::<M>())
     }
 }
 
-/// The component of [`Probe::listener`].
-pub struct Listener<E> {
-    record: Record<E>,
+/// The component of a [`Probe`].
+pub struct TestDouble<M: Contract> {
+    record: Record<M>,
+    answer: Answer<M>,
 }
 
-impl<E: Event> Component for Listener<E> {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.listen::<E>();
-    }
-}
+impl<M: Contract> Component for TestDouble<M> {}
 
-impl<E: Event> Handle<E> for Listener<E> {
-    async fn handle(&mut self, event: E, _: &mut Context<Self>) -> E::Reply {
-        self.record.push(event);
-    }
-}
-
-/// The component of [`Probe::target`].
-pub struct Target<E> {
-    record: Record<E>,
-}
-
-impl<E: Event> Component for Target<E> {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<E>();
-    }
-}
-
-impl<E: Event> Handle<E> for Target<E> {
-    async fn handle(&mut self, event: E, _: &mut Context<Self>) -> E::Reply {
-        self.record.push(event);
-    }
-}
-
-/// The component of [`Probe::actuator`].
-pub struct Actuator<E> {
-    record: Record<E>,
-}
-
-impl<E: Event> Component for Actuator<E> {}
-
-impl<E: Event> Handle<E> for Actuator<E> {
-    async fn handle(&mut self, event: E, _: &mut Context<Self>) -> E::Reply {
-        self.record.push(event);
+impl<M: Contract> Handle<M> for TestDouble<M> {
+    async fn handle(&mut self, message: M, _: &mut Context<Self>) -> M::Reply {
+        let reply = (self.answer)(&message);
+        self.record.push(message);
+        reply
     }
 }
 
@@ -203,42 +173,3 @@ pub fn owner<V: Variable>(name: &str, value: V) -> ChildSpec<Owner> {
 pub struct Owner;
 
 impl Component for Owner {}
-
-type Answer<M> = Arc<dyn Fn(&M) -> <M as Contract>::Reply + Send + Sync>;
-
-/// The component of [`Probe::server`].
-pub struct Server<M: Request> {
-    record: Record<M>,
-    answer: Answer<M>,
-}
-
-impl<M: Request> Component for Server<M> {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<M>();
-    }
-}
-
-impl<M: Request> Server<M> {
-    fn serve(&self, request: M) -> M::Reply {
-        let reply = (self.answer)(&request);
-        self.record.push(request);
-        reply
-    }
-}
-
-impl<M: Request> Handle<M> for Server<M> {
-    async fn handle(&mut self, request: M, _: &mut Context<Self>) -> M::Reply {
-        self.serve(request)
-    }
-}
-
-/// The component of [`Probe::answering_actuator`].
-pub struct AnsweringActuator<M: Request>(Server<M>);
-
-impl<M: Request> Component for AnsweringActuator<M> {}
-
-impl<M: Request> Handle<M> for AnsweringActuator<M> {
-    async fn handle(&mut self, command: M, _: &mut Context<Self>) -> M::Reply {
-        self.0.serve(command)
-    }
-}

@@ -6,7 +6,6 @@ use blastema_core::net::seal::cipher::{
 };
 use bytes::BytesMut;
 use std::collections::BTreeSet;
-use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// A key, and a nonce that was used under it.
@@ -153,16 +152,11 @@ impl SealCrypto for FakeCrypto {
 }
 
 /// The cipher of [`FakeCrypto`]: a tag, and no encryption.
+#[derive(Debug)]
 pub struct FakeCipher {
     seal: [u8; 32],
     open: [u8; 32],
     ledger: NonceLedger,
-}
-
-impl fmt::Debug for FakeCipher {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("FakeCipher")
-    }
 }
 
 fn tag(key: &[u8; 32], nonce: u64, plain: &[u8]) -> [u8; 16] {

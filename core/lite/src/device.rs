@@ -165,7 +165,7 @@ impl<'a, const OBJECTS: usize, const PORTS: usize> Device<'a, OBJECTS, PORTS> {
     /// Takes the bytes of one packet. Bytes that are no packet for this device are dropped.
     pub fn handle_packet(&mut self, bytes: &[u8], now: Duration, firmware: &mut impl Firmware) {
         let address = self.config.address;
-        let Ok(packet) = DevicePacket::decode(bytes, address.is_some(), self.session) else {
+        let Some(packet) = DevicePacket::decode(bytes, address.is_some(), self.session) else {
             return;
         };
         // Packets to all are never answered, so commands to all cannot be carried out once.

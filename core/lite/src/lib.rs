@@ -114,5 +114,5 @@ pub use host::{
 };
 pub use line::HostLine;
 pub use message::{DeviceState, LifecycleChange, ResetCause, Status};
-pub use packet::{DATA_MAX, DevicePacket, OBJECTS_MAX, PACKET_MAX, PacketError};
+pub use packet::{DATA_MAX, DevicePacket, OBJECTS_MAX, PACKET_MAX};
 pub use port::{PORTS_MAX, Port, PortKind, PortSet};

@@ -50,32 +50,6 @@ pub struct DevicePacket<'a> {
     pub data: &'a [u8],
 }
 
-/// Why received bytes are no packet. Line noise and another sender's packets cause each of them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PacketError {
-    /// Fewer bytes than a packet has, or more.
-    Length,
-    /// Not the plain variant of this protocol.
-    Variant,
-    /// Bit 3 and the message demand different checksums, or a plain packet has a sequence.
-    Header,
-    /// The bytes, or the session, are not those of the sender.
-    Checksum,
-}
-
-impl core::fmt::Display for PacketError {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(match self {
-            PacketError::Length => "a packet of this length does not exist",
-            PacketError::Variant => "another variant of the protocol",
-            PacketError::Header => "the header does not belong to the message",
-            PacketError::Checksum => "the checksum, or the session, differs",
-        })
-    }
-}
-
-impl core::error::Error for PacketError {}
-
 impl<'a> DevicePacket<'a> {
     /// A plain packet of the link to a device, without data, for the other fields to be set.
     pub(crate) const fn to_device(address: Option<u8>) -> DevicePacket<'static> {
@@ -121,36 +95,28 @@ impl<'a> DevicePacket<'a> {
         &bytes[..end + 1 + usize::from(wide)]
     }
 
-    /// Reads a packet of this session; `addressed` on multi-drop lines.
-    ///
-    /// # Errors
-    ///
-    /// [`PacketError`], if one of the checks fails. A receiver drops the bytes.
-    pub fn decode(bytes: &'a [u8], addressed: bool, session: u16) -> Result<Self, PacketError> {
+    /// Reads a packet of this session; `addressed` on multi-drop lines. Returns none, and the
+    /// receiver drops the bytes, if they are of another length, variant, width or session, or if
+    /// the checksum differs: line noise and another sender's packets cause each of them.
+    pub fn decode(bytes: &'a [u8], addressed: bool, session: u16) -> Option<Self> {
         let (address, rest) = match bytes {
             [address, rest @ ..] if addressed => (Some(*address), rest),
             rest => (None, rest),
         };
-        let [header, object, message, ..] = *rest else { return Err(PacketError::Length) };
-        if header & VARIANT != PLAIN_TEXT {
-            return Err(PacketError::Variant);
-        }
+        let [header, object, message, ..] = *rest else { return None };
         // The width follows from the message: noise can turn bit 3, and a receiver that obeyed it
         // would be as weak as CRC-8 for every message.
         let wide = is_wide(object, message);
         let is_command = header & COMMAND != 0;
-        if (header & WIDE != 0) != wide || !is_command && header & SEQUENCE != 0 {
-            return Err(PacketError::Header);
+        let is_plain = header & VARIANT == PLAIN_TEXT && (is_command || header & SEQUENCE == 0);
+        if !is_plain || (header & WIDE != 0) != wide {
+            return None;
         }
         let tail = 1 + usize::from(wide);
-        let length = rest.len().checked_sub(3 + tail).filter(|length| *length <= DATA_MAX);
-        let length = length.ok_or(PacketError::Length)?;
+        let length = rest.len().checked_sub(3 + tail).filter(|length| *length <= DATA_MAX)?;
         let (covered, found) = bytes.split_at(bytes.len() - tail);
         let expected = checksum(covered, start(object, session), wide).to_be_bytes();
-        if *found != expected[..tail] {
-            return Err(PacketError::Checksum);
-        }
-        Ok(DevicePacket {
+        (*found == expected[..tail]).then_some(DevicePacket {
             address,
             from_device: header & FROM_DEVICE != 0,
             sequence: is_command.then_some(header & SEQUENCE),
@@ -204,7 +170,7 @@ mod tests {
         let encoded = packet.encode(session, &mut room);
         assert_eq!(encoded, bytes);
         assert_eq!(cobs::encode(encoded, &mut frame), wire);
-        assert_eq!(DevicePacket::decode(bytes, packet.address.is_some(), session), Ok(packet));
+        assert_eq!(DevicePacket::decode(bytes, packet.address.is_some(), session), Some(packet));
     }
 
     #[test]
@@ -243,12 +209,12 @@ mod tests {
         let packet = DevicePacket { address: Some(7), data: &[3], ..NO_DATA };
         let mut bytes = [0; PACKET_MAX];
         let length = packet.encode(0, &mut bytes).len();
-        assert_eq!(DevicePacket::decode(&bytes[..length], true, 0), Ok(packet));
+        assert_eq!(DevicePacket::decode(&bytes[..length], true, 0), Some(packet));
 
         bytes[0] = 8;
 
         let refused = DevicePacket::decode(&bytes[..length], true, 0);
-        assert_eq!(refused, Err(PacketError::Checksum));
+        assert_eq!(refused, None);
     }
 
     #[test]
@@ -257,34 +223,33 @@ mod tests {
         let command = DevicePacket { sequence: Some(1), object: 1, message: 0x10, ..NO_DATA };
         let encoded = command.encode(0x1234, &mut bytes);
         let refused = DevicePacket::decode(encoded, false, 0x1235);
-        assert_eq!(refused, Err(PacketError::Checksum));
+        assert_eq!(refused, None);
 
         let ping = DevicePacket { data: &[3], ..NO_DATA };
         let encoded = ping.encode(0x1234, &mut bytes);
-        assert_eq!(DevicePacket::decode(encoded, false, 0x1235), Ok(ping));
+        assert_eq!(DevicePacket::decode(encoded, false, 0x1235), Some(ping));
     }
 
     #[test]
-    fn the_width_bit_must_agree_with_the_message() {
-        // A command whose bit 3 noise has turned, with a CRC-8 that would be right.
-        let mut bytes = [0x51, 1, 0x10, 0];
-        bytes[3] = checksum(&bytes[..3], 0x1234, false).to_be_bytes()[0];
-
-        assert_eq!(DevicePacket::decode(&bytes, false, 0x1234), Err(PacketError::Header));
-    }
-
-    #[test]
-    fn foreign_variants_sequences_in_plain_packets_and_short_packets_are_refused() {
-        let check = |bytes: &[u8], error| {
-            assert_eq!(DevicePacket::decode(bytes, false, 0), Err(error));
+    fn foreign_variants_widths_and_sequences_are_refused_although_their_checksum_is_right() {
+        let is_read = |head: [u8; 3]| {
+            let wide = is_wide(head[1], head[2]);
+            let sum = checksum(&head, start(head[1], 0), wide).to_be_bytes();
+            let bytes = [&head[..], &sum[..1 + usize::from(wide)]].concat();
+            DevicePacket::decode(&bytes, false, 0).is_some()
         };
-        check(&[0x80, 0, 0, 3, 0xfd], PacketError::Variant);
-        check(&[0xc0, 0, 0, 3, 0xfd], PacketError::Variant);
-        check(&[0x00, 0, 0, 3, 0xfd], PacketError::Variant);
-        check(&[0x41, 0, 0, 3, 0xfd], PacketError::Header);
-        check(&[0x48, 0, 1, 3], PacketError::Length);
-        check(&[0x40, 0], PacketError::Length);
-        check(&[], PacketError::Length);
+        for right in [[0x40, 0, 0], [0x48, 0, 1], [0x59, 1, 0x10]] {
+            assert!(is_read(right), "{right:x?}");
+        }
+        let foreign = [[0x80, 0, 0], [0xc0, 0, 0], [0x00, 0, 0]];
+        // Noise has turned bit 3, or a plain packet has a sequence.
+        let wrong = [[0x48, 0, 0], [0x40, 0, 1], [0x51, 1, 0x10], [0x41, 0, 0], [0x49, 0, 1]];
+        for head in foreign.iter().chain(&wrong) {
+            assert!(!is_read(*head), "{head:x?}");
+        }
+        for short in [&[0x48, 0, 1, 3][..], &[0x40, 0], &[]] {
+            assert_eq!(DevicePacket::decode(short, false, 0), None);
+        }
     }
 
     #[test]
@@ -295,7 +260,7 @@ mod tests {
         for bit in 0..length * 8 {
             let mut bytes = bytes;
             bytes[bit / 8] ^= 1 << (bit % 8);
-            assert!(DevicePacket::decode(&bytes[..length], false, 9).is_err(), "bit {bit}");
+            assert!(DevicePacket::decode(&bytes[..length], false, 9).is_none(), "bit {bit}");
         }
     }
 }

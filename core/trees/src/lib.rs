@@ -61,9 +61,8 @@ mod value;
 pub mod differences {}
 
 pub use factory::Factory;
-pub use load::{Problem, TreeError, TreeErrors, byte_at};
+pub use load::{TreeError, TreeErrors, byte_at};
 pub use model::{LeafKind, Port};
-pub use script::ScriptError;
 pub use status::Status;
 pub use tree::{
     CalledLeaf, Halt, Leaf, LeafContext, LeafError, LeafResult, LeafRun, NodeView, PortError,

@@ -136,8 +136,10 @@ pub(crate) enum Kind {
     },
     Parallel,
     ParallelAll,
-    IfThenElse,
-    WhileDoElse,
+    /// `IfThenElse`, or `WhileDoElse`, which looks at its condition in each tick.
+    Branch {
+        looks_again: bool,
+    },
     /// With so many cases.
     Switch(u8),
     TryCatch,
@@ -194,7 +196,7 @@ impl Kind {
     pub(crate) fn children(self) -> RangeInclusive<usize> {
         use Kind::*;
         match self {
-            IfThenElse | WhileDoElse => 2..=3,
+            Branch { .. } => 2..=3,
             Switch(cases) => usize::from(cases) + 1..=usize::from(cases) + 1,
             TryCatch => 2..=usize::MAX,
             Ordered(_) | Reactive { .. } | Parallel | ParallelAll => 1..=usize::MAX,
@@ -249,8 +251,8 @@ pub(crate) static BUILTINS: [Builtin; 42] = [
         ],
     ),
     ("ParallelAll", Kind::ParallelAll, &[Port::input::<i32>("max_failures").or("1")]),
-    ("IfThenElse", Kind::IfThenElse, &[]),
-    ("WhileDoElse", Kind::WhileDoElse, &[]),
+    ("IfThenElse", Kind::Branch { looks_again: false }, &[]),
+    ("WhileDoElse", Kind::Branch { looks_again: true }, &[]),
     ("Switch2", Kind::Switch(2), SWITCH.split_at(3).0),
     ("Switch3", Kind::Switch(3), SWITCH.split_at(4).0),
     ("Switch4", Kind::Switch(4), SWITCH.split_at(5).0),

@@ -210,19 +210,6 @@ fn names_are_taken_over_by_a_standby_that_was_found_by_itself() {
 }
 
 #[test]
-fn cable_pulled_leaves_the_arm_moving() {
-    let _turn = blastema_doubles::turn();
-    check(
-        "cable_pulled",
-        &[
-            "the left cable is pulled",
-            "link down: brain -left- shoulder",
-            "the arm took 500 steps, once and in order, to 1.57 rad",
-        ],
-    );
-}
-
-#[test]
 fn serial_and_udp_carry_out_every_order_once_whichever_cable_is_pulled() {
     let _turn = blastema_doubles::turn();
     check(

@@ -10,7 +10,7 @@ fuzz_target!(|script: (bool, u16, Vec<u8>)| {
     let (addressed, session, bytes) = script;
     let mut room = [0; PACKET_MAX];
     let check = |packet: &[u8], room: &mut [u8; PACKET_MAX]| {
-        if let Ok(fields) = DevicePacket::decode(packet, addressed, session) {
+        if let Some(fields) = DevicePacket::decode(packet, addressed, session) {
             assert_eq!(fields.encode(session, room), packet);
         }
     };

@@ -6,7 +6,7 @@
 use blastema::prelude::*;
 use blastema::{
     ActorRef, ComponentOrder, DeliveryError, DeviceDescription, DeviceProxy, DeviceSpec, Lifecycle,
-    Network, OrderVerb, VariableSpec,
+    Network, NodeBuilder, OrderVerb, VariableSpec,
 };
 use blastema_ptys::Cable;
 use blastema_tests::Process;
@@ -235,8 +235,20 @@ async fn is_active(node: &Node, name: &str) -> bool {
     proxy(node, name).state() == Lifecycle::Active
 }
 
-fn robot() -> blastema::NodeBuilder {
+fn robot() -> NodeBuilder {
     Node::builder("robot").intensity(1000, Duration::from_secs(60))
+}
+
+/// The device `a` at this end of its line.
+fn one(cable: &Cable) -> ChildSpec<DeviceProxy> {
+    spec::<Add>(&at(&cable.left()), "a", A, ["in", "out"]).child()
+}
+
+/// Starts the node and waits until its device `a` works.
+async fn working(node: NodeBuilder) -> Node {
+    let node = node.start().await.expect("the node starts");
+    until("it works", async || is_active(&node, "a").await).await;
+    node
 }
 
 /// The experiment of RTComponent-Lite (Suzuki et al. 2007, figures 5 and 6), and what follows.
@@ -319,12 +331,11 @@ fn values_go_from_a_console_through_two_devices_and_back_and_each_is_recovered_b
         node.shutdown().await;
 
         // Another process of the node finds the devices as they are.
-        let node = robot()
-            .child(spec::<Add>(&at(&cables[0].left()), "a", A, ["forth", "between"]).child())
-            .start()
-            .await
-            .expect("the node starts again");
-        until("a works", async || is_active(&node, "a").await).await;
+        let node = working(
+            robot()
+                .child(spec::<Add>(&at(&cables[0].left()), "a", A, ["forth", "between"]).child()),
+        )
+        .await;
         let total = add(&node, "a", 1).await.expect("a works");
         assert_eq!((total.total, total.boots), (10, 2), "nothing twice, no reset");
         assert_eq!(total.limit, 5, "the new node's own");
@@ -384,12 +395,7 @@ fn a_command_across_a_reset_has_an_unknown_outcome_and_an_error_of_the_device_is
     blastema::run(async {
         let cable = Cable::new();
         let _chip = Chip::new::<Add>(A, &cable.right(), &[]);
-        let node = robot()
-            .child(spec::<Add>(&at(&cable.left()), "a", A, ["in", "out"]).child())
-            .start()
-            .await
-            .expect("the node starts");
-        until("it works", async || is_active(&node, "a").await).await;
+        let node = working(robot().child(one(&cable))).await;
         let first = proxy(&node, "a").incarnation();
 
         let refused = add(&node, "a", 666).await;
@@ -423,14 +429,13 @@ fn a_person_orders_a_device_through_its_proxy_as_any_component() {
             Plan::default().on(FaultKind::ErrorState, Ladder::first(RecoveryAction::Observe));
         let received = Arc::new(Mutex::new(Vec::new()));
         let got = received.clone();
-        let node = robot()
-            .plan(waits)
-            .child(spec::<Add>(&at(&cable.left()), "a", A, ["in", "back"]).child())
-            .child(ChildSpec::new("console", move || Console(got.clone())))
-            .start()
-            .await
-            .expect("the node starts");
-        until("it works", async || is_active(&node, "a").await).await;
+        let node = working(
+            robot()
+                .plan(waits)
+                .child(spec::<Add>(&at(&cable.left()), "a", A, ["in", "back"]).child())
+                .child(ChildSpec::new("console", move || Console(got.clone()))),
+        )
+        .await;
         let order = async |verb| {
             let reply = node.order(&ComponentOrder { verb, name: Some("a".to_owned()) }).await;
             let row = reply.rows.first().expect("it is there");
@@ -502,9 +507,7 @@ fn a_node_that_is_killed_finds_its_device_as_it_is_and_no_command_is_carried_out
             std::fs::remove_file(&counted).expect("it was counted");
         }
 
-        let node = robot().child(spec::<Add>(&at(Path::new(&port)), "a", A, ["in", "out"]).child());
-        let node = node.start().await.expect("the node starts");
-        until("it works", async || is_active(&node, "a").await).await;
+        let node = working(robot().child(one(&cable))).await;
         let total = add(&node, "a", 1).await.expect("the device works");
 
         assert_eq!((total.total, total.boots), (total.calls, 1), "no reset");
@@ -521,12 +524,7 @@ fn a_port_that_takes_no_bytes_is_told_and_is_used_again_when_it_does() {
     blastema::run(async {
         let cable = Cable::new();
         let _chip = Chip::new::<Add>(A, &cable.right(), &[]);
-        let node = robot()
-            .child(spec::<Add>(&at(&cable.left()), "a", A, ["in", "out"]).child())
-            .start()
-            .await
-            .expect("the node starts");
-        until("it works", async || is_active(&node, "a").await).await;
+        let node = working(robot().child(one(&cable))).await;
 
         cable.hold_left(true);
         let text = "the port takes no bytes";
@@ -665,12 +663,7 @@ fn the_example_that_is_generated_for_a_firmware_compiles_and_takes_part() {
         let (port, emulator) = (cable.right(), None);
         let mut chip = Chip { folder, program, emulator, port, process: None };
         chip.switch_on();
-        let node = robot()
-            .child(spec::<Add>(&at(&cable.left()), "a", A, ["in", "out"]).child())
-            .start()
-            .await
-            .expect("the node starts");
-        until("it works", async || is_active(&node, "a").await).await;
+        let node = working(robot().child(one(&cable))).await;
         let refused = add(&node, "a", 1).await;
         assert!(matches!(refused, Err(DeliveryError::CheckFailed { .. })), "{refused:?}");
         node.shutdown().await;

@@ -239,7 +239,7 @@ impl<P: AsRef<[Port]>> Host<P> {
     /// Takes the bytes of one packet. Bytes that are no packet of this device are dropped.
     pub fn handle_packet(&mut self, bytes: &[u8], now: Duration) {
         let address = self.config.address;
-        let Ok(packet) = DevicePacket::decode(bytes, address.is_some(), self.session) else {
+        let Some(packet) = DevicePacket::decode(bytes, address.is_some(), self.session) else {
             return;
         };
         if !packet.from_device || packet.address != address {

@@ -73,7 +73,7 @@ impl Stage {
     fn sent(&mut self) -> Option<Sent> {
         let mut bytes = [0; PACKET_MAX];
         let packet = self.host.poll_packet(self.now, |_, value| value.fill(9), &mut bytes)?;
-        let hello = DevicePacket::decode(packet, false, 0).ok();
+        let hello = DevicePacket::decode(packet, false, 0);
         if let Some(DevicePacket { message: HELLO, data: &[a, b, ..], .. }) = hello {
             self.session = u16::from_le_bytes([a, b]);
         }

@@ -1,7 +1,6 @@
 //! Builds a tree from its definition, and checks the definition on the way.
 
 use super::definitions::Definitions;
-use super::problem::Problem;
 use super::source::{Attribute, Element, MAX_DEPTH, Named, Place, Sources, nearest};
 use super::{CONDITIONS, EXPLICIT, NodeType};
 use crate::blackboard::{BoardId, KeyId};
@@ -70,7 +69,7 @@ impl<'a> Builder<'a> {
         if let Some((limit, _)) = limits.into_iter().find(|(_, reached)| *reached) {
             // Once is enough: the nodes that follow are beyond it too.
             if self.sources.errors.is_empty() {
-                self.sources.error(element.place, Problem::Limit(limit));
+                self.sources.error(element.place, format!("more than {limit}"));
             }
             return None;
         }
@@ -155,7 +154,8 @@ impl<'a> Builder<'a> {
         let leaves = self.factory.leaves.keys().map(String::as_str);
         let known = BUILTINS.iter().map(|known| known.0).chain(leaves);
         let known = known.chain(is_tree.then_some(subtree.as_str()));
-        self.sources.misspelt(place, Problem::UnknownNode(name.to_owned()), wrong, known);
+        let problem = format!("no type of node is called `{name}`");
+        self.sources.misspelt(place, problem, wrong, known);
     }
 
     fn check_children(&mut self, element: &Element, node: &NodeType<'_>) {
@@ -168,14 +168,15 @@ impl<'a> Builder<'a> {
                 (least, most) if least == most => least.to_string(),
                 (least, most) => format!("{least} to {most}"),
             };
-            let problem = Problem::Children { node: node.name.into(), found, expected };
+            let problem = format!("`{}` has {found} children instead of {expected}", node.name);
             self.sources.error(element.place, problem);
         }
         let is_async = |child: &&Element| child.name == "AsyncSequence";
         if node.kind == (Kind::Reactive { go: Status::Success })
             && element.children.iter().filter(is_async).count() > 1
         {
-            self.sources.error(element.place, Problem::AsyncChildren);
+            let problem = "a ReactiveSequence has at most one AsyncSequence as its child";
+            self.sources.error(element.place, problem);
         }
     }
 
@@ -191,7 +192,7 @@ impl<'a> Builder<'a> {
         }
         if !self.paths.insert(path.clone()) {
             if is_tree {
-                self.sources.error(element.place, Problem::Taken(path.clone()));
+                self.sources.error(element.place, format!("the name `{path}` is taken"));
             }
             path = format!("{path}::{number}");
             self.paths.insert(path.clone());
@@ -238,7 +239,7 @@ impl<'a> Builder<'a> {
                 let place = self.sources.within(attribute, error.at);
                 let what =
                     if in_entry { "a script is not taken from an entry" } else { &error.what };
-                self.sources.error(place, Problem::Script(what.to_owned()));
+                self.sources.error(place, what);
             }
             script::Script::default()
         });
@@ -254,7 +255,7 @@ impl<'a> Builder<'a> {
             if let Some(index) = CONDITIONS.iter().position(|known| *known == name) {
                 hooks[index] = Some(self.code(attribute, board, false));
             } else if name.starts_with('_') && nearest(name, CONDITIONS).is_some() {
-                let problem = Problem::UnknownCondition(name.to_owned());
+                let problem = format!("`{name}` is no condition of a node");
                 self.sources.misspelt(attribute.place, problem, name, CONDITIONS);
             }
         }
@@ -278,8 +279,7 @@ impl<'a> Builder<'a> {
                 (None, Some(text)) => self.binding(port, board, text, element.place),
                 (None, None) => {
                     if port.direction != PortDirection::Output && !port.optional {
-                        let (node, port) = (node.name.into(), port.name.into());
-                        self.sources.error(element.place, Problem::MissingPort { node, port });
+                        self.sources.needs_port(element.place, node.name, port.name);
                     }
                     PortBinding::Missing
                 }
@@ -289,8 +289,8 @@ impl<'a> Builder<'a> {
                 (node.kind, &binding)
                 && i64::try_from(children).is_ok_and(|children| *threshold > children)
             {
-                let threshold = *threshold;
-                self.sources.error(element.place, Problem::Threshold { threshold, children });
+                let problem = format!("a threshold of {threshold} with {children} children");
+                self.sources.error(element.place, problem);
             }
             self.tree.bindings.push(BoundPort { name: port.name, binding });
         }
@@ -304,8 +304,10 @@ impl<'a> Builder<'a> {
             (Some(key), _) => {
                 let id = self.key(board, key, place);
                 if let Err(known) = self.tree.board.declare(id, port.kind) {
-                    let (key, known, kind) = (key.to_owned(), known.name(), port.kind.name());
-                    self.sources.error(place, Problem::EntryType { key, known, kind });
+                    let (known, kind) = (known.name(), port.kind.name());
+                    let problem =
+                        format!("the entry `{key}` is of type {known} already, and not {kind}");
+                    self.sources.error(place, problem);
                 }
                 return PortBinding::Key(id);
             }
@@ -356,10 +358,7 @@ impl<'a> Builder<'a> {
                     self.bytes += port.len() + default.len();
                     ports.insert(port.clone(), (default, element.place));
                 }
-                None => {
-                    let (node, port) = (id.value.clone(), port.clone());
-                    self.sources.error(element.place, Problem::MissingPort { node, port });
-                }
+                None => self.sources.needs_port(element.place, &id.value, port),
             }
         }
         let mut literals = Vec::new();

@@ -1,7 +1,6 @@
 //! The contents of a tree's files: trees, and models of nodes.
 
 use super::NodeType;
-use super::problem::Problem;
 use super::source::{Attribute, Element, MAX_DEPTH, Named, Place, Sources};
 use crate::factory::Factory;
 use crate::model::may_be_name;
@@ -21,7 +20,7 @@ impl Definitions {
     pub(super) fn tree(&self, sources: &mut Sources, name: &str, place: Place) -> Option<&Element> {
         if !self.trees.contains_key(name) {
             let known = self.trees.keys().map(String::as_str);
-            sources.misspelt(place, Problem::UnknownTree(name.to_owned()), name, known);
+            sources.misspelt(place, format!("no tree is called `{name}`"), name, known);
         }
         self.trees.get(name)?.as_ref()
     }
@@ -35,14 +34,13 @@ impl Definitions {
             match element.name.as_str() {
                 "BehaviorTree" => definitions.define(factory, sources, element, count),
                 "TreeNodesModel" => definitions.model(factory, sources, &element),
-                name => {
-                    let known = ["BehaviorTree", "TreeNodesModel", "include"];
-                    let problem = Problem::Element(name.to_owned());
-                    sources.misspelt(element.place, problem, name, known);
-                }
+                _ => sources.meaningless(&element, &["BehaviorTree", "TreeNodesModel", "include"]),
             }
         }
-        definitions.circles(sources);
+        let mut done = BTreeSet::new();
+        for name in definitions.trees.keys() {
+            definitions.circles(sources, name, &mut Vec::new(), &mut done);
+        }
         definitions
     }
 
@@ -60,16 +58,15 @@ impl Definitions {
         let name = id.map_or("BehaviorTree_0", |id| &id.value).to_owned();
         if let Some(id) = id {
             if !may_be_name(&name) {
-                sources.error(id.value_place, Problem::Name(name.clone()));
+                sources.error(id.value_place, format!("`{name}` cannot be the name of a tree"));
             } else if NodeType::of_name(factory, &name).is_some() || self.trees.contains_key(&name)
             {
-                sources.error(id.value_place, Problem::Taken(name.clone()));
+                sources.error(id.value_place, format!("the name `{name}` is taken"));
             }
         }
         let found = element.children.len();
         if found != 1 {
-            let (node, expected) = ("BehaviorTree".into(), "1".into());
-            sources.error(place, Problem::Children { node, found, expected });
+            sources.error(place, format!("`BehaviorTree` has {found} children instead of 1"));
         }
         let root = if found == 1 { element.children.pop() } else { None };
         self.trees.insert(name, root);
@@ -97,46 +94,34 @@ impl Definitions {
         }
     }
 
-    /// Reports each tree that contains itself, once for each circle.
-    fn circles(&self, sources: &mut Sources) {
-        let mut subtrees = Named::new();
-        for (name, root) in &self.trees {
-            let mut found = Vec::new();
-            root.iter().for_each(|root| collect_subtrees(root, &mut found));
-            subtrees.insert(name.clone(), found);
+    /// Reports each tree that contains itself, once for each circle: follows the subtrees of each
+    /// tree once.
+    fn circles<'a>(
+        &'a self,
+        sources: &mut Sources,
+        name: &'a str,
+        path: &mut Vec<&'a str>,
+        done: &mut BTreeSet<&'a str>,
+    ) {
+        // Deeper trees are refused when they are built.
+        if path.len() >= MAX_DEPTH || !done.insert(name) {
+            return;
         }
-        let mut done = BTreeSet::new();
-        for name in self.trees.keys() {
-            follow(sources, &subtrees, name, &mut Vec::new(), &mut done);
-        }
-    }
-}
-
-fn follow<'a>(
-    sources: &mut Sources,
-    subtrees: &'a Named<Vec<&'a Attribute>>,
-    name: &'a str,
-    path: &mut Vec<&'a str>,
-    done: &mut BTreeSet<&'a str>,
-) {
-    // Deeper trees are refused when they are built.
-    if done.contains(name) || path.len() >= MAX_DEPTH {
-        return;
-    }
-    path.push(name);
-    for id in subtrees.get(name).into_iter().flatten() {
-        match path.iter().position(|known| *known == id.value) {
-            Some(first) => {
-                let mut circle: Vec<String> = Vec::new();
-                circle.extend(path[first..].iter().map(|&name| name.to_owned()));
-                circle.push(id.value.clone());
-                sources.error(id.value_place, Problem::Circle(circle));
+        path.push(name);
+        let mut found = Vec::new();
+        let root = self.trees.get(name).into_iter().flatten();
+        root.for_each(|root| collect_subtrees(root, &mut found));
+        for id in found {
+            match path.iter().position(|known| *known == id.value) {
+                Some(first) => {
+                    let circle = [&path[first..], &[&id.value]].concat().join(" -> ");
+                    sources.error(id.value_place, format!("a circle: {circle}"));
+                }
+                None => self.circles(sources, &id.value, path, done),
             }
-            None => follow(sources, subtrees, &id.value, path, done),
         }
+        path.pop();
     }
-    path.pop();
-    done.insert(name);
 }
 
 /// The names of the subtrees at or below an element.

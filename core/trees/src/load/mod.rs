@@ -2,10 +2,10 @@
 
 mod build;
 mod definitions;
-mod problem;
+mod error;
 mod source;
 
-pub use problem::{Problem, TreeError, TreeErrors};
+pub use error::{TreeError, TreeErrors};
 pub use source::byte_at;
 
 use crate::factory::Factory;
@@ -66,12 +66,10 @@ fn main_tree<'a>(
         (None, Some(main)) => definitions.tree(sources, &main.value, main.value_place),
         (None, None) if definitions.trees.len() == 1 => definitions.trees.values().next()?.as_ref(),
         (None, None) => {
-            let (element, attribute) = ("root".to_owned(), "main_tree_to_execute");
             if definitions.trees.len() > 1 {
-                sources.error(start, Problem::Attribute { element, attribute });
+                sources.error(start, "<root> needs the attribute `main_tree_to_execute`");
             } else if sources.errors.is_empty() {
-                let (found, expected) = (0, "at least 1".into());
-                sources.error(start, Problem::Children { node: element, found, expected });
+                sources.error(start, "`root` has 0 children instead of at least 1");
             }
             None
         }

@@ -1,7 +1,7 @@
 //! The files of a tree: read, included, and kept as plain elements with their places.
 
 use super::NodeType;
-use super::problem::{Problem, TreeError, skipped};
+use super::error::{TreeError, skipped};
 use std::collections::BTreeMap;
 
 /// Elements nested deeper than this are refused, as by the library; nodes are ticked recursively.
@@ -84,20 +84,19 @@ impl Sources {
         self.files.push((name.clone(), text.clone()));
         let start = Place { file, at: 0 };
         if too_large {
-            return self.error(start, Problem::Limit("4 MiB in one file"));
+            return self.error(start, "more than 4 MiB in one file");
         }
         let document = match roxmltree::Document::parse(&text) {
             Ok(document) => document,
             Err(error) => {
                 let roxmltree::TextPos { row, col } = error.pos();
                 let at = byte_at(&text, row as usize, col as usize);
-                return self.error(Place { file, at }, Problem::Xml(error.to_string()));
+                return self.error(Place { file, at }, format!("no XML: {error}"));
             }
         };
         let Some(root) = self.element(file, document.root_element(), 0) else { return };
         if root.name != "root" {
-            let problem = Problem::Element(root.name.clone());
-            return self.misspelt(root.place, problem, &root.name, ["root"]);
+            return self.meaningless(&root, &["root"]);
         }
         if let Some(format) = root.attribute("BTCPP_format").filter(|format| format.value != "4") {
             self.no_value(format.value_place, &format.value, "format that is read here; it is 4");
@@ -127,17 +126,17 @@ impl Sources {
         if let Some(first) = including.iter().position(|known| *known == name) {
             let mut circle = including[first..].to_vec();
             circle.push(name);
-            return self.error(place, Problem::Circle(circle));
+            return self.error(place, format!("a circle: {}", circle.join(" -> ")));
         }
         if self.files.iter().any(|(known, _)| *known == name) {
             return;
         }
         if self.files.len() >= MAX_DEPTH {
-            return self.error(place, Problem::Limit("256 files"));
+            return self.error(place, "more than 256 files");
         }
         match include(&name) {
             Ok(text) => self.read_file(name, text, including, include),
-            Err(reason) => self.error(place, Problem::Include { path: name, reason }),
+            Err(reason) => self.error(place, format!("cannot include `{name}`: {reason}")),
         }
     }
 
@@ -151,7 +150,7 @@ impl Sources {
         let place = Place { file, at: node.range().start };
         // Beside the nodes of a tree there are `root` and `BehaviorTree`.
         if depth > MAX_DEPTH + 2 {
-            self.error(place, Problem::Limit("256 elements that are nested"));
+            self.error(place, "more than 256 elements that are nested");
             return None;
         }
         let attributes = node.attributes().map(|attribute| Attribute {
@@ -180,25 +179,35 @@ impl Sources {
     ) -> Option<&'a Attribute> {
         let found = element.attribute(attribute);
         if found.is_none() {
-            let problem = Problem::Attribute { element: element.name.clone(), attribute };
+            let problem = format!("<{}> needs the attribute `{attribute}`", element.name);
             self.error(element.place, problem);
         }
         found
     }
 
+    /// An element that has no meaning at its place, where these have one.
+    pub(super) fn meaningless(&mut self, element: &Element, known: &[&str]) {
+        let problem = format!("<{}> has no meaning here", element.name);
+        self.misspelt(element.place, problem, &element.name, known.iter().copied());
+    }
+
     /// Notes that a text does not convert.
     pub(super) fn no_value(&mut self, place: Place, text: &str, kind: &'static str) {
-        self.error(place, Problem::Value { value: text.to_owned(), kind });
+        self.error(place, format!("`{text}` is no {kind}"));
     }
 
     /// Notes that a type of node does not have a port.
     pub(super) fn unknown_port(&mut self, node: &NodeType<'_>, place: Place, port: &str) {
-        let problem = Problem::UnknownPort { node: node.name.into(), port: port.into() };
+        let problem = format!("`{}` has no port `{port}`", node.name);
         self.misspelt(place, problem, port, node.ports.iter().map(|port| port.name));
     }
 
+    pub(super) fn needs_port(&mut self, place: Place, node: &str, port: &str) {
+        self.error(place, format!("`{node}` needs the port `{port}`"));
+    }
+
     /// Notes an error.
-    pub(super) fn error(&mut self, place: Place, problem: Problem) {
+    pub(super) fn error(&mut self, place: Place, problem: impl Into<String>) {
         self.misspelt(place, problem, "", []);
     }
 
@@ -206,7 +215,7 @@ impl Sources {
     pub(super) fn misspelt<'a>(
         &mut self,
         place: Place,
-        problem: Problem,
+        problem: impl Into<String>,
         wrong: &str,
         known: impl IntoIterator<Item = &'a str>,
     ) {
@@ -223,7 +232,7 @@ impl Sources {
             line: before.matches('\n').count() + 1,
             column,
             excerpt: line.chars().skip(skipped(column)).take(MAX_EXCERPT).collect(),
-            problem,
+            problem: problem.into(),
             suggestion: nearest(wrong, known).map(str::to_owned),
         });
     }

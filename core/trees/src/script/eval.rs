@@ -6,45 +6,8 @@ use super::{Expr, Script};
 use crate::blackboard::{Blackboard, KeyId};
 use crate::value::{PortValue, Value};
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
-/// The error of a script that runs.
-#[derive(Clone, Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ScriptError {
-    /// An entry is read that has no value.
-    #[error("the entry `{0}` has no value")]
-    Unset(Arc<str>),
-    /// `=` and its like write only entries that exist.
-    #[error("the entry `{0}` does not exist; `:=` creates it")]
-    Missing(Arc<str>),
-    /// The entry has a type that the value does not convert to.
-    #[error("the entry `{entry}` keeps {kind}, to which `{value}` does not convert")]
-    Type {
-        /// The entry's name.
-        entry: Arc<str>,
-        /// The type that it keeps.
-        kind: &'static str,
-        /// The value that was to be written.
-        value: Value,
-    },
-    /// The operator does not take such operands.
-    #[error("`{operator}` does not take `{operand}`")]
-    Operand {
-        /// The operator.
-        operator: &'static str,
-        /// The operand.
-        operand: Value,
-    },
-    /// Joined texts are longer than 64 KiB: a script that joins on in each tick has no end.
-    #[error("the joined text has more than 64 KiB")]
-    Long,
-    /// The value is neither true nor false: 0, 1, or a real number.
-    #[error("`{0}` is neither true nor false")]
-    NotBool(Value),
-}
-
-type Evaluated = Result<Value, ScriptError>;
+type Evaluated = Result<Value, String>;
 
 /// The bytes of a joined text. A script of twenty statements can double one a million times.
 const MAX_TEXT: usize = 64 << 10;
@@ -86,9 +49,10 @@ impl Run<'_> {
                 let real = number(operator, &operand)?;
                 Ok(Value::Real(match *operator {
                     "-" => -real,
-                    "~" => !Value::Real(real.trunc()).as_int().ok_or_else(|| {
-                        ScriptError::Operand { operator, operand: operand.clone() }
-                    })? as f64,
+                    "~" => {
+                        let int = Value::Real(real.trunc()).as_int();
+                        !int.ok_or_else(|| not_taken(operator, &operand))? as f64
+                    }
                     _ => flag(real == 0.0),
                 }))
             }
@@ -109,8 +73,7 @@ impl Run<'_> {
             }
             Expr::Choice(parts) => {
                 let condition = self.eval(&parts[0])?;
-                let error = || ScriptError::Operand { operator: "?", operand: condition.clone() };
-                let holds = condition.as_real().ok_or_else(error)? != 0.0;
+                let holds = condition.as_real().ok_or_else(|| not_taken("?", &condition))? != 0.0;
                 self.eval(&parts[if holds { 1 } else { 2 }])
             }
             Expr::Assignment(key, operator, value) => self.assign(*key, operator, value),
@@ -118,10 +81,11 @@ impl Run<'_> {
     }
 
     fn read(&self, key: KeyId) -> Evaluated {
-        self.board.value(key).cloned().ok_or_else(|| ScriptError::Unset(self.board.name(key)))
+        let value = self.board.value(key).cloned();
+        value.ok_or_else(|| format!("the entry `{}` has no value", self.board.name(key)))
     }
 
-    fn compare(&self, a: &Value, operator: &str, b: &Value) -> Result<bool, ScriptError> {
+    fn compare(&self, a: &Value, operator: &str, b: &Value) -> Result<bool, String> {
         let (less, same, greater) = match (a, b) {
             (Value::Text(a), Value::Text(b)) => (a < b, a == b, a > b),
             _ => {
@@ -140,7 +104,7 @@ impl Run<'_> {
     }
 
     /// The number that a value is compared as: `true`, `false` and names of enums are numbers too.
-    fn number(&self, value: &Value) -> Result<f64, ScriptError> {
+    fn number(&self, value: &Value) -> Result<f64, String> {
         if let Value::Text(text) = value {
             match &**text {
                 "true" => return Ok(1.0),
@@ -149,13 +113,13 @@ impl Run<'_> {
                 _ => {}
             }
         }
-        let error = || ScriptError::Operand { operator: "==", operand: value.clone() };
-        value.as_real().ok_or_else(error)
+        value.as_real().ok_or_else(|| not_taken("==", value))
     }
 
     fn assign(&mut self, key: KeyId, operator: &'static str, value: &Expr) -> Evaluated {
         if operator != ":=" && !self.board.exists(key) {
-            return Err(ScriptError::Missing(self.board.name(key)));
+            let entry = self.board.name(key);
+            return Err(format!("the entry `{entry}` does not exist; `:=` creates it"));
         }
         let mut value = self.eval(value)?;
         if operator != ":=" && operator != "=" {
@@ -167,10 +131,9 @@ impl Run<'_> {
         {
             value = Value::Real(self.number(&value)?);
         }
-        self.board.assign(key, value.clone()).map_err(|kind| ScriptError::Type {
-            entry: self.board.name(key),
-            kind,
-            value,
+        self.board.assign(key, value.clone()).map_err(|kind| {
+            let entry = self.board.name(key);
+            format!("the entry `{entry}` keeps {kind}, to which `{value}` does not convert")
         })?;
         self.read(key)
     }
@@ -181,13 +144,17 @@ fn flag(holds: bool) -> f64 {
 }
 
 /// The number that an operand is. A text is none.
-fn number(operator: &'static str, value: &Value) -> Result<f64, ScriptError> {
+fn number(operator: &'static str, value: &Value) -> Result<f64, String> {
     let number = match value {
         Value::Int(int) => Some(*int as f64),
         Value::Real(real) => Some(*real),
         _ => None,
     };
-    number.ok_or_else(|| ScriptError::Operand { operator, operand: value.clone() })
+    number.ok_or_else(|| not_taken(operator, value))
+}
+
+fn not_taken(operator: &str, operand: &Value) -> String {
+    format!("`{operator}` does not take `{operand}`")
 }
 
 fn binary(left: &Value, operator: &'static str, right: &Value) -> Evaluated {
@@ -201,9 +168,10 @@ fn binary(left: &Value, operator: &'static str, right: &Value) -> Evaluated {
     if joins {
         let joined = format!("{left}{right}");
         let fits = joined.len() <= MAX_TEXT;
-        return fits.then(|| Value::text(joined)).ok_or(ScriptError::Long);
+        let too_long = || "the joined text has more than 64 KiB".to_owned();
+        return fits.then(|| Value::text(joined)).ok_or_else(too_long);
     }
-    let error = |operand: &Value| ScriptError::Operand { operator, operand: operand.clone() };
+    let error = |operand: &Value| not_taken(operator, operand);
     let (a, b) = (number(operator, left)?, number(operator, right)?);
     let int = |value: &Value| value.as_int().ok_or_else(|| error(value));
     let bool = |value: &Value| truth(value).ok_or_else(|| error(value));

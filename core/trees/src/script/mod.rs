@@ -8,7 +8,6 @@ mod eval;
 mod parse;
 mod token;
 
-pub use eval::ScriptError;
 pub(crate) use eval::{equal, truth};
 pub(crate) use parse::parse;
 

@@ -1,7 +1,7 @@
 //! The leaves that the engine has itself.
 
 use super::execute::NodeAnswer;
-use super::{PortBinding, PortError, TickError, TickProblem, Tree, TreeNodeId};
+use super::{PortBinding, PortError, TickError, Tree, TreeNodeId};
 use crate::blackboard::KeyId;
 use crate::status::Status;
 use std::time::Duration;
@@ -16,7 +16,7 @@ impl Tree {
         }
         self.board.assign(to, value.clone()).map_err(|kind| {
             let value = value.to_string();
-            self.error(id, PortError::Type { port: "value".into(), value, kind }.into())
+            self.error(id, PortError::Type { port: "value".into(), value, kind })
         })?;
         Ok(Status::Success)
     }
@@ -28,7 +28,7 @@ impl Tree {
         }
         let name: String = self.port(id, port)?;
         if self.board.is_full() {
-            return Err(self.error(id, TickProblem::Full));
+            return Err(self.error(id, "the blackboard is full"));
         }
         Ok(self.board.key(self.node(id).board, &name))
     }

@@ -1,7 +1,7 @@
 //! The nodes with several children.
 
 use super::execute::NodeAnswer;
-use super::{TickError, TickProblem, Tree, TreeNodeId};
+use super::{TickError, Tree, TreeNodeId};
 use crate::model::ChildOrder;
 use crate::script::equal;
 use crate::status::Status;
@@ -89,7 +89,8 @@ impl Tree {
             threshold.unsigned_abs()
         };
         if threshold > children {
-            return Err(self.error(id, TickProblem::Threshold { threshold, children }));
+            let problem = format!("a threshold of {threshold} with {children} children");
+            return Err(self.error(id, problem));
         }
         Ok((threshold, from_above))
     }
@@ -161,17 +162,27 @@ impl Tree {
         self.reset_children(id, 0)
     }
 
-    /// `memory.index` is the branch that runs; 0 while the condition is looked at.
-    pub(super) fn if_then_else(&mut self, id: TreeNodeId) -> NodeAnswer {
+    /// `IfThenElse` looks at its condition before a branch begins, `WhileDoElse` in each tick.
+    /// `memory.index` is the branch that runs; 0 before one does.
+    pub(super) fn branch(&mut self, id: TreeNodeId, looks_again: bool) -> NodeAnswer {
         self.node_mut(id).status = Status::Running;
-        if self.memory(id).index == 0 {
+        let has_else = self.node(id).child_count == 3;
+        if looks_again || self.memory(id).index == 0 {
             let branch = match self.execute(self.child(id, 0))? {
                 Status::Running => return Ok(Status::Running),
                 Status::Success => 1,
-                Status::Failure if self.node(id).child_count == 3 => 2,
-                Status::Failure => return Ok(Status::Failure),
-                status => return Err(self.error(self.child(id, 0), TickProblem::Answer(status))),
+                Status::Failure if has_else => 2,
+                Status::Failure => {
+                    if looks_again {
+                        self.reset_children(id, 0)?;
+                    }
+                    return Ok(Status::Failure);
+                }
+                status => return Err(self.may_not_answer(self.child(id, 0), status)),
             };
+            if looks_again && has_else {
+                self.reset(self.child(id, 3 - branch))?;
+            }
             self.memory(id).index = branch;
         }
         let branch = self.memory(id).index;
@@ -179,30 +190,6 @@ impl Tree {
         if status != Status::Running {
             self.reset_children(id, 0)?;
             self.memory(id).index = 0;
-        }
-        Ok(status)
-    }
-
-    pub(super) fn while_do_else(&mut self, id: TreeNodeId) -> NodeAnswer {
-        self.node_mut(id).status = Status::Running;
-        let has_else = self.node(id).child_count == 3;
-        let status = match self.execute(self.child(id, 0))? {
-            Status::Running => return Ok(Status::Running),
-            Status::Success => {
-                if has_else {
-                    self.reset(self.child(id, 2))?;
-                }
-                self.execute(self.child(id, 1))?
-            }
-            Status::Failure if has_else => {
-                self.reset(self.child(id, 1))?;
-                self.execute(self.child(id, 2))?
-            }
-            Status::Failure => Status::Failure,
-            status => return Err(self.error(self.child(id, 0), TickProblem::Answer(status))),
-        };
-        if status != Status::Running {
-            self.reset_children(id, 0)?;
         }
         Ok(status)
     }

@@ -16,15 +16,14 @@ impl Tree {
         Ok(status)
     }
 
-    /// `Inverter`, `ForceSuccess`, `ForceFailure`.
+    /// `Inverter`, `ForceSuccess`, `ForceFailure`, `KeepRunningUntilFailure`.
     pub(super) fn map_child(
         &mut self,
         id: TreeNodeId,
         map: impl Fn(Status) -> Status,
     ) -> NodeAnswer {
         self.node_mut(id).status = Status::Running;
-        let status = self.tick_and_reset(id)?;
-        Ok(if status.is_completed() { map(status) } else { status })
+        self.tick_and_reset(id).map(map)
     }
 
     /// `Repeat` until FAILURE, `RetryUntilSuccessful` until SUCCESS; `memory.count` counts cycles.
@@ -60,12 +59,6 @@ impl Tree {
         }
         self.memory(id).count = 0;
         Ok(Status::from(until == Status::Failure))
-    }
-
-    pub(super) fn keep_running(&mut self, id: TreeNodeId) -> NodeAnswer {
-        self.node_mut(id).status = Status::Running;
-        let status = self.tick_and_reset(id)?;
-        Ok(if status == Status::Failure { status } else { Status::Running })
     }
 
     /// The flag is set, and `memory.time` is the deadline, from the start to the child's answer.
@@ -164,7 +157,7 @@ impl Tree {
                 let value = element.to_string();
                 self.board.assign(key, element).map_err(|kind| {
                     let error = PortError::Type { port: "value".into(), value, kind };
-                    self.error(id, error.into())
+                    self.error(id, error)
                 })?;
             }
         }
@@ -192,7 +185,7 @@ impl Tree {
         }
         let kind = element.name();
         let error = PortError::Type { port: "queue".into(), value: value.to_string(), kind };
-        Err(self.error(id, error.into()))
+        Err(self.error(id, error))
     }
 
     /// `SkipUnlessUpdated` and `WaitValueUpdate`. The flag is set while the child runs.

@@ -38,10 +38,10 @@ impl Tree {
         }
         let call = if runs { <dyn Leaf>::running } else { <dyn Leaf>::start };
         let answer = self.with_body(id, call);
-        let answer = answer.map_err(|error| self.error(id, TickProblem::Leaf(error)))?;
+        let answer = answer.map_err(|error| self.failed(id, TickProblem::Leaf(error)))?;
         if kind == LeafKind::SyncAction {
             match answer {
-                Status::Running => return Err(self.error(id, TickProblem::Answer(answer))),
+                Status::Running => return Err(self.may_not_answer(id, answer)),
                 // As in the library, which looks at its conditions again then.
                 Status::Skipped => self.node_mut(id).status = Status::Skipped,
                 _ => {}

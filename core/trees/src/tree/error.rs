@@ -1,8 +1,6 @@
 //! The errors of ticks and of ports.
 
 use super::TreeNodeId;
-use crate::script::ScriptError;
-use crate::status::Status;
 
 /// The error of a leaf, of any type.
 pub type LeafError = Box<dyn std::error::Error + Send + Sync>;
@@ -55,32 +53,11 @@ pub struct TickError {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TickProblem {
-    /// A script cannot be run to its end.
-    #[error("its script `{text}` fails: {error}")]
-    Script {
-        /// The script.
-        text: String,
-        /// The script's error.
-        error: ScriptError,
-    },
-    /// A port cannot be read or written.
-    #[error(transparent)]
-    Port(#[from] PortError),
     /// The leaf failed to do its work.
     #[error("the leaf has an error: {0}")]
     Leaf(LeafError),
-    /// The node answered a status that it may not answer.
-    #[error("it answered {0}, which it may not")]
-    Answer(Status),
-    /// `Parallel` and `ParallelAll` have fewer children than a threshold.
-    #[error("a threshold of {threshold} with {children} children")]
-    Threshold {
-        /// The number of children that are to succeed or to fail.
-        threshold: u32,
-        /// The number of children.
-        children: u32,
-    },
-    /// The tree has made up too many keys.
-    #[error("the blackboard is full")]
-    Full,
+    /// The file, or what is on the blackboard, keeps the node from its work: a script or a port
+    /// fails, a threshold is too high, or a node answers what it may not.
+    #[error("{0}")]
+    Node(String),
 }

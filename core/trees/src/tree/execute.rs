@@ -2,7 +2,7 @@
 
 use super::{Code, TickError, TickProblem, Tree, TreeNodeId};
 use crate::model::{ChildOrder, Kind};
-use crate::script::{ScriptError, truth};
+use crate::script::truth;
 use crate::status::Status;
 use crate::value::{PortValue, Value};
 
@@ -24,7 +24,7 @@ impl Tree {
             None => self.tick_kind(id)?,
         };
         if status == Status::Idle {
-            return Err(self.error(id, TickProblem::Answer(status)));
+            return Err(self.may_not_answer(id, status));
         }
         if status.is_completed() && self.node(id).hooks.is_some() {
             self.run_hook(id, if status == Status::Success { 4 } else { 5 })?;
@@ -50,17 +50,22 @@ impl Tree {
             Kind::Reactive { go } => self.reactive(id, go),
             Kind::Parallel => self.parallel(id),
             Kind::ParallelAll => self.parallel_all(id),
-            Kind::IfThenElse => self.if_then_else(id),
-            Kind::WhileDoElse => self.while_do_else(id),
+            Kind::Branch { looks_again } => self.branch(id, looks_again),
             Kind::Switch(cases) => self.switch(id, u32::from(cases)),
             Kind::TryCatch => self.try_catch(id),
             Kind::Inverter => self.map_child(id, |status| match status {
                 Status::Success => Status::Failure,
-                _ => Status::Success,
+                Status::Failure => Status::Success,
+                other => other,
             }),
-            Kind::Force(status) => self.map_child(id, |_| status),
+            Kind::Force(forced) => {
+                self.map_child(id, |status| if status.is_completed() { forced } else { status })
+            }
             Kind::Repeat { until } => self.repeat(id, until),
-            Kind::KeepRunningUntilFailure => self.keep_running(id),
+            Kind::KeepRunningUntilFailure => self.map_child(id, |status| match status {
+                Status::Failure => status,
+                _ => Status::Running,
+            }),
             Kind::Delay => self.delay(id),
             Kind::Timeout => self.timeout(id),
             Kind::RunOnce => self.run_once(id),
@@ -110,16 +115,18 @@ impl Tree {
         let Code { text, script } = &self.codes[code as usize];
         script
             .run(&mut self.board, &self.enums)
-            .map_err(|error| self.error(id, TickProblem::Script { text: text.clone(), error }))
+            .map_err(|why| self.error(id, format!("its script `{text}` fails: {why}")))
     }
 
     /// Whether a script of a node holds.
     pub(super) fn holds(&mut self, id: TreeNodeId, code: u32) -> Checked<bool> {
         let value = self.run(id, code)?;
         truth(&value).ok_or_else(|| {
-            let text = self.codes[code as usize].text.clone();
-            let error = ScriptError::NotBool(value);
-            self.error(id, TickProblem::Script { text, error })
+            let text = &self.codes[code as usize].text;
+            self.error(
+                id,
+                format!("its script `{text}` fails: `{value}` is neither true nor false"),
+            )
         })
     }
 
@@ -179,10 +186,18 @@ impl Tree {
     /// The value of a port of a built-in node.
     pub(super) fn port<T: PortValue>(&self, id: TreeNodeId, port: usize) -> Checked<T> {
         let value = super::leaf::read(self, self.bound(id, port));
-        value.map_err(|error| self.error(id, error.into()))
+        value.map_err(|error| self.error(id, error))
     }
 
-    pub(super) fn error(&self, id: TreeNodeId, problem: TickProblem) -> Box<TickError> {
+    pub(super) fn may_not_answer(&self, id: TreeNodeId, status: Status) -> Box<TickError> {
+        self.error(id, format!("it answered {status}, which it may not"))
+    }
+
+    pub(super) fn error(&self, id: TreeNodeId, why: impl ToString) -> Box<TickError> {
+        self.failed(id, TickProblem::Node(why.to_string()))
+    }
+
+    pub(super) fn failed(&self, id: TreeNodeId, problem: TickProblem) -> Box<TickError> {
         Box::new(TickError { node: id, path: self.path(id).to_owned(), problem })
     }
 }

@@ -4,61 +4,6 @@
 use crate::scripted::Bench;
 
 #[test]
-fn try_catch_is_a_sequence_while_nothing_fails() {
-    let body = "<TryCatch><Y/><A/><B/></TryCatch>";
-    let mut bench = Bench::new("Y=S A=RS B=S", body);
-
-    assert_eq!((bench.tick(), bench.calls()), ('R', "Y:tick:S A:start:R".into()));
-    assert_eq!((bench.tick(), bench.calls()), ('S', "A:run:S".into()));
-}
-
-#[test]
-fn try_catch_ticks_its_last_child_after_a_failure_and_fails_whatever_that_answers() {
-    let mut bench = Bench::new("Y=S A=RF B=RS", "<TryCatch><Y/><A/><B/></TryCatch>");
-
-    assert_eq!((bench.tick(), bench.calls()), ('R', "Y:tick:S A:start:R".into()));
-    assert_eq!((bench.tick(), bench.calls()), ('R', "A:run:F B:start:R".into()));
-    assert_eq!((bench.tick(), bench.calls()), ('F', "B:run:S".into()));
-    assert_eq!((bench.tick(), bench.calls()), ('F', "Y:tick:S A:start:F B:start:S".into()));
-}
-
-#[test]
-fn try_catch_is_skipped_with_all_its_tried_children_and_fails_with_a_skipped_last_one() {
-    let body = r#"<TryCatch><Y _skipIf="true"/><B/></TryCatch>"#;
-    assert_eq!(Bench::new("Y=S B=S", body).tick(), 'K');
-
-    let body = r#"<TryCatch><Y/><B _skipIf="true"/></TryCatch>"#;
-    assert_eq!(Bench::new("Y=F B=S", body).tick(), 'F');
-}
-
-#[test]
-fn a_halted_try_catch_ticks_its_last_child_only_where_it_is_told_to() {
-    for (port, halted) in [("false", "A:halt"), ("true", "A:halt B:start:R B:halt")] {
-        let body = format!("<TryCatch catch_on_halt=\"{port}\"><A/><B/></TryCatch>");
-        let mut bench = Bench::new("A=R B=R", &body);
-        bench.tick();
-        bench.calls();
-
-        bench.tree.halt(bench.now).unwrap();
-
-        assert_eq!(bench.calls(), halted);
-        assert_eq!((bench.tick(), bench.calls()), ('R', "A:start:R".into()));
-    }
-}
-
-#[test]
-fn a_try_catch_that_is_halted_while_it_catches_only_halts() {
-    let body = r#"<TryCatch catch_on_halt="true"><A/><B/></TryCatch>"#;
-    let mut bench = Bench::new("A=F B=R", body);
-    bench.tick();
-    bench.calls();
-
-    bench.tree.halt(bench.now).unwrap();
-
-    assert_eq!(bench.calls(), "B:halt");
-}
-
-#[test]
 fn the_child_of_an_update_decorator_is_halted_with_it() {
     let body = r#"<ReactiveSequence><C/><WaitValueUpdate entry="{e}"><A/></WaitValueUpdate>
         </ReactiveSequence>"#;
@@ -115,18 +60,6 @@ fn a_switch_without_a_value_takes_its_default_and_an_integer_entry_is_compared_t
     assert_eq!((bench.tick(), bench.calls()), ('S', "D:start:S".into()));
     bench.tree.set("v", "2".to_owned()).unwrap();
     assert_eq!((bench.tick(), bench.calls()), ('S', "B:start:S".into()));
-}
-
-#[test]
-fn if_then_else_and_while_do_else_end_the_tick_where_their_condition_is_skipped() {
-    for node in ["IfThenElse", "WhileDoElse"] {
-        let body = format!("<{node}><C _skipIf=\"true\"/><A/><B/></{node}>");
-        let mut bench = Bench::new("C=S A=S B=S", &body);
-
-        let error = bench.tree.tick(bench.now).unwrap_err();
-
-        assert_eq!(error.to_string(), "C::2: it answered SKIPPED, which it may not");
-    }
 }
 
 #[test]

@@ -100,16 +100,6 @@ fn a_leaf_is_failed_from_outside_by_its_path() {
 }
 
 #[test]
-fn a_halted_tree_begins_with_its_first_child() {
-    let mut bench = Bench::new("Y=S A=R", "<Sequence><Y/><A/></Sequence>");
-    bench.tick();
-    bench.tree.halt(bench.now).unwrap();
-    bench.calls();
-
-    assert_eq!((bench.tick(), bench.calls()), ('R', "Y:tick:S A:start:R".into()));
-}
-
-#[test]
 fn changes_of_a_tick_are_text_and_a_tick_like_the_last_one_has_none() {
     let mut bench = Bench::new("C=SSF A=R", "<ReactiveSequence><C/><A/></ReactiveSequence>");
 

@@ -2,10 +2,11 @@
 
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Commander, Connected, Direction, Heartbeats, Link, LostCommunicationPolicy,
-    MemoryMedium, Network, NodeBuilder, Rung,
+    ActuatorSpec, Commander, Connected, Direction, Heartbeats, LostCommunicationPolicy,
+    MemoryMedium, NodeBuilder, Rung,
 };
 use blastema_testkit::{TestNode, now};
+use blastema_tests::on_ethernet;
 use std::cell::Cell;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -96,17 +97,12 @@ fn policy() -> LostCommunicationPolicy {
         .after(60 * SECOND, Rung::command("stop", "wheels", Drive::Stop))
 }
 
-fn network(medium: &MemoryMedium, own: &str, other: &str) -> NodeBuilder {
-    let network = Network::memory("radio", medium, own).link(Link::in_memory(other, other));
-    Node::builder(own).network(network.with_faults(7))
-}
-
 impl Robot {
     async fn start(policy: LostCommunicationPolicy) -> Self {
         let has_homing = format!("{policy:?}").contains("return");
         let (medium, track) = (MemoryMedium::default(), Track::default());
         let kept = track.clone();
-        let rover = network(&medium, "rover", "operator");
+        let rover = on_ethernet("rover", "operator", &medium);
         let rover = match has_homing {
             true => rover.connect("homing#out", "wheels#wheels/drive"),
             false => rover,
@@ -114,7 +110,7 @@ impl Robot {
         let rover = rover
             .child(ChildSpec::new("wheels", move || Wheels(kept.clone())))
             .lost_communication(policy);
-        let operator = TestNode::start(network(&medium, "operator", "rover")).await;
+        let operator = TestNode::start(on_ethernet("operator", "rover", &medium)).await;
         let rover = TestNode::start(rover).await;
         rover.advance(2 * SECOND).await;
         Robot { rover, operator, track, lost_at: now() }
@@ -151,7 +147,7 @@ async fn a_robot_that_is_cut_off_holds_returns_and_stops_and_is_commanded_again_
     let (_beats, commander) = robot.operate().await;
     assert_eq!(robot.rung(), None);
 
-    robot.rover.cable("radio").unwrap().cut(Direction::Both, false);
+    robot.rover.cable("ethernet").unwrap().cut(Direction::Both, false);
     robot.lost_at = now();
     robot.rover.advance(100 * SECOND).await;
 
@@ -169,7 +165,7 @@ async fn a_robot_that_is_cut_off_holds_returns_and_stops_and_is_commanded_again_
     assert!(entry.fault.detail.ends_with("the robot begins to stop"), "{}", entry.fault.detail);
     assert_eq!(entry.fault.count, 4, "the loss and each rung");
 
-    robot.rover.cable("radio").unwrap().restore();
+    robot.rover.cable("ethernet").unwrap().restore();
     robot.rover.advance(3 * SECOND).await;
     assert!(robot.rover.lost_communication()[0].is_back);
     let refused = commander.claim().await.unwrap_err();
@@ -308,7 +304,7 @@ async fn a_policy_that_cannot_work_is_refused_at_the_start() {
         (vec![stop("wheels"), empty().after(SECOND, brake())], "it has its name in common"),
     ] {
         let wheels = |name| ChildSpec::new(name, || Wheels(Track::default()));
-        let builder = network(&MemoryMedium::default(), "rover", "operator");
+        let builder = on_ethernet("rover", "operator", &MemoryMedium::default());
         let builder = builder.child(wheels("wheels")).child(wheels("brake"));
         let builder = policies.into_iter().fold(builder, NodeBuilder::lost_communication);
         let Err(error) = TestNode::try_start(builder).await else { panic!("{expected}") };
