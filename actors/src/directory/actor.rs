@@ -10,12 +10,9 @@ use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::{Guardian, answers_the_monitor};
 use crate::topic::{TopicKey, Topics};
 use actix::prelude::*;
-use blastema_contract::monitor::NodeReported;
-use blastema_contract::recoverer::SafeStateChanged;
 use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
 use blastema_contract::router::InjectPanic;
 use blastema_contract::session::PeerStatusChanged;
-use blastema_core::detection::NodeCondition;
 use blastema_core::directory::{
     ClaimRefused, ClaimRequest, Directory, DirectoryConfig, DirectoryKey, DirectoryOutput, Holder,
     NameHeld, UnmetClaims,
@@ -51,8 +48,6 @@ pub(crate) struct DirectorySetup {
     pub(crate) names: DirectoryTable,
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
     pub(crate) cleared: Option<Recipient<DeclaredFaultCleared>>,
-    /// Is told of other nodes' safe states.
-    pub(crate) nodes: Option<Recipient<NodeReported>>,
 }
 
 /// A name that is claimed here.
@@ -81,8 +76,6 @@ pub(crate) struct DirectoryActor {
     reported_conflict: Option<String>,
     /// As of which revisions of the registry and the topics other nodes know what is here.
     revisions: Option<(u64, u64)>,
-    /// That this node is in the safe state.
-    safe_state: Option<DirectoryKey>,
     /// How many objects and publishers they are not told of.
     untold: usize,
 }
@@ -91,7 +84,6 @@ pub(crate) struct DirectoryActor {
 pub(crate) struct DirectoryRecipients {
     pub(crate) peers: Recipient<PeerStatusChanged>,
     pub(crate) rosters: Recipient<RosterChanged>,
-    pub(crate) safe_state: Recipient<SafeStateChanged>,
     pub(crate) pings: Recipient<AreYouAlive>,
     #[cfg(test)]
     panic: Recipient<InjectPanic>,
@@ -120,7 +112,6 @@ impl DirectoryActor {
                 without: UnmetClaims::default(),
                 reported_conflict: None,
                 revisions: None,
-                safe_state: None,
                 untold: 0,
                 setup,
             }
@@ -132,7 +123,6 @@ impl DirectoryActor {
             panic: body.clone().recipient(),
             peers: body.clone().recipient(),
             rosters: body.clone().recipient(),
-            safe_state: body.clone().recipient(),
             pings: body.recipient(),
         }
     }
@@ -222,21 +212,11 @@ impl DirectoryActor {
         let publishers = topics.published().into_iter().map(|TopicKey { topic, contract }| {
             DirectoryKey::Publisher { topic, contract: contract.to_string() }
         });
-        let present = objects.chain(publishers).chain(self.safe_state.clone());
-        let untold = self.machine.handle_present(present.collect());
+        let untold = self.machine.handle_present(objects.chain(publishers).collect());
         if untold > self.untold {
             warn!(untold, "other nodes are not told of objects and publishers: there are too many");
         }
         self.untold = untold;
-    }
-
-    /// Reports another node's safe state, or its end, while a session with that node is open.
-    fn report_node(&self, node: &NodeName, condition: NodeCondition) {
-        let peer = self.peers.get(&NodeId::of(node));
-        if let (Some(nodes), Some((node, incarnation))) = (&self.setup.nodes, peer) {
-            let (node, incarnation) = (node.clone(), *incarnation);
-            nodes.do_send(NodeReported { node, incarnation, condition });
-        }
     }
 
     /// Raises an alarm for a node whose messages are refused for seconds.
@@ -345,12 +325,6 @@ impl MachineActor for DirectoryActor {
                     false => self.end(&name, ClaimState::Lost { to, epoch }),
                 }
             }
-            DirectoryOutput::RecordAdded { node, key: DirectoryKey::SafeState(reason) } => {
-                self.report_node(&node, NodeCondition::InSafeState { reason });
-            }
-            DirectoryOutput::RecordRemoved { node, key: DirectoryKey::SafeState(_) } => {
-                self.report_node(&node, NodeCondition::AtWork);
-            }
             DirectoryOutput::RecordAdded { node, key } => self.setup.names.add(node, key),
             DirectoryOutput::RecordRemoved { node, key } => self.setup.names.remove(&node, &key),
             DirectoryOutput::Held { name, holder } => {
@@ -426,27 +400,10 @@ impl Handler<PeerStatusChanged> for DirectoryActor {
                 self.machine.handle_ended(&node);
             }
             PeerStatusChanged::Left { node } => {
-                self.peers.remove(&NodeId::of(&node));
                 self.setup.names.note_ended(&node);
                 self.machine.handle_left(&node, now);
             }
         }
-        self.drive(context);
-    }
-}
-
-impl Handler<SafeStateChanged> for DirectoryActor {
-    type Result = ();
-
-    fn handle(&mut self, message: SafeStateChanged, context: &mut Context<Self>) {
-        self.safe_state = match message {
-            SafeStateChanged::Entered { reason } => Some(DirectoryKey::safe_state(&reason)),
-            SafeStateChanged::Left => None,
-            // The peers see the node leave, and hear of the safe state when it is one.
-            SafeStateChanged::Entering | SafeStateChanged::NodeEnds => return,
-        };
-        self.revisions = None;
-        self.look_at_own();
         self.drive(context);
     }
 }
@@ -513,7 +470,6 @@ mod tests {
             names: names.clone(),
             faults: None,
             cleared: None,
-            nodes: None,
         }
     }
 

@@ -137,7 +137,7 @@ impl DirectoryTable {
                 DirectoryKey::Object(object) => {
                     Some(ObjectAddress::new(node.clone(), object.clone()))
                 }
-                _ => None,
+                DirectoryKey::Publisher { .. } | DirectoryKey::Name(_) => None,
             });
             let (incarnation, objects) = (entry.incarnation, objects.collect());
             NodeRow { node: node.clone(), incarnation, objects }

@@ -34,6 +34,7 @@ pub(crate) mod peer_messages;
 mod roster_exchange;
 mod roster_watch;
 mod router;
+pub(crate) mod safe_state;
 mod sessions;
 mod stub;
 #[cfg(test)]

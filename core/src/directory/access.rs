@@ -33,7 +33,7 @@ impl Directory {
                     self.believe(&node, &name, claim);
                     names.push(name);
                 }
-                DirectoryKey::Object(_) | DirectoryKey::SafeState(_) => {}
+                DirectoryKey::Object(_) => {}
                 DirectoryKey::Publisher { .. } => self.show_record(&node, key),
             }
         }
@@ -71,7 +71,7 @@ impl Directory {
                 let node = NodeId::of(node);
                 policy.check(node, Verb::Publish, topic.as_str(), contract).is_ok()
             }
-            _ => true,
+            DirectoryKey::Object(_) | DirectoryKey::Name(_) => true,
         };
         let counts = self.access.as_ref().is_none_or(may_publish);
         let node = node.clone();

@@ -2,7 +2,7 @@
 //!
 //! One table of records. Each node writes its own and tells every other node of them, over their
 //! session; there is no broker. Its records are the objects that it has, the topics that it
-//! publishes on, that it is in the safe state, and the global names that it claims. (What a node listens to its subscriptions
+//! publishes on, and the global names that it claims. (What a node listens to its subscriptions
 //! say.)
 //!
 //! ```text
@@ -160,8 +160,8 @@ impl Directory {
         self.peers.iter().map(|(node, peer)| (node, peer.refusals))
     }
 
-    /// This node has exactly these objects and publishers now, and is in the safe state if that is
-    /// among them. Returns how many of them others are not told of, because there are too many.
+    /// This node has exactly these objects and publishers now. Returns how many of them others are
+    /// not told of, because there are too many.
     pub fn handle_present(&mut self, present: SortedSet<DirectoryKey>) -> usize {
         let (all, mut bytes) = (present.len(), 0);
         let fits = |key: &DirectoryKey| {

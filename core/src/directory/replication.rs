@@ -78,7 +78,7 @@ impl Directory {
             DirectoryKey::Name(name) => {
                 self.known.len() >= NAMES_MAX && !self.known.contains_key(name)
             }
-            _ => false,
+            DirectoryKey::Object(_) | DirectoryKey::Publisher { .. } => false,
         };
         let full = full
             || peer.records.len() >= CLAIMS_MAX + PRESENT_MAX && !peer.records.contains_key(&key);
@@ -104,7 +104,7 @@ impl Directory {
                 self.believe(from, name, claim);
                 self.look_at(name, now);
             }
-            _ => self.show_record(from, key),
+            DirectoryKey::Object(_) | DirectoryKey::Publisher { .. } => self.show_record(from, key),
         }
     }
 
@@ -120,7 +120,7 @@ impl Directory {
                 self.disbelieve(from, name);
                 self.look_at(name, now);
             }
-            _ => {
+            DirectoryKey::Object(_) | DirectoryKey::Publisher { .. } => {
                 let (node, key) = (from.clone(), key.clone());
                 self.outputs.push_back(DirectoryOutput::RecordRemoved { node, key });
             }

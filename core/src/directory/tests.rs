@@ -26,7 +26,6 @@ fn text(key: &DirectoryKey) -> String {
         DirectoryKey::Object(name) => name.to_string(),
         DirectoryKey::Publisher { topic, contract } => format!("{contract} on {topic}"),
         DirectoryKey::Name(name) => format!("the name {name}"),
-        DirectoryKey::SafeState(reason) => format!("the safe state ({reason})"),
     }
 }
 
@@ -453,21 +452,6 @@ fn objects_and_publishers_come_and_go_beside_names_that_are_called_alike() {
     robot.has("a", &[]);
     assert_eq!(robot.outputs().len(), 3);
     assert_eq!(robot.holder("b").as_deref(), Some("a"));
-}
-
-#[test]
-fn a_safe_state_is_told_to_all_and_to_who_comes_later_until_it_is_over() {
-    let mut robot = Robot::new(&["a", "b"]);
-    robot.has("a", &[object("arm"), DirectoryKey::safe_state(&"ä".repeat(2_000))]);
-    let reason = "ä".repeat(256);
-    let told = [format!("b sees the safe state ({reason}) of a"), "b sees arm of a".to_owned()];
-    assert_eq!(robot.outputs(), told);
-    robot.start("c", 0);
-    assert_eq!(robot.outputs()[0], format!("c sees the safe state ({reason}) of a"));
-
-    robot.has("a", &[object("arm")]);
-    let over = ["b", "c"].map(|node| format!("{node} misses the safe state ({reason}) of a"));
-    assert_eq!(robot.outputs(), over);
 }
 
 #[test]

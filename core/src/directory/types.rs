@@ -155,7 +155,7 @@ pub enum DirectoryOutput {
         /// We stand by for it from now on.
         stands_by: bool,
     },
-    /// A node has an object, or a publisher, or is in the safe state. It may be said again.
+    /// A node has an object, or a publisher. It may be said again.
     RecordAdded {
         /// Which node.
         node: NodeName,
@@ -190,9 +190,6 @@ pub(super) enum DirectoryMessage {
 /// What a record is of.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum DirectoryKey {
-    /// The node is in the safe state, for this reason. It is the first of all keys, so that it is
-    /// told however much a node has.
-    SafeState(String),
     /// The node has an object of this name.
     Object(ObjectName),
     /// An object of the node publishes events.
@@ -208,21 +205,12 @@ pub enum DirectoryKey {
 
 /// The longest name of a contract, in bytes.
 const CONTRACT_MAX: usize = 255;
-/// The longest reason of a safe state, in bytes.
-const REASON_MAX: usize = 1024;
 
 impl DirectoryKey {
-    /// That a node is in the safe state for this reason, which is shortened: it may be a panic's.
-    pub fn safe_state(reason: &str) -> Self {
-        // Four bytes a character at most.
-        DirectoryKey::SafeState(reason.chars().take(REASON_MAX / 4).collect())
-    }
-
     /// Names of objects and topics have their bound by themselves.
     pub(super) fn is_short(&self) -> bool {
         match self {
             DirectoryKey::Publisher { contract, .. } => contract.len() <= CONTRACT_MAX,
-            DirectoryKey::SafeState(reason) => reason.len() <= REASON_MAX,
             DirectoryKey::Object(_) | DirectoryKey::Name(_) => true,
         }
     }
@@ -238,7 +226,6 @@ impl DirectoryKey {
             DirectoryKey::Object(name) => (0, name.as_str(), ""),
             DirectoryKey::Publisher { topic, contract } => (1, topic.as_str(), contract),
             DirectoryKey::Name(name) => (2, name.as_str(), ""),
-            DirectoryKey::SafeState(reason) => (3, reason, ""),
         }
     }
 }

@@ -5,6 +5,7 @@ use super::{NodeAssembly, middleware, named};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
 use crate::directory::actor::{DirectoryActor, DirectorySetup};
+use crate::net::safe_state::{RestSetup, SafeStateActor};
 use crate::net::{self, NetEnvironment, NetHandle};
 use crate::node::builder::ActorPlacement;
 use crate::node::controller::SubscribeSafeState;
@@ -226,8 +227,13 @@ fn make_networks(
     };
     let directory = DirectoryActor::start(setup, guardian, arbiter.as_ref());
     enrolments.push(middleware(named("net/directory"), Some(directory.pings)));
-    parts.controller.do_send(SubscribeSafeState(directory.safe_state));
-    let (observers, roster_observers) = (vec![directory.peers], vec![directory.rosters]);
+    let setup =
+        RestSetup { registry: environment.registry.clone(), nodes: monitor.clone().recipient() };
+    let rest = SafeStateActor::start(setup, guardian, arbiter.as_ref());
+    parts.controller.do_send(SubscribeSafeState(rest.own));
+    enrolments.push(middleware(named("net/rest"), Some(rest.pings)));
+    let (observers, roster_observers) =
+        (vec![directory.peers, rest.peers], vec![directory.rosters]);
     let net_environment = NetEnvironment { observers, roster_observers, ..net_environment };
     let handle = net::start(net_environment, specs)
         .map_err(|error| StartError::Network(error.to_string()))?;
@@ -262,7 +268,6 @@ fn directory_setup(
         names: environment.directory().clone(),
         faults: Some(parts.chain.monitor.clone().recipient()),
         cleared: Some(parts.chain.monitor.clone().recipient()),
-        nodes: Some(parts.chain.monitor.clone().recipient()),
     }
 }
 
