@@ -18,36 +18,22 @@ pub(crate) async fn ask_by<M: Contract>(
     pursue(inlet, message, rule, |_| true).await
 }
 
-/// Asks once. Where the request may have been begun and no answer comes, because the receiver has
-/// died or the session with its node has ended, asks again until the deadline.
+/// Asks once; where the receiver has died of something else's fault while it served the request,
+/// and that does no harm, the next incarnation is asked.
 pub(crate) async fn ask_idempotent<M: Contract>(
     inlet: &(impl MessageSink<M> + ?Sized),
     message: M,
     within: Duration,
 ) -> Result<M::Reply, RequestError<M>> {
-    let rule = RetryPolicy { within, attempts: u32::MAX, ..RetryPolicy::default() };
-    let mut begun = false;
-    let asked = pursue(inlet, message, &rule, |why| {
-        begun |=
-            matches!(why, DeliveryError::PeerDied { .. } | DeliveryError::OutcomeUnknown { .. });
-        begun
-    });
-    let asked = asked.await;
-    asked.map_err(|error| {
-        let last = FailedAttempt { asked: 1, why: &error.kind, idempotent: false };
-        // That the last attempt was not taken up does not mean that none was.
-        match begun && rule.again(last, 0).is_some() {
-            true => RequestError::new(DeliveryError::DeadlinePassed, None),
-            false => error,
-        }
-    })
+    let rule = RetryPolicy { within, ..RetryPolicy::default() };
+    pursue(inlet, message, &rule, |why| matches!(why, DeliveryError::PeerDied { .. })).await
 }
 
 async fn pursue<M: Contract>(
     inlet: &(impl MessageSink<M> + ?Sized),
     message: M,
     rule: &RetryPolicy,
-    mut concerns: impl FnMut(&DeliveryError) -> bool,
+    concerns: impl Fn(&DeliveryError) -> bool,
 ) -> Result<M::Reply, RequestError<M>> {
     let until = platform::now() + rule.within;
     // One identity for all attempts: a request that kills one incarnation after the other is

@@ -63,8 +63,8 @@ impl<M: Contract> Sender<M> {
     /// A receiver on another node does not begin a request whose deadline has passed. Where the way
     /// to it was lost after the request had been sent, the outcome is not known, which is said by
     /// [`DeliveryError::OutcomeUnknown`]; a contract that is declared `idempotent` is then asked
-    /// again by itself within the deadline, and so where the receiver died while it served it: soon,
-    /// and from then on every half second.
+    /// again by itself as soon as there is a way, and where the receiver died while it served it,
+    /// within the deadline.
     pub async fn ask(&self, message: M) -> Result<M::Reply, RequestError<M>> {
         self.ask_within(message, DEFAULT_DEADLINE).await
     }

@@ -148,6 +148,8 @@ pub struct ContractIdentity {
     /// They are large, and may wait for others on their way. Each node goes by its own declaration:
     /// this is not compared.
     pub bulk: bool,
+    /// The asker may send it again. This does not concern the other party, and is not compared.
+    pub idempotent: bool,
     /// The hash of its structure and of its reply's: FNV-1a, 64 bits, over their descriptions. It
     /// guards against accidents, not against intent.
     pub fingerprint: u64,
@@ -193,6 +195,7 @@ impl ContractIdentity {
             version: M::VERSION,
             delivery: M::DELIVERY,
             bulk: M::BULK,
+            idempotent: M::IDEMPOTENT,
             fingerprint: remembered_fingerprint(TypeId::of::<M>(), M::layout, M::Reply::layout),
             message: M::layout,
             reply: M::Reply::layout,

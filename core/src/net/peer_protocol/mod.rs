@@ -41,6 +41,8 @@ use std::time::Duration;
 /// The most bindings and subscriptions that a peer may have here, each.
 const BINDINGS_MAX: usize = 16 * 1024;
 
+/// The most requests to one peer that wait for its next session.
+const AGAIN_MAX: usize = 1024;
 /// The most unanswered requests of one peer whose replies have a stream of their own; beyond, they go with
 /// what others send.
 const CALLS_MAX: usize = 64 * 1024;
@@ -82,6 +84,8 @@ struct PeerRecord {
     session: Option<PeerSession>,
     /// What the bindings of the session before were, for messages that come back late.
     past: BindingTable,
+    /// Requests that are sent again in the next session.
+    again: Vec<Call>,
 }
 
 impl PeerProtocol {
@@ -158,11 +162,13 @@ impl PeerProtocol {
         let session = PeerSession::new(SessionEpoch(self.epochs), incarnation, now);
         let state = self.peers.entry(peer).or_default();
         state.session = Some(session);
+        let again = std::mem::take(&mut state.again);
         let topics: Vec<_> = self.interests.keys().cloned().collect();
         topics.iter().for_each(|topic| self.offer_interest(peer, topic));
         if self.is_started {
             self.outputs.push_back(control(peer, &PeerMessage::Announced { timestamp_us: 0 }));
         }
+        again.into_iter().for_each(|call| self.handle_call(call));
     }
 
     /// The session with this peer is over: everything that is under way with it is resolved.
@@ -171,17 +177,23 @@ impl PeerProtocol {
         let Some(mut session) = state.session.take() else { return };
         state.past = std::mem::take(&mut session.numbers);
         for pending in session.calls.into_values() {
-            self.outputs.push_back(unanswered(&pending, why, TransmitState::Perhaps));
+            give_up(state, &mut self.outputs, pending, why, TransmitState::Perhaps);
         }
         for ((object, contract, _), binding) in session.bindings {
             for waiting in binding.waiting.into_iter().flatten() {
-                self.outputs.push_back(match waiting.pending {
-                    Some(pending) => unanswered(&pending, why, TransmitState::Nothing),
+                match waiting.pending {
+                    Some(pending) => {
+                        give_up(state, &mut self.outputs, pending, why, TransmitState::Nothing)
+                    }
                     None => {
                         let to = MessageTarget::Object(object.clone(), contract);
-                        PeerProtocolOutput::Lost { peer, to, why: why.clone() }
+                        self.outputs.push_back(PeerProtocolOutput::Lost {
+                            peer,
+                            to,
+                            why: why.clone(),
+                        });
                     }
-                });
+                }
             }
         }
         self.outputs.push_back(PeerProtocolOutput::Forget { peer, why: why.clone() });
@@ -189,6 +201,8 @@ impl PeerProtocol {
 
     /// An object here wants to send.
     pub fn handle_call(&mut self, call: Call) {
+        let again = (call.contract.idempotent && call.id.is_some() && call.reply_as.is_some())
+            .then(|| Box::new(call.without_credit()));
         let Call { node, object, contract, id, sent, until, payload, reply_as, credit } = call;
         let peer = NodeId::of(&node);
         let known = self.peers.get_mut(&peer);
@@ -200,7 +214,7 @@ impl PeerProtocol {
             return;
         };
         let key = (object, contract.name, contract.fingerprint);
-        let pending = reply_as.map(|reply_as| PendingCall { reply_as, until });
+        let pending = reply_as.map(|reply_as| PendingCall { reply_as, until, again });
         let waiting = QueuedMessage { id, sent, payload, pending, credit };
         if let Some(binding @ Binding { waiting: None, .. }) = session.bindings.get(&key) {
             let bound = binding.way();
@@ -304,6 +318,8 @@ impl PeerProtocol {
         let late = |until: Option<Instant>| until.is_some_and(|until| until + GRACE <= now);
         let mut over = Vec::new();
         for state in self.peers.values_mut() {
+            let again = state.again.extract_if(.., |call| late(call.until));
+            over.extend(again.filter_map(|call| call.reply_as));
             let Some(session) = &mut state.session else { continue };
             session.calls.retain(|_, pending| {
                 let late = late(pending.until);
@@ -422,9 +438,10 @@ impl PeerProtocol {
         let Ok(message) = PeerMessage::decode(message) else { return };
         match message {
             PeerMessage::Request { call, .. } => {
-                let session = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut());
+                let Some(state) = self.peers.get_mut(&peer) else { return };
+                let session = state.session.as_mut();
                 if let Some(pending) = session.and_then(|session| session.calls.remove(&call)) {
-                    self.outputs.push_back(unanswered(&pending, &why, sent));
+                    give_up(state, &mut self.outputs, pending, &why, sent);
                 }
             }
             PeerMessage::Tell { binding, .. } => {
@@ -462,19 +479,35 @@ impl PeerProtocol {
     }
 }
 
-/// A request is not going to be answered in this session.
-fn unanswered(
-    pending: &PendingCall,
+/// A request is not going to be answered in this session: it waits for the next one, or is
+/// resolved.
+fn give_up(
+    state: &mut PeerRecord,
+    outputs: &mut VecDeque<PeerProtocolOutput>,
+    pending: PendingCall,
     why: &DeliveryError,
     sent: TransmitState,
-) -> PeerProtocolOutput {
-    let result = Err(match why {
-        why if sent == TransmitState::Nothing => why.clone(),
-        // Its death is certain, and so is that no answer will come.
-        DeliveryError::PeerDied { .. } => why.clone(),
-        why => DeliveryError::OutcomeUnknown { reason: why.to_string() },
-    });
-    PeerProtocolOutput::Resolve { reply_as: pending.reply_as, result }
+) {
+    let PendingCall { reply_as, again, .. } = pending;
+    // A peer that has left, or has no capacity, is not asked again.
+    let helps = !matches!(
+        why,
+        DeliveryError::Left { .. }
+            | DeliveryError::WayFull { .. }
+            | DeliveryError::TooLargeForSession { .. }
+    );
+    match again {
+        Some(call) if helps && state.again.len() < AGAIN_MAX => state.again.push(*call),
+        _ => {
+            let result = Err(match why {
+                why if sent == TransmitState::Nothing => why.clone(),
+                // Its death is certain, and so is that no answer will come.
+                DeliveryError::PeerDied { .. } => why.clone(),
+                why => DeliveryError::OutcomeUnknown { reason: why.to_string() },
+            });
+            outputs.push_back(PeerProtocolOutput::Resolve { reply_as, result });
+        }
+    }
 }
 
 fn control(peer: NodeId, message: &PeerMessage) -> PeerProtocolOutput {

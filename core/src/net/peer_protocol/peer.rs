@@ -2,7 +2,7 @@
 
 use super::BINDINGS_MAX;
 use super::access::{PeerBound, PeerSubscription};
-use super::types::{PeerProtocolOutput, SessionEpoch};
+use super::types::{Call, PeerProtocolOutput, SessionEpoch};
 use crate::net::peer_protocol::age::AgeEstimator;
 use crate::net::session::ordering_key::OrderingKey;
 use crate::net::wire::message::{PeerMessage, TICK_US};
@@ -86,6 +86,8 @@ pub(super) struct PendingCall {
     /// The caller's number.
     pub(super) reply_as: u64,
     pub(super) until: Option<Instant>,
+    /// It may be sent again.
+    pub(super) again: Option<Box<Call>>,
 }
 
 impl PeerSession {

@@ -23,6 +23,7 @@ fn contract(message: crate::contract::layout::LayoutOf) -> ContractIdentity {
         version: 1,
         delivery: Delivery::Reliable,
         bulk: false,
+        idempotent: false,
         fingerprint,
         message,
         reply,

@@ -46,6 +46,23 @@ pub struct Call {
     pub credit: Option<Credit>,
 }
 
+impl Call {
+    /// The same, to be sent again in another session.
+    pub(super) fn without_credit(&self) -> Call {
+        Call {
+            node: self.node.clone(),
+            object: self.object.clone(),
+            contract: self.contract.clone(),
+            id: self.id,
+            sent: self.sent,
+            until: self.until,
+            payload: self.payload.clone(),
+            reply_as: self.reply_as,
+            credit: None,
+        }
+    }
+}
+
 /// How much of a message that came back was on its way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TransmitState {
