@@ -26,6 +26,9 @@ use tracing::warn;
 /// The most bytes of one fault: its detail may hold a panic's text.
 const FAULT_MAX: usize = 16 * 1024;
 
+/// As long as the notifier tells a recoverer of one fault: a slow way confirms late.
+const CONFIRMED_WITHIN: Duration = Duration::from_secs(5);
+
 /// Asks a node to take a fault: an encoded [`Travelling`].
 #[derive(Clone, Debug, Request)]
 #[contract(crate = "crate", name = "blastema/recover", version = 1, reply = ())]
@@ -138,7 +141,8 @@ impl MessageResponse<RemoteRecoverer, Recover> for ForwardedAnswer {
     fn handle(self, _: &mut Context<RemoteRecoverer>, answer: Option<OneshotSender<Confirmed>>) {
         let (ForwardedAnswer(Ok(sender), fault), Some(answer)) = (self, answer) else { return };
         actix_rt::spawn(async move {
-            let taken = sender.ask(fault).await.map_err(|error| error.kind);
+            let taken = sender.ask_within(fault, CONFIRMED_WITHIN).await;
+            let taken = taken.map_err(|error| error.kind);
             // A node that may not hand faults over does not try again.
             if matches!(taken, Ok(()) | Err(DeliveryError::Forbidden { .. })) {
                 // The caller may have stopped waiting.

@@ -489,9 +489,8 @@ impl NodeAssembly {
     /// From here on everything is watched.
     async fn enrol_all(&mut self, tree: PreparedTree) -> Result<(), StartError> {
         let mut enrolments = std::mem::take(&mut self.enrolments);
-        // The chain's own are asked from outside of it.
-        let chain = self.parts.chain.pings.iter();
-        enrolments.extend(chain.map(|(name, _)| middleware(name.clone(), None)));
+        let chain = self.parts.chain.pings.iter().cloned();
+        enrolments.extend(chain.map(|(name, pings)| middleware(name, Some(pings))));
         let registry = &self.environment.registry;
         // A component that has the name of such an object is what is found below.
         let service = |name| registry.kind_of(name).filter(|kind| *kind != "a component");

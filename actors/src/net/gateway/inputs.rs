@@ -32,7 +32,7 @@ impl Handler<SessionReported> for GatewayActor {
                 self.exchange.handle_reachable(peer);
                 if let Some(peer) = self.peers.get_mut(&peer) {
                     peer.left &= peer.incarnation == incarnation;
-                    send_state.path_found(incarnation > peer.incarnation);
+                    send_state.path_found(incarnation != peer.incarnation);
                 }
                 if !send_state.has_session() {
                     self.set(peer, PeerCondition::Opening);

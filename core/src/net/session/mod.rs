@@ -73,8 +73,9 @@ use std::time::Duration;
 
 /// The version of what sessions say to each other. From 2 on whole messages come between the parts
 /// of a large one; from 3 on acknowledgements tell when the last part arrived; from 4 on each class
-/// has a stream of its own; from 6 on an open tells what arrived in the session before.
-pub const VERSION: u8 = 6;
+/// has a stream of its own; from 6 on an open tells what arrived in the session before; from 7 on
+/// faults come as requests, and a reply that cannot be written is an error of its own.
+pub const VERSION: u8 = 7;
 
 /// The machine of one peer node's sessions, one after the other.
 #[derive(Debug)]

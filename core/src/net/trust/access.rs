@@ -366,6 +366,7 @@ mod tests {
         assert_eq!(needs("blastema/command"), BindingNeeds::Nothing);
         assert_eq!(needs("blastema/replica"), BindingNeeds::Right(Verb::Claim));
         assert_eq!(needs("blastema/load-state"), BindingNeeds::OwnNode);
+        assert_eq!(needs("blastema/recover"), BindingNeeds::RightAtNode(Verb::Recover));
         assert_eq!(needs("blastema/await-end"), BindingNeeds::Membership);
         assert_eq!(needs("blastema/actor-message"), BindingNeeds::Nothing);
     }

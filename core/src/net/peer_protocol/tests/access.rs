@@ -64,6 +64,12 @@ fn a_peer_that_may_neither_ask_nor_tell_is_not_bound() {
     let resolved = pair.take(0);
     assert!(matches!(&resolved[..], [output] if is_forbidden(output)), "{resolved:?}");
 
+    let mut pair = guarded(Role::Node, &["only other may recover on right"]);
+    pair.call(ContractIdentity { name: "blastema/recover", ..count() }, Some(7));
+    assert_eq!(refused(&mut pair), ["recover"]);
+    let resolved = pair.take(0);
+    assert!(matches!(&resolved[..], [output] if is_forbidden(output)), "{resolved:?}");
+
     let mut pair = guarded(Role::Guest, &[]);
     pair.call(count(), None);
     assert_eq!(refused(&mut pair), ["ask"]);
