@@ -22,13 +22,10 @@ impl ReplicaActor {
     /// Gives the machine the nodes that carry the service, and schedules the next poll.
     pub(super) fn poll_directory(&mut self, context: &mut Context<Self>) {
         let (access, name) = (self.registry.access(), self.carried.name.clone());
+        let may_claim = |node: &NodeName| access.may_claim(node, &name);
         let mut carriers = self.roster.carriers(&name);
-        carriers.retain(|node| access.may_claim(node, &name));
-        let now = platform::now();
-        self.machine.handle_claimants(|node| access.may_claim(node, &name), now);
-        let reachable = carriers.iter().filter(|node| self.registry.is_reachable(node));
-        self.machine.handle_reachable(&reachable.cloned().collect::<Vec<_>>());
-        self.machine.handle_carriers(&carriers, now);
+        carriers.retain(|node| may_claim(node) && self.registry.is_reachable(node));
+        self.machine.handle_carriers(&carriers, may_claim, platform::now());
         self.drive(context);
         self.show();
         context.run_later(DIRECTORY_POLL, Self::poll_directory);
@@ -46,17 +43,18 @@ impl ReplicaActor {
             CompareConfiguration { from, configuration: self.machine.configuration().into() };
         let asked = async move { sender.ask_within(question, ANSWER_TIMEOUT).await };
         context.spawn(wrap_future::<_, Self>(asked).map(move |answer, actor, context| {
-            let now = platform::now();
             // The roster may have changed since the question.
             if !actor.may_claim(&with) {
                 return;
             }
             match answer.map_err(|error| error.kind) {
-                Ok(theirs) => actor.machine.handle_configuration(&with, &theirs, now),
-                Err(DeliveryError::Unknown { .. } | DeliveryError::NotServed { .. }) => {
-                    actor.machine.handle_no_service(&with, now)
+                Ok(theirs) => {
+                    actor.machine.handle_configuration(&with, &theirs, platform::now());
                 }
-                Err(DeliveryError::Left { .. }) => actor.machine.handle_left(&with, now),
+                Err(DeliveryError::Unknown { .. } | DeliveryError::NotServed { .. }) => {
+                    actor.machine.handle_no_service(&with)
+                }
+                Err(DeliveryError::Left { .. }) => actor.machine.handle_left(&with),
                 // The machine asks again.
                 Err(_) => {}
             }
@@ -83,15 +81,15 @@ impl Handler<FromReplica<CompareConfiguration>> for ReplicaActor {
 
     fn handle(&mut self, received: FromReplica<CompareConfiguration>, context: &mut Context<Self>) {
         let FromReplica { sender, message, answer } = received;
-        answer.give(self.machine.configuration().into());
-        match sender {
-            Some(from) => self.machine.handle_comparison_request(
-                &from,
-                &message.configuration,
-                platform::now(),
-            ),
+        match sender.filter(|from| self.may_claim(from)) {
+            Some(from) => {
+                let theirs = &message.configuration;
+                self.machine.handle_configuration(&from, theirs, platform::now());
+            }
             None => self.machine.handle_forged(),
         }
+        // The answer says whether this replica serves now.
+        answer.give(self.machine.configuration().into());
         self.drive(context);
     }
 }

@@ -144,8 +144,8 @@ impl<M: Request> ServiceRef<M> {
     /// * [`DeliveryError::ContractDiffers`] if the service has another contract of this name.
     /// * The component's error, if the component failed.
     ///
-    /// Nodes with different configurations may prevent an election. That can end, as while a list
-    /// is changed, so the request is tried until the deadline. The error is then
+    /// Nodes with different configurations may prevent an election. That ends when the wrong node is
+    /// corrected, so the request is tried until the deadline. The error is then
     /// [`DeliveryError::ContractDiffers`] with the difference, or [`DeliveryError::OutcomeUnknown`]
     /// with it if a node may have begun the request.
     pub async fn ask_within(

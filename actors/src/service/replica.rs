@@ -313,7 +313,7 @@ impl ReplicaActor {
         let config = &self.carried.config;
         let primary = self.roster.primary(&self.carried.name, &config.own);
         let primary = primary.map(|node| node.to_string());
-        let disputed = self.machine.mismatch().map(str::to_owned);
+        let disputed = self.machine.mismatch();
         let known = disputed.is_some() || primary.is_some() && primary != question.besides;
         if !known && self.questions.len() >= QUESTIONS_MAX {
             // Drop those whose deadlines have passed.
@@ -387,8 +387,6 @@ impl MachineActor for ReplicaActor {
             ReplicaOutput::RoleChanged(_)
                 | ReplicaOutput::Fault { .. }
                 | ReplicaOutput::FaultCleared { .. }
-                | ReplicaOutput::ConfigMismatch { .. }
-                | ReplicaOutput::MismatchCleared
         );
         if shows {
             self.show();
@@ -399,13 +397,12 @@ impl MachineActor for ReplicaActor {
             ReplicaOutput::Execute { request, save } => self.execute(&request, save, context),
             ReplicaOutput::Save => self.save(None, context),
             ReplicaOutput::Load { state } => self.load(state, context),
-            ReplicaOutput::Fault { kind, detail } => self.declare(kind, &detail),
-            ReplicaOutput::FaultCleared { kind } => self.clear_fault(kind),
-            ReplicaOutput::ConfigMismatch { detail } => {
-                self.declare(FaultKind::ContractMismatch, &detail);
+            ReplicaOutput::Fault { kind, detail } => {
+                self.declare(kind, &detail);
+                // Those who wait for a primary are answered if there can be none.
                 self.answer_questions();
             }
-            ReplicaOutput::MismatchCleared => self.clear_fault(FaultKind::ContractMismatch),
+            ReplicaOutput::FaultCleared { kind } => self.clear_fault(kind),
             ReplicaOutput::Compare { with } => self.compare(with, context),
             ReplicaOutput::CheckDependencies => self.inquire(context),
             ReplicaOutput::Answer { caller, outcome } => {

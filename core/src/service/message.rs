@@ -58,8 +58,6 @@ pub(super) enum Message {
         epoch: u64,
     },
     VoteRequest(VoteRequest),
-    /// A configuration that a node has, and that the receiver must take into account.
-    OtherConfiguration(Vec<u8>),
     Vote(Vote),
     Entry(LogEntry),
     Snapshot(Snapshot),
@@ -78,8 +76,6 @@ pub(super) struct ReplicaHeartbeat {
     pub(super) position: Position,
     /// The last position whose reply the primary has sent.
     pub(super) answered: Position,
-    /// The fingerprints of the other configurations that the primary takes into account.
-    pub(super) known_configurations: Vec<u64>,
 }
 
 /// A standby's promise to vote for no other replica for one lease.
@@ -100,8 +96,6 @@ pub(super) struct LeasePromise {
 pub(super) struct VoteRequest {
     pub(super) epoch: u64,
     pub(super) position: Position,
-    /// The fingerprints of the other configurations that the candidate takes into account.
-    pub(super) known_configurations: Vec<u64>,
 }
 
 /// A vote for a candidate.

@@ -25,8 +25,7 @@
 //! component is stopped or isolated behaves the same, with any kind of standbys.
 //!
 //! All of this holds among nodes with equal configurations: the same nodes, kind, rule and
-//! heartbeat interval. A replica that knows of another configuration serves only while too few
-//! nodes with that one are left to elect a primary.
+//! heartbeat interval. A replica that has met another configuration does not begin to serve.
 //!
 //! The replicas keep their table in memory. A process that restarts has lost it, which counts as
 //! one failure. The guarantees hold while fewer than half of the nodes fail at a time.

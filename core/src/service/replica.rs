@@ -2,7 +2,6 @@
 
 mod agreement;
 mod component;
-mod other_configurations;
 mod outage;
 mod primary;
 mod standby;
@@ -50,14 +49,6 @@ enum Job {
     Save,
 }
 
-/// The sender of a message.
-#[derive(Clone, Copy, Debug)]
-struct ReplicaOrigin<'a> {
-    node: &'a NodeName,
-    /// The fingerprint of its configuration, if that differs in the list of members.
-    other_configuration: Option<u64>,
-}
-
 /// The state machine of one service on one of its nodes.
 #[derive(Debug)]
 pub struct Replica {
@@ -69,9 +60,6 @@ pub struct Replica {
     /// The greatest epoch in which this replica stood for election, or which it must not use.
     used_epoch: u64,
     position: Position,
-    /// The position is that of a primary with another list, whose epochs and numbers are not
-    /// comparable with those of this one's.
-    learned: bool,
     /// The last position whose reply was sent by any primary, as far as this replica knows.
     answered: Position,
     /// When this replica last knew of a primary.
@@ -118,7 +106,6 @@ impl Replica {
             epoch: 0,
             used_epoch: 0,
             position: Position::default(),
-            learned: false,
             answered: Position::default(),
             primary_seen_at: now,
             state: None,
@@ -188,7 +175,7 @@ impl Replica {
         let ServiceRequest { caller, id, settled, until, request } = asked;
         self.handle_timeout(now);
         if let Some(difference) = self.mismatch() {
-            let why = DeliveryError::ContractDiffers { difference: difference.to_owned() };
+            let why = DeliveryError::ContractDiffers { difference };
             return self.answer(caller, ServiceOutcome::Refused(why));
         }
         if self.table.is_settled(id) {
@@ -338,25 +325,17 @@ impl Replica {
 
     /// Handles a message of another replica.
     pub fn handle_message(&mut self, from: &NodeName, message: &[u8], now: Instant) {
-        let read = self.agreement.read(message).filter(|_| *from != self.config.own);
-        let Some((message, fingerprint)) = read else {
-            self.refused += 1;
-            return;
-        };
-        let agrees = self.agreement.is_ours(fingerprint);
-        if !agrees {
-            self.recheck(from, now);
-        }
-        let accepted = match agrees {
-            true => self.config.members.contains(from),
-            false => self.agreement.shares_state(from, fingerprint),
-        };
-        let message = codec::decode_bounded::<Message, MESSAGE_MAX>(message);
-        match message.ok().filter(|_| accepted) {
-            Some(message) if agrees => self.dispatch(from, message, now),
-            Some(message) => {
-                let from = ReplicaOrigin { node: from, other_configuration: Some(fingerprint) };
-                self.handle_other_list(from, message, now);
+        let is_member = *from != self.config.own && self.config.members.contains(from);
+        match message.split_last_chunk().filter(|_| is_member) {
+            Some((message, mark)) if u64::from_le_bytes(*mark) == self.agreement.fingerprint => {
+                match codec::decode_bounded::<Message, MESSAGE_MAX>(message) {
+                    Ok(message) => self.dispatch(from, message, now),
+                    Err(_) => self.refused += 1,
+                }
+            }
+            Some(_) => {
+                self.refused += 1;
+                self.recheck(from, now);
             }
             None => self.refused += 1,
         }
@@ -365,12 +344,11 @@ impl Replica {
     /// Handles a message of a member with the same configuration.
     fn dispatch(&mut self, from: &NodeName, message: Message, now: Instant) {
         self.handle_timeout(now);
-        let origin = ReplicaOrigin { node: from, other_configuration: None };
         match message {
             Message::Heartbeat(heartbeat) => self.handle_heartbeat(from, heartbeat, now),
             Message::LeasePromise(promise) => {
                 self.detect_loss(promise.epoch, promise.answered);
-                self.handle_promise(origin, &promise, now);
+                self.handle_promise(from, &promise, now);
             }
             Message::Outdated { epoch } => match &self.role {
                 RoleState::Primary(primary) if epoch > primary.epoch => self.step_down(None, now),
@@ -380,12 +358,9 @@ impl Replica {
             // A failed candidacy of another replica deposes no primary.
             Message::Voted { epoch } => self.used_epoch = self.used_epoch.max(epoch),
             Message::VoteRequest(request) => self.handle_vote_request(from, request, now),
-            Message::OtherConfiguration(configuration) => {
-                self.handle_other_configuration(&configuration, now);
-            }
             Message::Vote(vote) => self.handle_vote(from, vote, now),
-            Message::Entry(entry) => self.handle_entry(origin, entry),
-            Message::Snapshot(snapshot) => self.handle_snapshot(origin, snapshot),
+            Message::Entry(entry) => self.handle_entry(from, entry),
+            Message::Snapshot(snapshot) => self.handle_snapshot(from, snapshot),
             Message::Resigned { epoch } => self.handle_resignation(from, epoch, now),
         }
     }
@@ -480,7 +455,7 @@ impl Replica {
     fn send_to_others(&mut self, message: &Message) {
         let message = self.agreement.sign(codec::encode_unbounded(message));
         let members = self.config.members.iter().filter(|member| **member != self.config.own);
-        for to in members.cloned().chain(self.agreement.unlisted()) {
+        for to in members.cloned() {
             self.outputs.push_back(ReplicaOutput::Send { to, message: message.clone() });
         }
     }
@@ -507,7 +482,7 @@ impl Machine for Replica {
 
     fn poll_timeout(&self) -> Option<Instant> {
         match &self.role {
-            RoleState::Primary(primary) => Some(primary.due(&self.config, &self.agreement)),
+            RoleState::Primary(primary) => Some(primary.due(&self.config)),
             RoleState::Standby(standby) => {
                 let outage = self.outage.due(&self.config);
                 Some(outage.map_or(standby.due(), |due| due.min(standby.due())))
@@ -518,9 +493,7 @@ impl Machine for Replica {
     fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
         match &self.role {
-            RoleState::Primary(primary)
-                if !primary.has_lease(&self.config, &self.agreement, now) =>
-            {
+            RoleState::Primary(primary) if !primary.has_lease(&self.config, now) => {
                 self.step_down(None, now);
             }
             RoleState::Primary(primary) if now >= primary.heartbeat_at => {

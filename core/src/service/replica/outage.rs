@@ -113,18 +113,29 @@ impl Replica {
                     .to_owned(),
             );
         }
-        let summary = self.agreement.summarize_members(&self.config);
-        if self.agreement.is_fenced() || !summary.differing.is_empty() {
-            let who = match self.agreement.has_overflowed() {
-                true => "too many to list".to_owned(),
-                false => some_of(&summary.differing, ", "),
-            };
+        let isolated = &self.outage.isolated;
+        let (mut available, mut unreachable, mut without_service) = (1, vec![], vec![]);
+        for member in self.config.members.iter().filter(|member| **member != self.config.own) {
+            match self.agreement.known.get(member) {
+                Some(known) if known.differs() => {}
+                Some(known) if self.agreement.is_absent(member, known) => {
+                    without_service.push(member.as_str());
+                }
+                Some(known) if known.seen => available += 1,
+                _ if isolated.contains(member) => {}
+                _ => unreachable.push(member.as_str()),
+            }
+        }
+        let known = self.agreement.known.iter();
+        let differing: Vec<_> =
+            known.filter(|(_, known)| known.differs()).map(|(node, _)| node.as_str()).collect();
+        if !differing.is_empty() {
             causes.push(format!(
-                "not all nodes have the same configuration of it; it differs on {who} (the fault contract \
-                 mismatch, B10, says what to write)"
+                "not all nodes have the same configuration of it; it differs on {} (the fault contract \
+                 mismatch, B10, says what to write)",
+                some_of(&differing, ", ")
             ));
         }
-        let isolated = &self.outage.isolated;
         if !isolated.is_empty() {
             let nodes: Vec<_> = isolated.iter().map(NodeName::as_str).collect();
             causes.push(format!(
@@ -132,24 +143,19 @@ impl Replica {
                 some_of(&nodes, ", ")
             ));
         }
-        let unreachable = summary.unreachable.into_iter();
-        let unreachable =
-            unreachable.filter(|node| !isolated.iter().any(|out| out.as_str() == *node));
         let (members, majority) = (self.config.members.len(), self.config.majority());
-        if self.config.on_partition == OnPartition::Stop && summary.available < majority {
-            let needs = format!(
-                "there is no majority: it needs {majority} of its {members} nodes, and has {}",
-                summary.available
-            );
+        if self.config.on_partition == OnPartition::Stop && available < majority {
             let missing = [
-                ("not reachable", unreachable.collect(), "start them, or repair the path to them"),
+                ("not reachable", unreachable, "start them, or repair the path to them"),
                 (
                     "without this service",
-                    summary.without_service,
+                    without_service,
                     "add the service there, or remove them from all lists",
                 ),
             ];
-            causes.push(needs);
+            causes.push(format!(
+                "there is no majority: it needs {majority} of its {members} nodes, and has {available}"
+            ));
             causes.extend(describe_lists(missing));
         }
         // An isolated node does not explain why the others have elected no primary.

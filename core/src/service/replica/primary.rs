@@ -34,8 +34,6 @@ pub(super) struct Follower {
     pub(super) promised: Instant,
     pub(super) catch_up: CatchUp,
     position: Position,
-    /// It is a learner: its list of members differs, and its promise does not count.
-    pub(super) is_learner: bool,
 }
 
 /// How far a standby has caught up with the primary's log.
@@ -53,8 +51,8 @@ pub(super) enum CatchUp {
 
 impl Follower {
     /// A follower that has no entries yet.
-    fn behind(promised: Instant, is_learner: bool) -> Self {
-        Follower { promised, catch_up: CatchUp::Behind, position: Position::default(), is_learner }
+    fn behind(promised: Instant) -> Self {
+        Follower { promised, catch_up: CatchUp::Behind, position: Position::default() }
     }
 }
 
@@ -81,8 +79,7 @@ impl Primary {
         if needed == 0 || config.on_partition == OnPartition::Continue {
             return None;
         }
-        let voters = self.standbys.values().filter(|follower| !follower.is_learner);
-        let promised = voters.map(|follower| follower.promised);
+        let promised = self.standbys.values().map(|follower| follower.promised);
         // A vote is a promise as well, from the time of the request.
         let mut promised: Vec<_> =
             promised.chain(std::iter::repeat_n(self.elected_at, needed)).collect();
@@ -90,36 +87,14 @@ impl Primary {
         promised.get(needed - 1).map(|at| *at + config.lease())
     }
 
-    /// Returns whether a majority's promises hold, and exclude a primary of each other
-    /// configuration.
-    pub(super) fn has_lease(
-        &self,
-        config: &ReplicaConfig,
-        agreement: &ConfigAgreement,
-        now: Instant,
-    ) -> bool {
-        let supports = |node: &NodeName| {
-            let follower = self.standbys.get(node);
-            *node == config.own
-                || follower
-                    .is_some_and(|known| !known.is_learner && now < known.promised + config.lease())
-        };
+    /// Returns whether a majority's promises hold.
+    pub(super) fn has_lease(&self, config: &ReplicaConfig, now: Instant) -> bool {
         self.lease_until(config).is_none_or(|until| now < until)
-            && (agreement.is_unanimous() || agreement.permits(supports, now))
     }
 
-    /// Returns when the next heartbeat is due, or a promise ends that the lease needs.
-    pub(super) fn due(&self, config: &ReplicaConfig, agreement: &ConfigAgreement) -> Instant {
-        let until = self
-            .lease_until(config)
-            .map_or(self.heartbeat_at, |until| until.min(self.heartbeat_at));
-        if agreement.is_unanimous() {
-            return until;
-        }
-        // Another configuration may be excluded by one promise alone.
-        let last_sent = self.sent_heartbeats.back().map_or(self.elected_at, |(_, at)| *at);
-        let ends = self.standbys.values().map(|known| known.promised + config.lease());
-        ends.filter(|end| *end > last_sent).fold(until, Instant::min)
+    /// Returns when the next heartbeat is due, or the lease ends.
+    pub(super) fn due(&self, config: &ReplicaConfig) -> Instant {
+        self.lease_until(config).map_or(self.heartbeat_at, |until| until.min(self.heartbeat_at))
     }
 
     /// Returns the callers that wait.
@@ -140,10 +115,10 @@ impl Replica {
     ) {
         let lost = self.start_without_lost_state(epoch);
         let mut primary = Primary::new(epoch, self.position, asked);
-        let (position, learned) = (self.position, self.learned);
+        let position = self.position;
         primary.standbys.extend(voters.into_iter().map(|(node, in_step)| {
-            let mut follower = Follower::behind(asked, false);
-            if in_step && !lost && !learned {
+            let mut follower = Follower::behind(asked);
+            if in_step && !lost {
                 (follower.catch_up, follower.position) = (CatchUp::InStep, position);
             }
             (node, follower)
@@ -183,37 +158,29 @@ impl Replica {
         }
         let (epoch, number, position) = (primary.epoch, primary.heartbeat_number, self.position);
         let answered = self.answered;
-        let known_configurations = self.agreement.relevant_fingerprints(now);
-        let heartbeat =
-            ReplicaHeartbeat { epoch, number, position, answered, known_configurations };
+        let heartbeat = ReplicaHeartbeat { epoch, number, position, answered };
         self.send_to_others(&Message::Heartbeat(heartbeat));
     }
 
     pub(super) fn handle_promise(
         &mut self,
-        from: ReplicaOrigin<'_>,
+        from: &NodeName,
         promise: &LeasePromise,
         now: Instant,
     ) {
         let LeasePromise { epoch, number, position, status, .. } = *promise;
-        let (from, is_learner) = (from.node, from.other_configuration.is_some());
         let lease = self.config.lease();
-        let comparable = self.comparable_by_position() && !is_learner && !self.learned;
-        let nothing_missing = comparable && position == self.position;
+        let nothing_missing = self.comparable_by_position() && position == self.position;
         let RoleState::Primary(primary) = &mut self.role else { return };
         if epoch != primary.epoch {
             return;
         }
         let heartbeat = primary.sent_heartbeats.iter().find(|(sent, _)| *sent == number);
         let sent_at = heartbeat.map(|(_, at)| *at);
-        // A standby with another configuration has restarted, and has no entries.
-        if primary.standbys.get(from).is_some_and(|known| known.is_learner != is_learner) {
-            primary.standbys.remove(from);
-        }
         // A standby becomes a follower by its first promise.
         let before = primary.standbys.get(from).map(|known| known.promised);
         let Some(promised) = sent_at.or(before) else { return };
-        let fresh = Follower::behind(promised, is_learner);
+        let fresh = Follower::behind(promised);
         let follower = primary.standbys.entry(from.clone()).or_insert(fresh);
         follower.promised = follower.promised.max(promised);
         follower.catch_up = match (follower.catch_up, status) {
@@ -290,7 +257,6 @@ impl Replica {
         let epoch = primary.epoch;
         if self.config.kind != StandbyKind::Cold {
             self.position = Position { epoch, number: self.position.number + 1 };
-            self.learned = false;
         }
         let position = self.position;
         primary.held_replies.push_back((position, id, now));
@@ -326,7 +292,7 @@ impl Replica {
         let under_replicated = self.check_replication(now);
         let config = &self.config;
         let RoleState::Primary(primary) = &mut self.role else { return };
-        if !primary.has_lease(config, &self.agreement, now) {
+        if !primary.has_lease(config, now) {
             return;
         }
         let mut answers = Vec::new();
@@ -336,7 +302,7 @@ impl Replica {
                 let in_step = followers.filter(|follower| follower.catch_up == CatchUp::InStep);
                 let knows = |follower: &&Follower| follower.position >= position;
                 let all = in_step.clone().all(|follower| knows(&follower));
-                let known = in_step.filter(|follower| !follower.is_learner).filter(knows).count();
+                let known = in_step.filter(knows).count();
                 let enough = under_replicated
                     || config.on_partition == OnPartition::Continue
                     || known + 1 >= config.majority();

@@ -8,8 +8,6 @@ use std::time::Duration;
 pub(super) struct Standby {
     /// The node of the primary, if one is known.
     pub(super) primary: Option<NodeName>,
-    /// The fingerprint of the primary's configuration, if that is not this replica's own.
-    other_configuration: Option<u64>,
     /// Until then this replica votes for no other one.
     promised_until: Instant,
     /// When this replica stands for election, unless it receives a heartbeat before.
@@ -45,7 +43,6 @@ impl Standby {
         Standby {
             election_at: promised_until + election_delay(config, primary.as_ref()),
             primary,
-            other_configuration: None,
             promised_until,
             in_step: None,
             complete: false,
@@ -75,11 +72,6 @@ impl Standby {
         // A cold standby keeps no state, so it lacks none.
         let in_step = kind == StandbyKind::Cold || self.in_step == Some(epoch);
         Role::Standby { in_step: in_step && primary.is_some(), primary }
-    }
-
-    /// Returns whether this replica follows a primary that has another list.
-    pub(super) fn is_learner(&self) -> bool {
-        self.primary.is_some() && self.other_configuration.is_some()
     }
 
     /// Ends the lease promise, as its receiver serves no more.
@@ -130,41 +122,25 @@ impl Replica {
             }
             self.step_down(Some(from.clone()), now);
         }
-        if !self.knows_all_configurations(from, &heartbeat.known_configurations) {
-            return;
-        }
-        let from = ReplicaOrigin { node: from, other_configuration: None };
-        self.follow(from, &heartbeat, now);
-        if let RoleState::Standby(standby) = &mut self.role {
-            standby.promised_until = now + self.config.lease() + self.config.margin();
-        }
-    }
-
-    /// Follows the primary that sent this heartbeat, and answers it.
-    fn follow(&mut self, from: ReplicaOrigin<'_>, heartbeat: &ReplicaHeartbeat, now: Instant) {
-        let ReplicaHeartbeat { epoch, number, position, answered, .. } = *heartbeat;
+        let ReplicaHeartbeat { epoch, number, position, answered } = heartbeat;
         self.note_epoch(epoch);
         self.answered = self.answered.max(answered);
         self.note_primary_seen(now);
         let (own, loading) = (self.position, self.is_loading());
-        let has_log = self.comparable_by_position();
-        let comparable = has_log && from.other_configuration.is_none() && !self.learned;
+        let comparable = self.comparable_by_position();
         let RoleState::Standby(standby) = &mut self.role else { return };
-        if standby.other_configuration != from.other_configuration {
-            // Each list of members has its own epochs.
-            (standby.other_configuration, standby.in_step) = (from.other_configuration, None);
-        }
         if comparable && standby.complete && position == own {
             standby.in_step = Some(epoch);
-        } else if has_log && position > own {
+        } else if comparable && position > own {
             // The missing entries were sent to others only.
             standby.in_step = None;
         }
-        standby.primary = Some(from.node.clone());
+        standby.primary = Some(from.clone());
         (standby.candidacy, standby.pending_request) = (None, None);
         standby.checking_dependencies = false;
         let timeout = self.config.lease() + self.config.margin();
-        standby.election_at = now + timeout + election_delay(&self.config, Some(from.node));
+        standby.promised_until = now + timeout;
+        standby.election_at = standby.promised_until + election_delay(&self.config, Some(from));
         let status = match (self.config.kind, self.health) {
             (StandbyKind::Cold, _) => StandbyStatus::InStep,
             (StandbyKind::Hot, Health::Inactive { .. }) => StandbyStatus::Inactive,
@@ -174,45 +150,8 @@ impl Replica {
         };
         let (position, answered) = (self.position, self.answered);
         let promise = LeasePromise { epoch, number, position, answered, status };
-        self.send(from.node, &Message::LeasePromise(promise));
+        self.send(from, &Message::LeasePromise(promise));
         self.report_role();
-    }
-
-    /// Handles a message of a node whose configuration differs in the list alone. Such a node can
-    /// be followed without a promise, so that a new list continues with the state of the old one.
-    pub(super) fn handle_other_list(
-        &mut self,
-        from: ReplicaOrigin<'_>,
-        message: Message,
-        now: Instant,
-    ) {
-        self.handle_timeout(now);
-        let followed = match &self.role {
-            RoleState::Standby(standby) => standby.primary.as_ref() == Some(from.node),
-            RoleState::Primary(_) => false,
-        };
-        match message {
-            Message::Heartbeat(heartbeat) => {
-                if let RoleState::Standby(standby) = &self.role
-                    && heartbeat.epoch >= self.epoch
-                    // A primary of this replica's own list goes first.
-                    && (followed || standby.primary.is_none())
-                {
-                    self.follow(from, &heartbeat, now);
-                }
-            }
-            Message::LeasePromise(promise) => {
-                self.note_answered(promise.answered, now);
-                self.handle_promise(from, &promise, now);
-            }
-            Message::Entry(entry) if followed => self.handle_entry(from, entry),
-            Message::Snapshot(snapshot) if followed => self.handle_snapshot(from, snapshot),
-            Message::Resigned { epoch } if followed && epoch == self.epoch => {
-                // The lease promise of this replica was made to a primary of its own list.
-                self.follow_none(now);
-            }
-            _ => {}
-        }
     }
 
     /// Stands for election in a new epoch, unless this replica is not eligible.
@@ -222,9 +161,7 @@ impl Replica {
         let RoleState::Standby(standby) = &mut self.role else { return };
         standby.election_at = now + again;
         standby.primary = None;
-        if self.agreement.is_fenced()
-            || !self.agreement.permits(|node| self.agreement.may_support(node), now)
-        {
+        if self.agreement.is_disputed() {
             standby.checking_dependencies = false;
             return self.report_role();
         }
@@ -252,14 +189,9 @@ impl Replica {
         let votes = SortedMap::new();
         standby.candidacy = Some(Candidacy { epoch, requested_at: now, position, votes });
         if self.config.majority() == 1 || self.config.on_partition == OnPartition::Continue {
-            if self.agreement.permits(|node| *node == self.config.own, now) {
-                self.take_over(epoch, now, [], now);
-            }
-            return;
+            return self.take_over(epoch, now, [], now);
         }
-        let known_configurations = self.agreement.relevant_fingerprints(now);
-        let request = VoteRequest { epoch, position, known_configurations };
-        self.send_to_others(&Message::VoteRequest(request));
+        self.send_to_others(&Message::VoteRequest(VoteRequest { epoch, position }));
     }
 
     pub(super) fn handle_vote_request(
@@ -272,13 +204,13 @@ impl Replica {
             // The candidate has not received a heartbeat yet, and will.
             return;
         }
-        let VoteRequest { epoch, position, .. } = request;
+        let VoteRequest { epoch, position } = request;
         let voted = self.epoch.max(self.used_epoch);
         if epoch <= voted {
             return self.send(from, &Message::Voted { epoch: voted });
         }
         let ineligible = self.ineligible_until(now);
-        let (required, learned) = (self.required_position(now), self.learned);
+        let required = self.required_position(now);
         let RoleState::Standby(standby) = &mut self.role else { return };
         if position < required {
             self.used_epoch = self.used_epoch.max(epoch);
@@ -294,15 +226,14 @@ impl Replica {
             standby.pending_request = Some((from.clone(), request));
             return;
         }
-        if !self.knows_all_configurations(from, &request.known_configurations) {
+        if self.agreement.is_disputed() {
             return;
         }
-        let RoleState::Standby(standby) = &mut self.role else { return };
         // A vote is a lease promise as well.
         (standby.candidacy, standby.pending_request) = (None, None);
         standby.promised_until = now + self.config.lease() + self.config.margin();
         standby.election_at = standby.promised_until + election_delay(&self.config, None);
-        let in_step = standby.complete && !learned && position == self.position;
+        let in_step = standby.complete && position == self.position;
         if in_step {
             standby.in_step = Some(epoch);
         }
@@ -364,13 +295,14 @@ impl Replica {
         let in_step = vote.in_step && self.comparable_by_position();
         let RoleState::Standby(standby) = &mut self.role else { return };
         let Some(candidacy) = &mut standby.candidacy else { return };
-        if candidacy.epoch != vote.epoch || now - candidacy.requested_at >= self.config.lease() {
+        if candidacy.epoch != vote.epoch
+            || now - candidacy.requested_at >= self.config.lease()
+            || self.agreement.is_disputed()
+        {
             return;
         }
         candidacy.votes.insert(from.clone(), in_step);
-        let votes = &candidacy.votes;
-        let supports = |node: &NodeName| *node == self.config.own || votes.contains_key(node);
-        if votes.len() + 1 >= self.config.majority() && self.agreement.permits(supports, now) {
+        if candidacy.votes.len() + 1 >= self.config.majority() {
             let requested_at = candidacy.requested_at;
             let votes = std::mem::take(&mut candidacy.votes);
             // The voters compared their positions with the one at the request.
@@ -380,13 +312,10 @@ impl Replica {
         }
     }
 
-    pub(super) fn handle_entry(&mut self, from: ReplicaOrigin<'_>, entry: LogEntry) {
+    pub(super) fn handle_entry(&mut self, from: &NodeName, entry: LogEntry) {
         let LogEntry { epoch, position, served, settled, payload } = entry;
         let RoleState::Standby(standby) = &mut self.role else { return };
-        if epoch < self.epoch
-            || standby.in_step != Some(epoch)
-            || standby.other_configuration != from.other_configuration
-        {
+        if epoch < self.epoch || standby.in_step != Some(epoch) {
             return;
         }
         if position.number != self.position.number.saturating_add(1) {
@@ -411,10 +340,10 @@ impl Replica {
         self.table.settle(served.id.sender, settled);
         self.table.note(served);
         self.start_next_job();
-        self.confirm(from.node, epoch);
+        self.confirm(from, epoch);
     }
 
-    pub(super) fn handle_snapshot(&mut self, from: ReplicaOrigin<'_>, snapshot: Snapshot) {
+    pub(super) fn handle_snapshot(&mut self, from: &NodeName, snapshot: Snapshot) {
         let Snapshot { epoch, position, state, table } = snapshot;
         let inactive =
             self.config.kind == StandbyKind::Hot && matches!(self.health, Health::Inactive { .. });
@@ -422,9 +351,7 @@ impl Replica {
         if epoch < self.epoch || inactive {
             return;
         }
-        (standby.other_configuration, standby.in_step) = (from.other_configuration, Some(epoch));
-        standby.complete = true;
-        self.learned = from.other_configuration.is_some();
+        (standby.in_step, standby.complete) = (Some(epoch), true);
         if let Health::Stateless { .. } = self.health {
             self.health = Health::Complete;
         }
@@ -443,7 +370,7 @@ impl Replica {
             StandbyKind::Warm | StandbyKind::Cold => self.state = Some(state.into()),
         }
         self.start_next_job();
-        self.confirm(from.node, epoch);
+        self.confirm(from, epoch);
         self.report_role();
     }
 

@@ -75,7 +75,6 @@ impl Replica {
         if lost {
             self.report_loss(self.position, self.answered);
             self.position = Position { epoch, number: 0 };
-            self.learned = false;
             self.answered = self.position;
         }
         lost
@@ -102,29 +101,6 @@ impl Replica {
             && !self.faults.contains_key(&FaultKind::StateLost)
         {
             self.report_loss(base, answered);
-        }
-    }
-
-    /// Handles the last position whose reply was sent, of a node with another list.
-    pub(super) fn note_answered(&mut self, answered: Position, now: Instant) {
-        if let RoleState::Primary(primary) = &self.role {
-            // A position within this epoch, up to this replica's own, is one of its own entries.
-            let ours = answered.epoch >= primary.epoch && answered <= self.answered;
-            let base = primary.base;
-            if answered > base && !ours && !self.faults.contains_key(&FaultKind::StateLost) {
-                self.report_loss(base, answered);
-            }
-        } else if answered > self.answered {
-            self.answered = answered;
-            // Epochs of this replica's own list become greater than that one.
-            self.used_epoch = self.used_epoch.max(answered.epoch);
-            // The node that sent it may have the state.
-            self.note_primary_seen(now);
-            if let RoleState::Standby(standby) = &mut self.role
-                && self.position < answered
-            {
-                standby.withdraw();
-            }
         }
     }
 
@@ -168,11 +144,9 @@ impl Replica {
 }
 
 impl Primary {
-    /// Returns how many standbys are in step, without learners.
+    /// Returns how many standbys are in step.
     fn holders(&self) -> usize {
-        let holds =
-            |follower: &&Follower| follower.catch_up == CatchUp::InStep && !follower.is_learner;
-        self.standbys.values().filter(holds).count()
+        self.standbys.values().filter(|follower| follower.catch_up == CatchUp::InStep).count()
     }
 
     /// Returns whether a standby may still come into step.

@@ -11,7 +11,8 @@ impl Replica {
             RoleState::Standby(standby) => standby.primary.clone(),
         };
         let unreachable = |member: &&NodeName| {
-            **member != self.config.own && !self.agreement.reachable.contains(*member)
+            **member != self.config.own
+                && self.agreement.known.get(*member).is_none_or(|known| !known.seen)
         };
         ServiceView {
             state: self.state_shown(),
@@ -23,14 +24,15 @@ impl Replica {
     }
 
     fn state_shown(&self) -> ServiceState {
-        let RoleState::Standby(standby) = &self.role else { return ServiceState::Primary };
+        if let RoleState::Primary(_) = self.role {
+            return ServiceState::Primary;
+        }
         match (self.health, self.role()) {
             (Health::Inactive { .. }, _) => ServiceState::Resting,
-            (_, Role::Standby { primary: None, .. }) if self.agreement.is_fenced() => {
+            (_, Role::Standby { primary: None, .. }) if self.agreement.is_disputed() => {
                 ServiceState::Fenced
             }
             (_, Role::Standby { primary: None, .. }) => ServiceState::Candidate,
-            _ if standby.is_learner() => ServiceState::Learner,
             (_, Role::Standby { in_step: true, .. }) => ServiceState::Standby,
             _ => ServiceState::Behind,
         }
