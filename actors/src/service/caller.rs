@@ -16,7 +16,7 @@ use blastema_core::{
 };
 use std::fmt;
 use std::marker::PhantomData;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 use std::time::Duration;
 
 /// Sends requests to a service, whichever node is primary. Clones share what they know of the
@@ -45,14 +45,10 @@ struct OpenRequest(u64);
 /// The requests of this process that wait, by number: as many as it has in flight.
 static OPEN: Mutex<SortedSet<u64>> = Mutex::new(SortedSet::new());
 
-fn open() -> MutexGuard<'static, SortedSet<u64>> {
-    OPEN.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl OpenRequest {
     /// Returns a new identity, and the number below which all requests have their replies.
     fn begin() -> (MessageId, u64, OpenRequest) {
-        let mut open = open();
+        let mut open = platform::lock(&OPEN);
         // The number is taken under the lock, so that no other task computes `settled` without it.
         let id = next_id();
         open.insert(id.sequence);
@@ -63,7 +59,7 @@ impl OpenRequest {
 
 impl Drop for OpenRequest {
     fn drop(&mut self) {
-        open().remove(&self.0);
+        platform::lock(&OPEN).remove(&self.0);
     }
 }
 

@@ -11,11 +11,9 @@
 //! `<name>/replica`. The replica is an actor on the network's arbiter, which drives the state
 //! machine in the core.
 
-mod agreement;
 mod caller;
 mod context;
 mod finder;
-mod peers;
 mod replica;
 mod roster;
 mod types;

@@ -124,6 +124,13 @@ impl ReplicaConfig {
         self.lease() / 10
     }
 
+    /// Returns how long a replica waits for a node that has the state, or is about to. Longer than
+    /// a process is likely to stand still. A shorter timeout restores a service sooner whose state
+    /// is lost, and which then starts without it.
+    fn state_timeout(&self) -> Duration {
+        self.lease() * 20
+    }
+
     fn majority(&self) -> usize {
         self.members.len() / 2 + 1
     }

@@ -1,14 +1,11 @@
 //! One replica of a service.
 
 mod agreement;
-mod component;
 mod outage;
 mod primary;
 mod standby;
 #[cfg(test)]
 mod tests;
-mod under_replication;
-mod view;
 
 use super::change::Change;
 use super::message::{
@@ -17,15 +14,15 @@ use super::message::{
 };
 use super::table::Table;
 use super::types::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
+use super::view::{ServiceState, ServiceView};
 use super::{OnPartition, ReplicaConfig, StandbyKind};
 use crate::contract::codec;
 use crate::sorted::SortedMap;
 use crate::{DeliveryError, FaultKind, Instant, Machine, MessageId, NodeName};
-use agreement::ConfigAgreement;
+use agreement::{ConfigAgreement, ConfigComparison};
 use bytes::Bytes;
-use component::Health;
 use outage::Outage;
-use primary::{CatchUp, Follower, Primary};
+use primary::Primary;
 use standby::Standby;
 use std::collections::VecDeque;
 
@@ -62,7 +59,7 @@ pub struct Replica {
     position: Position,
     /// The last position whose reply was sent by any primary, as far as this replica knows.
     answered: Position,
-    /// When this replica last knew of a primary.
+    /// When this replica last knew of a primary, or its component lost the state or came to rest.
     primary_seen_at: Instant,
     /// The newest state, if standbys are warm.
     state: Option<Bytes>,
@@ -86,6 +83,17 @@ pub struct Replica {
     faults: SortedMap<FaultKind, String>,
     refused: u64,
     outputs: VecDeque<ReplicaOutput>,
+}
+
+/// How the component's state compares with its replica's log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Health {
+    /// It has the state at the replica's position, or will have when it has done its jobs.
+    Complete,
+    /// It has restarted without the state, or failed to execute a request of the primary.
+    Stateless,
+    /// It accepts no jobs: it is stopped or isolated.
+    Inactive,
 }
 
 #[derive(Debug)]
@@ -118,7 +126,7 @@ impl Replica {
             current_job: None,
             discard_result: false,
             health: Health::Complete,
-            outage: Outage::starting(now),
+            outage: Outage { since: Some(now), ..Outage::default() },
             faults: SortedMap::new(),
             refused: 0,
             outputs: VecDeque::new(),
@@ -136,15 +144,11 @@ impl Replica {
     pub fn role(&self) -> Role {
         match &self.role {
             RoleState::Primary(primary) => Role::Primary { epoch: primary.epoch },
-            RoleState::Standby(standby) => {
-                let kept = standby.role(self.epoch, self.config.kind);
-                match (kept, self.health) {
-                    (
-                        Role::Standby { primary, .. },
-                        Health::Stateless { .. } | Health::Inactive { .. },
-                    ) => Role::Standby { primary, in_step: false },
-                    (role, _) => role,
-                }
+            RoleState::Standby(Standby { primary, in_step, .. }) => {
+                // A cold standby keeps no state, so it lacks none.
+                let kept = self.config.kind == StandbyKind::Cold || *in_step == Some(self.epoch);
+                let in_step = kept && primary.is_some() && self.health == Health::Complete;
+                Role::Standby { primary: primary.clone(), in_step }
             }
         }
     }
@@ -335,7 +339,8 @@ impl Replica {
             }
             Some(_) => {
                 self.refused += 1;
-                self.recheck(from, now);
+                self.agreement.note_foreign(from);
+                self.compare(from, now);
             }
             None => self.refused += 1,
         }
@@ -365,6 +370,304 @@ impl Replica {
         }
     }
 
+    /// Returns what this replica knows of its service now.
+    pub fn view(&self) -> ServiceView {
+        let primary = match &self.role {
+            RoleState::Primary(_) => Some(self.config.own.clone()),
+            RoleState::Standby(standby) => standby.primary.clone(),
+        };
+        let unreachable = |member: &&NodeName| {
+            **member != self.config.own
+                && self.agreement.known.get(*member).is_none_or(|known| !known.seen)
+        };
+        ServiceView {
+            state: self.state_shown(),
+            epoch: self.epoch,
+            primary,
+            unreachable: self.config.members.iter().filter(unreachable).cloned().collect(),
+            unreplicated: self.faults.contains_key(&FaultKind::Unreplicated),
+        }
+    }
+
+    fn state_shown(&self) -> ServiceState {
+        if let RoleState::Primary(_) = self.role {
+            return ServiceState::Primary;
+        }
+        match (self.health, self.role()) {
+            (Health::Inactive { .. }, _) => ServiceState::Resting,
+            (_, Role::Standby { primary: None, .. }) if self.agreement.is_disputed() => {
+                ServiceState::Fenced
+            }
+            (_, Role::Standby { primary: None, .. }) => ServiceState::Candidate,
+            (_, Role::Standby { in_step: true, .. }) => ServiceState::Standby,
+            _ => ServiceState::Behind,
+        }
+    }
+
+    /// Returns this replica's configuration and whether it serves, encoded for
+    /// [`Replica::handle_configuration`] of the other replicas.
+    pub fn configuration(&self) -> Bytes {
+        self.agreement.encode(matches!(self.role, RoleState::Primary(_)))
+    }
+
+    /// Returns how the configurations differ and what to write, if this replica knows of no primary
+    /// and no node begins to serve until then.
+    pub fn mismatch(&self) -> Option<String> {
+        match &self.role {
+            RoleState::Standby(Standby { primary: None, .. }) => self.agreement.differences(),
+            RoleState::Standby(_) | RoleState::Primary(_) => None,
+        }
+    }
+
+    /// Sets the other nodes that have an object of the service's name and to which a path leads.
+    /// Drops what is known of nodes that may not claim the service. Call it several times a second,
+    /// as the policy of the robot may change.
+    pub fn handle_carriers(
+        &mut self,
+        found: &[NodeName],
+        may_claim: impl Fn(&NodeName) -> bool,
+        now: Instant,
+    ) {
+        self.agreement.see(found, may_claim);
+        let nodes: Vec<_> = self.agreement.known.keys().cloned().collect();
+        nodes.iter().for_each(|node| self.compare(node, now));
+        self.report_mismatch();
+    }
+
+    /// Handles the configuration that another node sends, with its question or as its answer.
+    pub fn handle_configuration(&mut self, from: &NodeName, bytes: &[u8], now: Instant) {
+        let compared = self.agreement.compare(from, bytes).filter(|_| *from != self.config.own);
+        let Some((comparison, other_goes_on)) = compared else {
+            self.refused += 1;
+            return;
+        };
+        self.note_comparison(from, comparison);
+        match other_goes_on {
+            Some(true) => self.resign(now),
+            // That node resigns when it learns that this one serves.
+            Some(false) if matches!(self.role, RoleState::Primary(_)) => {
+                self.agreement.ask_again(from);
+            }
+            Some(false) | None => {}
+        }
+    }
+
+    /// A node is there, and does not carry the service.
+    pub fn handle_no_service(&mut self, of: &NodeName) {
+        let before = self.agreement.known.get(of).map(|known| &known.comparison);
+        let confirmed = matches!(before, Some(ConfigComparison::Absent { .. }));
+        self.note_comparison(of, ConfigComparison::Absent { confirmed });
+    }
+
+    /// A node has ended in order.
+    pub fn handle_left(&mut self, node: &NodeName) {
+        self.note_comparison(node, ConfigComparison::Unknown);
+    }
+
+    /// Returns a replica that starts with what this one knows of the others, after its actor has
+    /// failed.
+    #[must_use]
+    pub fn restarted(&self, now: Instant) -> Self {
+        let mut next = Replica::new(self.config.clone(), self.initial.clone(), now);
+        next.agreement = self.agreement.clone();
+        next.answered = self.answered;
+        // The new replica finds again what is still wrong.
+        for kind in self.faults.keys() {
+            next.outputs.push_back(ReplicaOutput::FaultCleared { kind: kind.clone() });
+        }
+        next.report_mismatch();
+        next
+    }
+
+    /// Asks a node for its configuration, if that is due.
+    fn compare(&mut self, with: &NodeName, now: Instant) {
+        if *with != self.config.own && self.agreement.is_due(with, now) {
+            self.outputs.push_back(ReplicaOutput::Compare { with: with.clone() });
+        }
+    }
+
+    fn note_comparison(&mut self, of: &NodeName, comparison: ConfigComparison) {
+        match self.agreement.record(of) {
+            Some(known) => known.comparison = comparison,
+            None => self.refused += 1,
+        }
+        self.report_mismatch();
+    }
+
+    /// Declares the mismatch if it has changed, or clears it.
+    fn report_mismatch(&mut self) {
+        self.set_fault(FaultKind::ContractMismatch, self.agreement.describe());
+    }
+
+    /// The component has ended, and its state with it.
+    pub fn handle_component_died(&mut self, now: Instant) {
+        match (&self.role, self.config.kind) {
+            // No other node has more than the restarted component.
+            (_, StandbyKind::Cold) => {}
+            (RoleState::Primary(Primary { epoch, .. }), StandbyKind::Hot)
+                if self.config.members.len() == 1 =>
+            {
+                // There is no other member to serve.
+                self.restart_without_lost_state(*epoch);
+            }
+            (RoleState::Primary(_), StandbyKind::Warm) => {
+                self.discard_result = self.current_job.is_some();
+                let state = self.last_state();
+                self.jobs.push_front(Job::Load { state });
+                self.start_next_job();
+            }
+            (RoleState::Standby(_), StandbyKind::Warm) => {
+                self.discard_result = self.current_job.is_some()
+            }
+            (_, StandbyKind::Hot) => self.lose_state(now),
+        }
+    }
+
+    /// The component was stopped or isolated: it accepts no jobs until
+    /// [`Replica::handle_component_resumed`].
+    pub fn handle_component_stopped(&mut self, now: Instant) {
+        if self.health == Health::Inactive {
+            return;
+        }
+        if self.config.kind == StandbyKind::Hot {
+            self.lose_state(now);
+        } else {
+            self.discard_result = self.current_job.is_some();
+            self.resign(now);
+            self.jobs.clear();
+        }
+        (self.health, self.primary_seen_at) = (Health::Inactive, now);
+        if let RoleState::Standby(standby) = &mut self.role {
+            standby.candidacy = None;
+        }
+        self.report_role();
+    }
+
+    /// The component accepts jobs.
+    pub fn handle_component_resumed(&mut self, now: Instant) {
+        if self.health != Health::Inactive {
+            return;
+        }
+        self.health = Health::Complete;
+        if self.config.kind == StandbyKind::Hot {
+            self.lose_state(now);
+        }
+        if let RoleState::Standby(standby) = &mut self.role {
+            standby.advance_election(&self.config, now);
+        }
+        self.report_role();
+    }
+
+    /// The component failed to load a state.
+    pub fn handle_not_loaded(&mut self, now: Instant) {
+        self.end_load();
+        if self.config.kind == StandbyKind::Hot {
+            self.lose_state(now);
+        }
+    }
+
+    /// The component does not have the state at the replica's position, which hot ones need.
+    fn lose_state(&mut self, now: Instant) {
+        self.discard_result = self.current_job.is_some();
+        if let RoleState::Primary(primary) = &self.role {
+            // The next primary need not have requests whose replies were not sent.
+            self.position = primary.released;
+        }
+        self.resign(now);
+        self.jobs.clear();
+        if self.health == Health::Complete {
+            (self.health, self.primary_seen_at) = (Health::Stateless, now);
+        }
+        if let RoleState::Standby(standby) = &mut self.role {
+            standby.fall_behind();
+            // Votes in flight were requested with a position that does not hold any more.
+            standby.candidacy = None;
+        }
+        self.report_role();
+    }
+
+    /// The component restarted, and did the current job without the state. Schedules the job again.
+    fn retry_job(&mut self) {
+        match (&self.role, self.current_job.take()) {
+            (RoleState::Primary(_), Some(serve @ Job::Serve { .. })) => {
+                let loads = matches!(self.jobs.front(), Some(Job::Load { .. }));
+                self.jobs.insert(usize::from(loads), serve);
+            }
+            (_, Some(Job::Serve { .. } | Job::Replay { .. }) | None) => {}
+            (_, other) => (self.current_job, self.discard_result) = (other, true),
+        }
+    }
+
+    /// Handles the result of a request that the primary has served.
+    fn note_replayed(
+        &mut self,
+        result: Result<Bytes, DeliveryError>,
+        discarded: bool,
+        now: Instant,
+    ) {
+        let loads = self.jobs.iter().any(|job| matches!(job, Job::Load { .. }));
+        match result {
+            Err(DeliveryError::Stopped | DeliveryError::Isolated { .. }) => {
+                self.handle_component_stopped(now)
+            }
+            // The primary's component executed it.
+            Err(_) if !discarded && !loads => self.lose_state(now),
+            Ok(_) | Err(_) => {}
+        }
+    }
+
+    /// Ends the role of primary, and reports that to the other members before its lease ends.
+    fn resign(&mut self, now: Instant) {
+        let RoleState::Primary(primary) = &self.role else { return };
+        let epoch = primary.epoch;
+        self.step_down(None, now);
+        if let RoleState::Standby(standby) = &mut self.role {
+            standby.promised_until = standby.promised_until.min(now);
+        }
+        self.send_to_others(&Message::Resigned { epoch });
+    }
+
+    /// Returns until when this replica may not stand for election. If it has waited in vain for a
+    /// node with a newer state, it drops its own position, so that the service starts without that
+    /// state.
+    fn ineligible_until(&mut self, now: Instant) -> Option<Instant> {
+        let until = self.waiting_since()? + self.config.state_timeout();
+        if now < until && self.config.members.len() > 1 {
+            return Some(until);
+        }
+        if self.health == Health::Complete {
+            // No reachable member has a newer state.
+            return None;
+        }
+        let is_inactive = self.health == Health::Inactive;
+        // A warm replica keeps the state however long its component rests.
+        if is_inactive && self.config.kind == StandbyKind::Warm {
+            return Some(now + self.config.state_timeout());
+        }
+        self.position = Position::default();
+        self.table.clear();
+        self.state = None;
+        is_inactive.then(|| now + self.config.state_timeout())
+    }
+
+    /// The last message to this node was sent, or was refused because this node isolates it.
+    pub fn handle_sent(&mut self, to: &NodeName, isolated: bool) {
+        if !isolated {
+            self.outage.isolated.remove(to);
+        } else if self.config.members.contains(to) {
+            self.outage.isolated.insert(to.clone());
+        }
+    }
+
+    /// Declares that the service has no primary, or updates the causes, if that is due.
+    fn report_outage(&mut self, now: Instant) {
+        if self.outage.due(&self.config).is_some_and(|due| now >= due) {
+            self.outage.described_at = Some(now);
+            let detail = self.outage.describe(self, now);
+            self.set_fault(FaultKind::ServiceUnavailable, Some(detail));
+        }
+    }
+
     fn note_epoch(&mut self, epoch: u64) {
         self.epoch = self.epoch.max(epoch);
     }
@@ -374,7 +677,7 @@ impl Replica {
         if self.current_job.is_some() {
             return;
         }
-        if let Health::Inactive { .. } = self.health {
+        if self.health == Health::Inactive {
             return self.jobs.clear();
         }
         let Some(job) = self.next_job() else { return };
@@ -418,7 +721,7 @@ impl Replica {
         };
         // Requests that no standby has are dropped: their callers send them to the next primary.
         self.jobs.retain(|job| !matches!(job, Job::Serve { .. } | Job::Save));
-        for caller in past.callers() {
+        for caller in past.waiting.into_values() {
             let outcome = match self.config.kind {
                 // No other replica knows of the request.
                 StandbyKind::Cold => {
@@ -438,9 +741,15 @@ impl Replica {
         let role = self.role();
         if role != self.reported_role {
             self.reported_role = role.clone();
-            self.outputs.push_back(ReplicaOutput::RoleChanged(role));
+            self.outputs.push_back(ReplicaOutput::RoleChanged(role.clone()));
         }
-        self.update_outage();
+        // The time without a known primary begins or ends.
+        if let Role::Standby { primary: None, .. } = role {
+            self.outage.since.get_or_insert(self.now);
+        } else {
+            self.outage = Outage { served: true, ..Outage::default() };
+            self.set_fault(FaultKind::ServiceUnavailable, None);
+        }
     }
 
     fn answer(&mut self, caller: u64, outcome: ServiceOutcome) {

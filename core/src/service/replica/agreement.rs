@@ -23,7 +23,6 @@
 
 use super::super::configuration::{CONFIGURATION_BYTES_MAX, ServiceConfiguration};
 use super::*;
-use crate::sorted::SortedSet;
 use std::time::Duration;
 
 /// The interval at which a node is asked again that has not answered, or serves beside this one. A
@@ -79,7 +78,88 @@ impl ConfigAgreement {
     pub(super) fn new(config: &ReplicaConfig) -> Self {
         let configuration = ServiceConfiguration::of(config);
         let fingerprint = configuration.fingerprint();
-        ConfigAgreement { configuration, fingerprint, known: SortedMap::new() }
+        let others = config.members.iter().filter(|member| **member != config.own);
+        let known = others.map(|member| (member.clone(), KnownReplica::default())).collect();
+        ConfigAgreement { configuration, fingerprint, known }
+    }
+
+    pub(super) fn encode(&self, serves: bool) -> Bytes {
+        codec::encode_unbounded(&(self.configuration.encode(), serves)).into()
+    }
+
+    /// Compares the configuration that another node sent. Returns the result, and, if that node
+    /// serves with another configuration, whether it goes on where this one serves as well.
+    pub(super) fn compare(
+        &self,
+        from: &NodeName,
+        bytes: &[u8],
+    ) -> Option<(ConfigComparison, Option<bool>)> {
+        let (theirs, serves) =
+            codec::decode_bounded::<(Vec<u8>, bool), ANSWER_BYTES_MAX>(bytes).ok()?;
+        let theirs = ServiceConfiguration::decode(&theirs)?;
+        Some(match self.configuration.difference(from, &theirs) {
+            same if same.is_empty() => (ConfigComparison::Agrees, None),
+            text => {
+                let other_goes_on = serves.then(|| theirs.leads(&self.configuration));
+                (ConfigComparison::Differs { text: cut(text) }, other_goes_on)
+            }
+        })
+    }
+
+    /// Sets the carriers of the service in sight, and forgets those that do not count any more.
+    pub(super) fn see(&mut self, found: &[NodeName], may_claim: impl Fn(&NodeName) -> bool) {
+        self.known.retain(|node, known| {
+            let seen = found.contains(node);
+            // A node that agreed may have restarted when it comes back.
+            if !seen && known.comparison == ConfigComparison::Agrees || !may_claim(node) {
+                *known = KnownReplica::default();
+            }
+            known.seen = seen;
+            seen || known.differs() || self.configuration.lists(node)
+        });
+        for node in found {
+            if let Some(known) = self.record(node) {
+                known.seen = true;
+            }
+        }
+    }
+
+    /// A message of this member carries the fingerprint of another configuration.
+    pub(super) fn note_foreign(&mut self, from: &NodeName) {
+        if let Some(known) = self.known.get_mut(from)
+            && known.comparison == ConfigComparison::Agrees
+        {
+            // The process that agreed has been replaced.
+            *known = KnownReplica { seen: known.seen, ..KnownReplica::default() };
+        }
+    }
+
+    /// Asks this node at the next poll of the directory.
+    pub(super) fn ask_again(&mut self, node: &NodeName) {
+        if let Some(known) = self.known.get_mut(node) {
+            known.asked_at = None;
+        }
+    }
+
+    /// Returns whether this node is to be asked for its configuration now.
+    pub(super) fn is_due(&mut self, node: &NodeName, now: Instant) -> bool {
+        let Some(known) = self.known.get_mut(node) else { return false };
+        let interval = match known.comparison {
+            ConfigComparison::Agrees => return false,
+            ConfigComparison::Unknown | ConfigComparison::Absent { confirmed: false } => {
+                COMPARE_RETRY
+            }
+            // It may have left.
+            ConfigComparison::Differs { .. } if !known.seen => COMPARE_RETRY,
+            ConfigComparison::Absent { confirmed: true } | ConfigComparison::Differs { .. } => {
+                COMPARE_INTERVAL
+            }
+        };
+        let due = known.asked_at.is_none_or(|asked| now - asked >= interval);
+        if due {
+            known.asked_at = Some(now);
+        }
+        due
     }
 
     /// Appends the fingerprint of this replica's configuration to a message.
@@ -95,7 +175,7 @@ impl ConfigAgreement {
 
     /// Returns how the configurations differ: first those of members, which certainly belong to the
     /// service.
-    fn differences(&self) -> Option<String> {
+    pub(super) fn differences(&self) -> Option<String> {
         let (mut members, mut others) = (Vec::new(), Vec::new());
         for (node, known) in &self.known {
             if let ConfigComparison::Differs { text } = &known.comparison {
@@ -113,17 +193,19 @@ impl ConfigAgreement {
         })
     }
 
-    /// Returns the text about members that do not carry the service.
-    fn absent(&self) -> Option<String> {
+    /// Returns the detail of the fault: the differences, and the members without the service.
+    pub(super) fn describe(&self) -> Option<String> {
         let absent = self.known.iter().filter(|(node, known)| self.is_absent(node, known));
         let absent: Vec<_> = absent.map(|(node, _)| node.as_str()).collect();
-        (!absent.is_empty()).then(|| {
+        let absent = (!absent.is_empty()).then(|| {
             format!(
                 "listed, but without this service: {}; add the service there, or remove the node from all lists: \
                  it counts as one that has failed",
                 some_of(&absent, ", ")
             )
-        })
+        });
+        let texts: Vec<_> = self.differences().into_iter().chain(absent).collect();
+        (!texts.is_empty()).then(|| texts.join("; "))
     }
 
     /// Returns whether this is a member that does not carry the service.
@@ -133,7 +215,7 @@ impl ConfigAgreement {
     }
 
     /// Returns the record of this node, unless there are too many.
-    fn record(&mut self, node: &NodeName) -> Option<&mut KnownReplica> {
+    pub(super) fn record(&mut self, node: &NodeName) -> Option<&mut KnownReplica> {
         // A configuration fits into one message, which bounds the number of members.
         let has_capacity = self.known.len() < REPLICAS_MAX
             || self.known.contains_key(node)
@@ -171,157 +253,4 @@ fn cut(mut text: String) -> String {
         text.push('…');
     }
     text
-}
-
-impl Replica {
-    /// Returns this replica's configuration and whether it serves, encoded for
-    /// [`Replica::handle_configuration`] of the other replicas.
-    pub fn configuration(&self) -> Bytes {
-        let serves = matches!(self.role, RoleState::Primary(_));
-        codec::encode_unbounded(&(self.agreement.configuration.encode(), serves)).into()
-    }
-
-    /// Returns how the configurations differ and what to write, if this replica knows of no primary
-    /// and no node begins to serve until then.
-    pub fn mismatch(&self) -> Option<String> {
-        match &self.role {
-            RoleState::Standby(Standby { primary: None, .. }) => self.agreement.differences(),
-            RoleState::Standby(_) | RoleState::Primary(_) => None,
-        }
-    }
-
-    /// Sets the other nodes that have an object of the service's name and to which a path leads.
-    /// Drops what is known of nodes that may not claim the service. Call it several times a second,
-    /// as the policy of the robot may change.
-    pub fn handle_carriers(
-        &mut self,
-        found: &[NodeName],
-        may_claim: impl Fn(&NodeName) -> bool,
-        now: Instant,
-    ) {
-        let members = &self.config.members;
-        self.agreement.known.retain(|node, known| {
-            let seen = found.contains(node);
-            // A node that agreed may have restarted when it comes back.
-            if !seen && known.comparison == ConfigComparison::Agrees || !may_claim(node) {
-                *known = KnownReplica::default();
-            }
-            known.seen = seen;
-            seen || known.differs() || members.contains(node)
-        });
-        let all: SortedSet<_> =
-            self.agreement.known.keys().chain(found).chain(members).cloned().collect();
-        for node in &all {
-            self.compare(node, found.contains(node), now);
-        }
-        self.report_mismatch();
-    }
-
-    /// Handles the configuration that another node sends, with its question or as its answer.
-    pub fn handle_configuration(&mut self, from: &NodeName, bytes: &[u8], now: Instant) {
-        let received = codec::decode_bounded::<(Vec<u8>, bool), ANSWER_BYTES_MAX>(bytes).ok();
-        let received = received.filter(|_| *from != self.config.own);
-        let received = received.and_then(|(configuration, serves)| {
-            Some((ServiceConfiguration::decode(&configuration)?, serves))
-        });
-        let Some((theirs, serves)) = received else {
-            self.refused += 1;
-            return;
-        };
-        let ours = &self.agreement.configuration;
-        let leads = ours.leads(&theirs);
-        let comparison = match ours.difference(from, &theirs) {
-            same if same.is_empty() => ConfigComparison::Agrees,
-            text => ConfigComparison::Differs { text: cut(text) },
-        };
-        let differs = comparison != ConfigComparison::Agrees;
-        self.note_comparison(from, comparison);
-        if differs && serves && matches!(self.role, RoleState::Primary(_)) {
-            match (leads, self.agreement.known.get_mut(from)) {
-                // That node resigns when it learns that this one serves.
-                (true, Some(known)) => known.asked_at = None,
-                (true, None) => {}
-                (false, _) => self.resign(now),
-            }
-        }
-    }
-
-    /// A node is there, and does not carry the service.
-    pub fn handle_no_service(&mut self, of: &NodeName) {
-        let before = self.agreement.known.get(of).map(|known| &known.comparison);
-        let confirmed = matches!(before, Some(ConfigComparison::Absent { .. }));
-        self.note_comparison(of, ConfigComparison::Absent { confirmed });
-    }
-
-    /// A node has ended in order.
-    pub fn handle_left(&mut self, node: &NodeName) {
-        self.note_comparison(node, ConfigComparison::Unknown);
-    }
-
-    /// Returns a replica that starts with what this one knows of the others, after its actor has
-    /// failed.
-    #[must_use]
-    pub fn restarted(&self, now: Instant) -> Self {
-        let mut next = Replica::new(self.config.clone(), self.initial.clone(), now);
-        next.agreement = self.agreement.clone();
-        next.answered = self.answered;
-        next.faults = self.faults.clone();
-        next.clear_faults();
-        // If the service is still unavailable, the new replica finds that again.
-        next.set_fault(FaultKind::ServiceUnavailable, None);
-        next.set_fault(FaultKind::ContractMismatch, None);
-        next.report_mismatch();
-        next
-    }
-
-    /// A message of this member carries the fingerprint of another configuration.
-    pub(super) fn recheck(&mut self, from: &NodeName, now: Instant) {
-        if let Some(known) = self.agreement.known.get_mut(from)
-            && known.comparison == ConfigComparison::Agrees
-        {
-            // The process that agreed has been replaced.
-            *known = KnownReplica { seen: known.seen, ..KnownReplica::default() };
-        }
-        self.compare(from, true, now);
-    }
-
-    /// Asks a node for its configuration, if that is due.
-    fn compare(&mut self, node: &NodeName, seen: bool, now: Instant) {
-        if *node == self.config.own {
-            return;
-        }
-        let Some(known) = self.agreement.record(node) else { return };
-        known.seen |= seen;
-        let interval = match known.comparison {
-            ConfigComparison::Agrees => return,
-            ConfigComparison::Unknown | ConfigComparison::Absent { confirmed: false } => {
-                COMPARE_RETRY
-            }
-            // It may have left.
-            ConfigComparison::Differs { .. } if !known.seen => COMPARE_RETRY,
-            ConfigComparison::Absent { confirmed: true } | ConfigComparison::Differs { .. } => {
-                COMPARE_INTERVAL
-            }
-        };
-        if known.asked_at.is_none_or(|asked| now - asked >= interval) {
-            known.asked_at = Some(now);
-            self.outputs.push_back(ReplicaOutput::Compare { with: node.clone() });
-        }
-    }
-
-    fn note_comparison(&mut self, of: &NodeName, comparison: ConfigComparison) {
-        match self.agreement.record(of) {
-            Some(known) => known.comparison = comparison,
-            None => self.refused += 1,
-        }
-        self.report_mismatch();
-    }
-
-    /// Declares the mismatch if it has changed, or clears it.
-    fn report_mismatch(&mut self) {
-        let texts = [self.agreement.differences(), self.agreement.absent()];
-        let texts: Vec<_> = texts.into_iter().flatten().collect();
-        let detail = (!texts.is_empty()).then(|| texts.join("; "));
-        self.set_fault(FaultKind::ContractMismatch, detail);
-    }
 }

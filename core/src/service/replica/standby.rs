@@ -9,14 +9,15 @@ pub(super) struct Standby {
     /// The node of the primary, if one is known.
     pub(super) primary: Option<NodeName>,
     /// Until then this replica votes for no other one.
-    promised_until: Instant,
+    pub(super) promised_until: Instant,
     /// When this replica stands for election, unless it receives a heartbeat before.
     pub(super) election_at: Instant,
     /// The epoch in which it was brought into step. It has all entries of that epoch since.
-    in_step: Option<u64>,
+    pub(super) in_step: Option<u64>,
     /// It has all entries up to its position.
     complete: bool,
-    candidacy: Option<Candidacy>,
+    /// Votes for it count while it is there.
+    pub(super) candidacy: Option<Candidacy>,
     /// It is due to stand for election, and waits for the services that it depends on.
     pub(super) checking_dependencies: bool,
     /// Those services have primaries, which counts for one election.
@@ -27,7 +28,7 @@ pub(super) struct Standby {
 
 /// An epoch in which this replica stands for election.
 #[derive(Debug)]
-struct Candidacy {
+pub(super) struct Candidacy {
     epoch: u64,
     requested_at: Instant,
     /// This replica's position at that time.
@@ -66,28 +67,10 @@ impl Standby {
         }
     }
 
-    /// Returns the role, where `epoch` is the greatest one that is known.
-    pub(super) fn role(&self, epoch: u64, kind: StandbyKind) -> Role {
-        let primary = self.primary.clone();
-        // A cold standby keeps no state, so it lacks none.
-        let in_step = kind == StandbyKind::Cold || self.in_step == Some(epoch);
-        Role::Standby { in_step: in_step && primary.is_some(), primary }
-    }
-
-    /// Ends the lease promise, as its receiver serves no more.
-    pub(super) fn release_promise(&mut self, now: Instant) {
-        self.promised_until = self.promised_until.min(now);
-    }
-
     /// Stands for election as soon as the promise has ended and it is this replica's turn.
     pub(super) fn advance_election(&mut self, config: &ReplicaConfig, now: Instant) {
         let delay = election_delay(config, self.primary.as_ref());
         self.election_at = self.election_at.min(self.promised_until.max(now) + delay);
-    }
-
-    /// Ends the candidacy: votes for it do not count any more.
-    pub(super) fn withdraw(&mut self) {
-        self.candidacy = None;
     }
 
     /// This replica lacks entries of the primary.
@@ -125,7 +108,7 @@ impl Replica {
         let ReplicaHeartbeat { epoch, number, position, answered } = heartbeat;
         self.note_epoch(epoch);
         self.answered = self.answered.max(answered);
-        self.note_primary_seen(now);
+        self.primary_seen_at = now;
         let (own, loading) = (self.position, self.is_loading());
         let comparable = self.comparable_by_position();
         let RoleState::Standby(standby) = &mut self.role else { return };
@@ -143,7 +126,7 @@ impl Replica {
         standby.election_at = standby.promised_until + election_delay(&self.config, Some(from));
         let status = match (self.config.kind, self.health) {
             (StandbyKind::Cold, _) => StandbyStatus::InStep,
-            (StandbyKind::Hot, Health::Inactive { .. }) => StandbyStatus::Inactive,
+            (StandbyKind::Hot, Health::Inactive) => StandbyStatus::Inactive,
             _ if standby.in_step != Some(epoch) => StandbyStatus::Behind,
             _ if loading => StandbyStatus::Loading,
             _ => StandbyStatus::InStep,
@@ -179,7 +162,7 @@ impl Replica {
         if let Some(before) = &standby.candidacy {
             let others = self.config.members.iter().filter(|member| **member != self.config.own);
             let unwilling = others.filter(|member| !before.votes.contains_key(*member));
-            self.outage.note_failed_election(unwilling.cloned().collect());
+            self.outage.unwilling = unwilling.cloned().collect();
         }
         self.report_role();
         let epoch = self.epoch.max(self.used_epoch).saturating_add(1);
@@ -249,7 +232,7 @@ impl Replica {
         if epoch != self.epoch || standby.primary.as_ref() != Some(from) {
             return;
         }
-        standby.release_promise(now);
+        standby.promised_until = standby.promised_until.min(now);
         self.follow_none(now);
     }
 
@@ -345,14 +328,13 @@ impl Replica {
 
     pub(super) fn handle_snapshot(&mut self, from: &NodeName, snapshot: Snapshot) {
         let Snapshot { epoch, position, state, table } = snapshot;
-        let inactive =
-            self.config.kind == StandbyKind::Hot && matches!(self.health, Health::Inactive { .. });
+        let inactive = self.config.kind == StandbyKind::Hot && self.health == Health::Inactive;
         let RoleState::Standby(standby) = &mut self.role else { return };
         if epoch < self.epoch || inactive {
             return;
         }
         (standby.in_step, standby.complete) = (Some(epoch), true);
-        if let Health::Stateless { .. } = self.health {
+        if self.health == Health::Stateless {
             self.health = Health::Complete;
         }
         self.note_epoch(epoch);

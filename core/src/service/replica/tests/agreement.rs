@@ -67,7 +67,8 @@ impl Robot {
 
     /// Lets all members compare their configurations now.
     pub(super) fn meet(&mut self) {
-        for (member, with) in (0..self.size).flat_map(|one| (0..one).map(move |other| (one, other))) {
+        for (member, with) in (0..self.size).flat_map(|one| (0..one).map(move |other| (one, other)))
+        {
             self.compare(member, with);
             self.drain(member);
         }
