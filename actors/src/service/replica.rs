@@ -138,7 +138,7 @@ impl ReplicaActor {
         let replica = actor.clone();
         let report = move |down: Down| {
             if !matches!(down.ending, DownReason::NotAlive | DownReason::Unknown) {
-                replica.do_send(Step(Box::new(|replica, context| {
+                replica.do_send(ReplicaStep(Box::new(|replica, context| {
                     replica.machine.handle_component_died(platform::now());
                     // The restarted component does not know its role.
                     replica.send_role(context);
@@ -167,7 +167,9 @@ impl ReplicaActor {
         let actor = context.address();
         let reply_to: ReplyTo = Box::new(move |result| {
             let result = result.map(GatherBuffer::into_bytes);
-            actor.do_send(Step(Box::new(move |replica, context| then(replica, result, context))));
+            actor.do_send(ReplicaStep(Box::new(move |replica, context| {
+                then(replica, result, context)
+            })));
         });
         match self.registry.skeleton(&self.carried.component, contract) {
             // The reply closure is called in every case.
@@ -593,15 +595,17 @@ impl Supervised for ReplicaActor {
     }
 }
 
+type RunStep = dyn FnOnce(&mut ReplicaActor, &mut Context<ReplicaActor>) + Send;
+
 /// A step of the actor: it handles a message, or a reply of its component.
 #[derive(Message)]
 #[rtype(result = "()")]
-struct Step(Box<dyn FnOnce(&mut ReplicaActor, &mut Context<ReplicaActor>) + Send>);
+struct ReplicaStep(Box<RunStep>);
 
-impl Handler<Step> for ReplicaActor {
+impl Handler<ReplicaStep> for ReplicaActor {
     type Result = ();
 
-    fn handle(&mut self, Step(step): Step, context: &mut Context<Self>) {
+    fn handle(&mut self, ReplicaStep(step): ReplicaStep, context: &mut Context<Self>) {
         step(self, context);
         self.drive(context);
     }
@@ -617,7 +621,7 @@ fn port<M: Contract>(
         let step = move |replica: &mut ReplicaActor, _: &mut Context<ReplicaActor>| {
             handle(replica, message, origin, answer);
         };
-        actor.do_send(Step(Box::new(step)));
+        actor.do_send(ReplicaStep(Box::new(step)));
     })))
 }
 

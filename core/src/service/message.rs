@@ -71,8 +71,8 @@ pub(super) enum Message {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct ReplicaHeartbeat {
     pub(super) epoch: u64,
-    /// The number of the heartbeat, from 1 in each epoch.
-    pub(super) number: u64,
+    /// When it was sent, in nanoseconds of the primary's clock.
+    pub(super) sent: u64,
     pub(super) position: Position,
     /// The last position whose reply the primary has sent.
     pub(super) answered: Position,
@@ -82,9 +82,9 @@ pub(super) struct ReplicaHeartbeat {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct LeasePromise {
     pub(super) epoch: u64,
-    /// The number of the heartbeat that it answers; 0 reports the position only, and promises
-    /// nothing.
-    pub(super) number: u64,
+    /// When the heartbeat was sent that it answers. Without one it reports the position only, and
+    /// promises nothing.
+    pub(super) sent: Option<u64>,
     pub(super) position: Position,
     /// The last position whose reply was sent, as far as the standby knows.
     pub(super) answered: Position,

@@ -50,38 +50,74 @@ enum Job {
 #[derive(Debug)]
 pub struct Replica {
     config: ReplicaConfig,
-    /// The state that the component was built with.
-    initial: Bytes,
     /// The greatest epoch that had a primary, or in which this replica voted for another one.
     epoch: u64,
     /// The greatest epoch in which this replica stood for election, or which it must not use.
     used_epoch: u64,
+    log: ReplicaLog,
+    /// When this replica last knew of a primary, or its component lost the state or came to rest.
+    primary_seen_at: Instant,
+    role: RoleState,
+    /// The time of the last input that had one.
+    now: Instant,
+    component: ReplicaComponent,
+    agreement: ConfigAgreement,
+    outage: Outage,
+    refused: u64,
+    reports: ReplicaReports,
+}
+
+/// The end of the log of requests.
+#[derive(Debug)]
+struct ReplicaLog {
+    /// The state that the component was built with.
+    initial: Bytes,
     position: Position,
     /// The last position whose reply was sent by any primary, as far as this replica knows.
     answered: Position,
-    /// When this replica last knew of a primary, or its component lost the state or came to rest.
-    primary_seen_at: Instant,
     /// The newest state, if standbys are warm.
     state: Option<Bytes>,
     table: Table,
+}
+
+impl ReplicaLog {
+    fn last_state(&self) -> Bytes {
+        self.state.clone().unwrap_or_else(|| self.initial.clone())
+    }
+}
+
+/// The component and its jobs.
+#[derive(Debug)]
+struct ReplicaComponent {
+    jobs: VecDeque<Job>,
+    /// The job that it does now.
+    current: Option<Job>,
+    /// It has restarted since it was given that job: the result does not count.
+    discards: bool,
+    health: Health,
     /// The fault that the state cannot be kept for the standbys is declared.
     state_refused: bool,
-    role: RoleState,
+}
+
+impl ReplicaComponent {
+    /// It has restarted: the result of its current job does not count.
+    fn discard(&mut self) {
+        self.discards = self.current.is_some();
+    }
+
+    /// Returns whether it has yet to load a state.
+    fn is_loading(&self) -> bool {
+        self.jobs.iter().chain(&self.current).any(|job| matches!(job, Job::Load { .. }))
+    }
+}
+
+/// What is reported to the actor.
+#[derive(Debug)]
+struct ReplicaReports {
     /// The role as it was reported last.
-    reported_role: Role,
-    jobs: VecDeque<Job>,
-    /// The time of the last input that had one.
-    now: Instant,
-    /// The job that the component does now.
-    current_job: Option<Job>,
-    /// The component has restarted since it was given that job: the result does not count.
-    discard_result: bool,
-    health: Health,
-    agreement: ConfigAgreement,
-    outage: Outage,
+    role: Role,
     /// The declared faults with their details.
     faults: SortedMap<FaultKind, String>,
-    refused: u64,
     outputs: VecDeque<ReplicaOutput>,
 }
 
@@ -107,33 +143,42 @@ impl Replica {
     /// vote before it restarted. `initial` is the state that the component was built with.
     pub fn new(config: ReplicaConfig, initial: Bytes, now: Instant) -> Self {
         let standby = Standby::starting(&config, now);
+        let log = ReplicaLog {
+            initial,
+            position: Position::default(),
+            answered: Position::default(),
+            state: None,
+            table: Table::default(),
+        };
+        let component = ReplicaComponent {
+            jobs: VecDeque::new(),
+            current: None,
+            discards: false,
+            health: Health::Complete,
+            state_refused: false,
+        };
+        let reports = ReplicaReports {
+            role: Role::Standby { primary: None, in_step: false },
+            faults: SortedMap::new(),
+            outputs: VecDeque::new(),
+        };
         let mut replica = Replica {
             agreement: ConfigAgreement::new(&config),
             config,
-            initial,
             epoch: 0,
             used_epoch: 0,
-            position: Position::default(),
-            answered: Position::default(),
+            log,
             primary_seen_at: now,
-            state: None,
-            table: Table::default(),
-            state_refused: false,
             role: RoleState::Standby(standby),
-            reported_role: Role::Standby { primary: None, in_step: false },
-            jobs: VecDeque::new(),
             now,
-            current_job: None,
-            discard_result: false,
-            health: Health::Complete,
+            component,
             outage: Outage { since: Some(now), ..Outage::default() },
-            faults: SortedMap::new(),
             refused: 0,
-            outputs: VecDeque::new(),
+            reports,
         };
         // Cold standbys keep no state.
         if replica.config.kind != StandbyKind::Cold
-            && let Err(why) = within_bounds(Ok(replica.initial.clone()))
+            && let Err(why) = within_bounds(Ok(replica.log.initial.clone()))
         {
             replica.refuse_state(&why);
         }
@@ -147,7 +192,8 @@ impl Replica {
             RoleState::Standby(Standby { primary, in_step, .. }) => {
                 // A cold standby keeps no state, so it lacks none.
                 let kept = self.config.kind == StandbyKind::Cold || *in_step == Some(self.epoch);
-                let in_step = kept && primary.is_some() && self.health == Health::Complete;
+                let in_step =
+                    kept && primary.is_some() && self.component.health == Health::Complete;
                 Role::Standby { primary: primary.clone(), in_step }
             }
         }
@@ -182,11 +228,11 @@ impl Replica {
             let why = DeliveryError::ContractDiffers { difference };
             return self.answer(caller, ServiceOutcome::Refused(why));
         }
-        if self.table.is_settled(id) {
+        if self.log.table.is_settled(id) {
             // The request was delayed, and its caller has a reply by another path.
             return self.answer(caller, ServiceOutcome::Refused(DeliveryError::Expired));
         }
-        let served = self.table.find(id).cloned();
+        let served = self.log.table.find(id).cloned();
         let primary = match &mut self.role {
             RoleState::Standby(standby) => {
                 let elsewhere = ServiceOutcome::Elsewhere(standby.primary.clone());
@@ -201,7 +247,7 @@ impl Replica {
         }
         match served {
             Some(served) => {
-                self.answered = self.answered.max(primary.released);
+                self.log.answered = self.log.answered.max(primary.released);
                 self.answer(caller, ServiceOutcome::Served(served.result.map(Bytes::from)));
             }
             None if primary.waiting.len() >= QUEUE_MAX => {
@@ -209,7 +255,7 @@ impl Replica {
             }
             None => {
                 primary.waiting.insert(id, caller);
-                self.jobs.push_back(Job::Serve { id, settled, until, request });
+                self.component.jobs.push_back(Job::Serve { id, settled, until, request });
                 self.start_next_job();
             }
         }
@@ -223,13 +269,13 @@ impl Replica {
         now: Instant,
     ) {
         self.now = now;
-        let discarded = std::mem::take(&mut self.discard_result);
+        let discarded = std::mem::take(&mut self.component.discards);
         if discarded && result.is_ok() && !matches!(state, Some(Err(_))) {
             self.retry_job();
             return self.start_next_job();
         }
         let (result, state) = self.kept(result, state);
-        match self.current_job.take() {
+        match self.component.current.take() {
             Some(Job::Serve { id, settled, request, .. }) => match (&mut self.role, result) {
                 (_, Err(DeliveryError::Stopped | DeliveryError::Isolated { .. })) => {
                     self.handle_component_stopped(now)
@@ -253,7 +299,7 @@ impl Replica {
             },
             Some(Job::Replay { .. }) => self.note_replayed(result, discarded, now),
             None => {}
-            Some(other) => self.current_job = Some(other),
+            Some(other) => self.component.current = Some(other),
         }
         self.start_next_job();
     }
@@ -267,13 +313,13 @@ impl Replica {
     ) -> (Result<Bytes, DeliveryError>, Option<Bytes>) {
         match (result, state.map(within_bounds)) {
             (Ok(reply), Some(Ok(state))) => {
-                self.state_refused = false;
+                self.component.state_refused = false;
                 (Ok(reply), Some(state))
             }
             (Ok(_), Some(Err(why))) => {
                 self.refuse_state(&why);
-                let state = self.last_state();
-                self.jobs.push_front(Job::Load { state });
+                let state = self.log.last_state();
+                self.component.jobs.push_front(Job::Load { state });
                 (Err(why), None)
             }
             (result, state) => (result, state.and_then(Result::ok)),
@@ -283,34 +329,30 @@ impl Replica {
     fn refuse_state(&mut self, why: &DeliveryError) {
         // The end of a component is a fault by itself.
         let large = matches!(why, DeliveryError::TooLarge { .. });
-        if large && !std::mem::replace(&mut self.state_refused, true) {
+        if large && !std::mem::replace(&mut self.component.state_refused, true) {
             let detail = format!(
                 "its state cannot be kept for its standbys, so none of them can take over: {why}; make it \
                  smaller, or keep large data elsewhere"
             );
             let kind = FaultKind::CheckFailed;
-            self.outputs.push_back(ReplicaOutput::Fault { kind, detail });
+            self.reports.outputs.push_back(ReplicaOutput::Fault { kind, detail });
         }
     }
 
     /// Handles the component's result of [`ReplicaOutput::Save`].
     pub fn handle_saved(&mut self, state: Result<Bytes, DeliveryError>, now: Instant) {
-        match self.current_job.take() {
+        match self.component.current.take() {
             Some(Job::Save) => {
-                let discarded = std::mem::take(&mut self.discard_result);
+                let discarded = std::mem::take(&mut self.component.discards);
                 match within_bounds(state) {
                     Ok(_) if discarded => {}
                     Ok(state) => self.send_snapshots(&state, now),
                     Err(why) => self.refuse_state(&why),
                 }
             }
-            other => self.current_job = other,
+            other => self.component.current = other,
         }
         self.start_next_job();
-    }
-
-    fn last_state(&self) -> Bytes {
-        self.state.clone().unwrap_or_else(|| self.initial.clone())
     }
 
     /// The component has loaded a state.
@@ -320,9 +362,9 @@ impl Replica {
     }
 
     fn end_load(&mut self) {
-        match self.current_job.take() {
-            Some(Job::Load { .. }) => self.discard_result = false,
-            other => self.current_job = other,
+        match self.component.current.take() {
+            Some(Job::Load { .. }) => self.component.discards = false,
+            other => self.component.current = other,
         }
         self.start_next_job();
     }
@@ -385,7 +427,7 @@ impl Replica {
             epoch: self.epoch,
             primary,
             unreachable: self.config.members.iter().filter(unreachable).cloned().collect(),
-            unreplicated: self.faults.contains_key(&FaultKind::Unreplicated),
+            unreplicated: self.reports.faults.contains_key(&FaultKind::Unreplicated),
         }
     }
 
@@ -393,8 +435,8 @@ impl Replica {
         if let RoleState::Primary(_) = self.role {
             return ServiceState::Primary;
         }
-        match (self.health, self.role()) {
-            (Health::Inactive { .. }, _) => ServiceState::Resting,
+        match (self.component.health, self.role()) {
+            (Health::Inactive, _) => ServiceState::Resting,
             (_, Role::Standby { primary: None, .. }) if self.agreement.is_disputed() => {
                 ServiceState::Fenced
             }
@@ -468,12 +510,12 @@ impl Replica {
     /// failed.
     #[must_use]
     pub fn restarted(&self, now: Instant) -> Self {
-        let mut next = Replica::new(self.config.clone(), self.initial.clone(), now);
+        let mut next = Replica::new(self.config.clone(), self.log.initial.clone(), now);
         next.agreement = self.agreement.clone();
-        next.answered = self.answered;
+        next.log.answered = self.log.answered;
         // The new replica finds again what is still wrong.
-        for kind in self.faults.keys() {
-            next.outputs.push_back(ReplicaOutput::FaultCleared { kind: kind.clone() });
+        for kind in self.reports.faults.keys() {
+            next.reports.outputs.push_back(ReplicaOutput::FaultCleared { kind: kind.clone() });
         }
         next.report_mismatch();
         next
@@ -482,7 +524,7 @@ impl Replica {
     /// Asks a node for its configuration, if that is due.
     fn compare(&mut self, with: &NodeName, now: Instant) {
         if *with != self.config.own && self.agreement.is_due(with, now) {
-            self.outputs.push_back(ReplicaOutput::Compare { with: with.clone() });
+            self.reports.outputs.push_back(ReplicaOutput::Compare { with: with.clone() });
         }
     }
 
@@ -511,13 +553,13 @@ impl Replica {
                 self.restart_without_lost_state(*epoch);
             }
             (RoleState::Primary(_), StandbyKind::Warm) => {
-                self.discard_result = self.current_job.is_some();
-                let state = self.last_state();
-                self.jobs.push_front(Job::Load { state });
+                self.component.discard();
+                let state = self.log.last_state();
+                self.component.jobs.push_front(Job::Load { state });
                 self.start_next_job();
             }
             (RoleState::Standby(_), StandbyKind::Warm) => {
-                self.discard_result = self.current_job.is_some()
+                self.component.discard();
             }
             (_, StandbyKind::Hot) => self.lose_state(now),
         }
@@ -526,17 +568,17 @@ impl Replica {
     /// The component was stopped or isolated: it accepts no jobs until
     /// [`Replica::handle_component_resumed`].
     pub fn handle_component_stopped(&mut self, now: Instant) {
-        if self.health == Health::Inactive {
+        if self.component.health == Health::Inactive {
             return;
         }
         if self.config.kind == StandbyKind::Hot {
             self.lose_state(now);
         } else {
-            self.discard_result = self.current_job.is_some();
+            self.component.discard();
             self.resign(now);
-            self.jobs.clear();
+            self.component.jobs.clear();
         }
-        (self.health, self.primary_seen_at) = (Health::Inactive, now);
+        (self.component.health, self.primary_seen_at) = (Health::Inactive, now);
         if let RoleState::Standby(standby) = &mut self.role {
             standby.candidacy = None;
         }
@@ -545,10 +587,10 @@ impl Replica {
 
     /// The component accepts jobs.
     pub fn handle_component_resumed(&mut self, now: Instant) {
-        if self.health != Health::Inactive {
+        if self.component.health != Health::Inactive {
             return;
         }
-        self.health = Health::Complete;
+        self.component.health = Health::Complete;
         if self.config.kind == StandbyKind::Hot {
             self.lose_state(now);
         }
@@ -568,15 +610,15 @@ impl Replica {
 
     /// The component does not have the state at the replica's position, which hot ones need.
     fn lose_state(&mut self, now: Instant) {
-        self.discard_result = self.current_job.is_some();
+        self.component.discard();
         if let RoleState::Primary(primary) = &self.role {
             // The next primary need not have requests whose replies were not sent.
-            self.position = primary.released;
+            self.log.position = primary.released;
         }
         self.resign(now);
-        self.jobs.clear();
-        if self.health == Health::Complete {
-            (self.health, self.primary_seen_at) = (Health::Stateless, now);
+        self.component.jobs.clear();
+        if self.component.health == Health::Complete {
+            (self.component.health, self.primary_seen_at) = (Health::Stateless, now);
         }
         if let RoleState::Standby(standby) = &mut self.role {
             standby.fall_behind();
@@ -588,13 +630,13 @@ impl Replica {
 
     /// The component restarted, and did the current job without the state. Schedules the job again.
     fn retry_job(&mut self) {
-        match (&self.role, self.current_job.take()) {
+        match (&self.role, self.component.current.take()) {
             (RoleState::Primary(_), Some(serve @ Job::Serve { .. })) => {
-                let loads = matches!(self.jobs.front(), Some(Job::Load { .. }));
-                self.jobs.insert(usize::from(loads), serve);
+                let loads = matches!(self.component.jobs.front(), Some(Job::Load { .. }));
+                self.component.jobs.insert(usize::from(loads), serve);
             }
             (_, Some(Job::Serve { .. } | Job::Replay { .. }) | None) => {}
-            (_, other) => (self.current_job, self.discard_result) = (other, true),
+            (_, other) => (self.component.current, self.component.discards) = (other, true),
         }
     }
 
@@ -605,7 +647,7 @@ impl Replica {
         discarded: bool,
         now: Instant,
     ) {
-        let loads = self.jobs.iter().any(|job| matches!(job, Job::Load { .. }));
+        let loads = self.component.is_loading();
         match result {
             Err(DeliveryError::Stopped | DeliveryError::Isolated { .. }) => {
                 self.handle_component_stopped(now)
@@ -635,18 +677,18 @@ impl Replica {
         if now < until && self.config.members.len() > 1 {
             return Some(until);
         }
-        if self.health == Health::Complete {
+        if self.component.health == Health::Complete {
             // No reachable member has a newer state.
             return None;
         }
-        let is_inactive = self.health == Health::Inactive;
+        let is_inactive = self.component.health == Health::Inactive;
         // A warm replica keeps the state however long its component rests.
         if is_inactive && self.config.kind == StandbyKind::Warm {
             return Some(now + self.config.state_timeout());
         }
-        self.position = Position::default();
-        self.table.clear();
-        self.state = None;
+        self.log.position = Position::default();
+        self.log.table.clear();
+        self.log.state = None;
         is_inactive.then(|| now + self.config.state_timeout())
     }
 
@@ -674,14 +716,14 @@ impl Replica {
 
     /// Gives the component the next job, if it has none.
     fn start_next_job(&mut self) {
-        if self.current_job.is_some() {
+        if self.component.current.is_some() {
             return;
         }
-        if self.health == Health::Inactive {
-            return self.jobs.clear();
+        if self.component.health == Health::Inactive {
+            return self.component.jobs.clear();
         }
         let Some(job) = self.next_job() else { return };
-        self.outputs.push_back(match &job {
+        self.reports.outputs.push_back(match &job {
             Job::Serve { request, .. } => {
                 let save = self.config.kind == StandbyKind::Warm;
                 ReplicaOutput::Execute { request: request.clone(), save }
@@ -692,13 +734,13 @@ impl Replica {
             Job::Load { state } => ReplicaOutput::Load { state: state.clone() },
             Job::Save => ReplicaOutput::Save,
         });
-        self.current_job = Some(job);
+        self.component.current = Some(job);
     }
 
     /// Removes and returns the next job. Requests whose deadline has passed are refused.
     fn next_job(&mut self) -> Option<Job> {
         loop {
-            let job = self.jobs.pop_front()?;
+            let job = self.component.jobs.pop_front()?;
             let Job::Serve { id, until: Some(until), .. } = &job else { return Some(job) };
             if self.now < *until {
                 return Some(job);
@@ -720,7 +762,7 @@ impl Replica {
             return;
         };
         // Requests that no standby has are dropped: their callers send them to the next primary.
-        self.jobs.retain(|job| !matches!(job, Job::Serve { .. } | Job::Save));
+        self.component.jobs.retain(|job| !matches!(job, Job::Serve { .. } | Job::Save));
         for caller in past.waiting.into_values() {
             let outcome = match self.config.kind {
                 // No other replica knows of the request.
@@ -739,9 +781,9 @@ impl Replica {
     /// Reports the role, if it has changed.
     fn report_role(&mut self) {
         let role = self.role();
-        if role != self.reported_role {
-            self.reported_role = role.clone();
-            self.outputs.push_back(ReplicaOutput::RoleChanged(role.clone()));
+        if role != self.reports.role {
+            self.reports.role = role.clone();
+            self.reports.outputs.push_back(ReplicaOutput::RoleChanged(role.clone()));
         }
         // The time without a known primary begins or ends.
         if let Role::Standby { primary: None, .. } = role {
@@ -753,19 +795,19 @@ impl Replica {
     }
 
     fn answer(&mut self, caller: u64, outcome: ServiceOutcome) {
-        self.outputs.push_back(ReplicaOutput::Answer { caller, outcome });
+        self.reports.outputs.push_back(ReplicaOutput::Answer { caller, outcome });
     }
 
     fn send(&mut self, to: &NodeName, message: &Message) {
         let message = self.agreement.sign(codec::encode_unbounded(message));
-        self.outputs.push_back(ReplicaOutput::Send { to: to.clone(), message });
+        self.reports.outputs.push_back(ReplicaOutput::Send { to: to.clone(), message });
     }
 
     fn send_to_others(&mut self, message: &Message) {
         let message = self.agreement.sign(codec::encode_unbounded(message));
         let members = self.config.members.iter().filter(|member| **member != self.config.own);
         for to in members.cloned() {
-            self.outputs.push_back(ReplicaOutput::Send { to, message: message.clone() });
+            self.reports.outputs.push_back(ReplicaOutput::Send { to, message: message.clone() });
         }
     }
 }
@@ -786,7 +828,7 @@ impl Machine for Replica {
     type Output = ReplicaOutput;
 
     fn poll_output(&mut self) -> Option<ReplicaOutput> {
-        self.outputs.pop_front()
+        self.reports.outputs.pop_front()
     }
 
     fn poll_timeout(&self) -> Option<Instant> {

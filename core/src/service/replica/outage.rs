@@ -63,7 +63,7 @@ impl Outage {
         let RoleState::Standby(standby) = &replica.role else { return String::new() };
         let Replica { config, agreement, .. } = replica;
         let mut causes = Vec::new();
-        if replica.health == Health::Inactive {
+        if replica.component.health == Health::Inactive {
             causes.push(
                 "its component here accepts no jobs, as it is stopped or isolated, or its node is at rest (bring it \
                  back)"

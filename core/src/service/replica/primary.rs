@@ -15,17 +15,11 @@
 use super::agreement::{describe_lists, some_of};
 use super::*;
 
-/// The most heartbeats that are kept until lease promises answer them.
-const HEARTBEATS_KEPT: usize = 16;
-
 /// The state of a replica that serves.
 #[derive(Debug)]
 pub(super) struct Primary {
     pub(super) epoch: u64,
     pub(super) heartbeat_at: Instant,
-    heartbeat_number: u64,
-    /// The heartbeats, by number, and when each was sent.
-    sent_heartbeats: VecDeque<(u64, Instant)>,
     pub(super) standbys: SortedMap<NodeName, Follower>,
     /// The caller that waits for each request.
     pub(super) waiting: SortedMap<MessageId, u64>,
@@ -79,8 +73,6 @@ impl Primary {
         Primary {
             epoch,
             heartbeat_at: now,
-            heartbeat_number: 0,
-            sent_heartbeats: VecDeque::new(),
             standbys: SortedMap::new(),
             waiting: SortedMap::new(),
             held_replies: VecDeque::new(),
@@ -170,8 +162,8 @@ impl Replica {
         now: Instant,
     ) {
         let lost = self.start_without_lost_state(epoch);
-        let mut primary = Primary::new(epoch, self.position, asked);
-        let position = self.position;
+        let mut primary = Primary::new(epoch, self.log.position, asked);
+        let position = self.log.position;
         primary.standbys.extend(voters.into_iter().map(|(node, in_step)| {
             let mut follower = Follower::behind(asked);
             if in_step && !lost {
@@ -184,50 +176,45 @@ impl Replica {
         self.report_role();
         match self.config.kind {
             StandbyKind::Cold => {
-                self.table.clear();
-                self.jobs.push_back(Job::Load { state: self.initial.clone() });
+                self.log.table.clear();
+                self.component.jobs.push_back(Job::Load { state: self.log.initial.clone() });
             }
             StandbyKind::Warm => {
-                let state = self.last_state();
-                self.jobs.push_back(Job::Load { state });
+                let state = self.log.last_state();
+                self.component.jobs.push_back(Job::Load { state });
             }
             StandbyKind::Hot => {
                 // The component has executed all requests, or they are among its jobs. A component
                 // without the state starts as it was built.
-                if self.health == Health::Stateless {
-                    self.jobs.push_back(Job::Load { state: self.initial.clone() });
+                if self.component.health == Health::Stateless {
+                    self.component.jobs.push_back(Job::Load { state: self.log.initial.clone() });
                 }
             }
         }
-        self.health = Health::Complete;
+        self.component.health = Health::Complete;
         self.start_next_job();
         self.send_heartbeat(now);
     }
 
     pub(super) fn send_heartbeat(&mut self, now: Instant) {
         let RoleState::Primary(primary) = &mut self.role else { return };
-        primary.heartbeat_number += 1;
         primary.heartbeat_at = now + self.config.heartbeat_interval;
-        primary.sent_heartbeats.push_back((primary.heartbeat_number, now));
-        if primary.sent_heartbeats.len() > HEARTBEATS_KEPT {
-            primary.sent_heartbeats.pop_front();
-        }
-        let (epoch, number, position) = (primary.epoch, primary.heartbeat_number, self.position);
-        let answered = self.answered;
-        let heartbeat = ReplicaHeartbeat { epoch, number, position, answered };
+        let (epoch, position, answered) = (primary.epoch, self.log.position, self.log.answered);
+        let heartbeat = ReplicaHeartbeat { epoch, sent: now.as_nanos(), position, answered };
         self.send_to_others(&Message::Heartbeat(heartbeat));
     }
 
     pub(super) fn handle_promise(&mut self, from: &NodeName, promise: &LeasePromise, now: Instant) {
-        let LeasePromise { epoch, number, position, status, .. } = *promise;
+        let LeasePromise { epoch, sent, position, status, .. } = *promise;
         let lease = self.config.lease();
-        let nothing_missing = self.comparable_by_position() && position == self.position;
+        let nothing_missing = self.comparable_by_position() && position == self.log.position;
         let RoleState::Primary(primary) = &mut self.role else { return };
         if epoch != primary.epoch {
             return;
         }
-        let heartbeat = primary.sent_heartbeats.iter().find(|(sent, _)| *sent == number);
-        let sent_at = heartbeat.map(|(_, at)| *at);
+        // No heartbeat was sent later than now, or before this replica was elected.
+        let sent_at = sent.map(|sent| Instant::from_nanos(sent).min(now));
+        let sent_at = sent_at.filter(|at| *at >= primary.elected_at);
         // A standby becomes a follower by its first promise.
         let before = primary.standbys.get(from).map(|known| known.promised);
         let Some(promised) = sent_at.or(before) else { return };
@@ -264,9 +251,9 @@ impl Replica {
             follower.catch_up = CatchUp::Behind;
         }
         if follower.catch_up == CatchUp::Behind && self.config.kind != StandbyKind::Cold {
-            let mut jobs = self.jobs.iter().chain(&self.current_job);
+            let mut jobs = self.component.jobs.iter().chain(&self.component.current);
             if !jobs.any(|job| matches!(job, Job::Save)) {
-                self.jobs.push_back(Job::Save);
+                self.component.jobs.push_back(Job::Save);
             }
         }
         self.start_next_job();
@@ -276,7 +263,7 @@ impl Replica {
     /// Sends the component's state to all followers that are behind.
     pub(super) fn send_snapshots(&mut self, state: &Bytes, now: Instant) {
         let RoleState::Primary(primary) = &mut self.role else { return };
-        let (epoch, position) = (primary.epoch, self.position);
+        let (epoch, position) = (primary.epoch, self.log.position);
         let mut recipients = Vec::new();
         for (node, follower) in &mut primary.standbys {
             if follower.catch_up == CatchUp::Behind {
@@ -287,8 +274,8 @@ impl Replica {
             }
         }
         // Later entries are changes of the last state that was kept.
-        let kept = self.state.as_ref().filter(|_| self.config.kind == StandbyKind::Warm);
-        let (state, table) = (kept.unwrap_or(state).to_vec(), self.table.clone());
+        let kept = self.log.state.as_ref().filter(|_| self.config.kind == StandbyKind::Warm);
+        let (state, table) = (kept.unwrap_or(state).to_vec(), self.log.table.clone());
         let snapshot = Message::Snapshot(Snapshot { epoch, position, state, table });
         recipients.iter().for_each(|node| self.send(node, &snapshot));
     }
@@ -307,9 +294,9 @@ impl Replica {
         let RoleState::Primary(primary) = &mut self.role else { return };
         let epoch = primary.epoch;
         if self.config.kind != StandbyKind::Cold {
-            self.position = Position { epoch, number: self.position.number + 1 };
+            self.log.position = Position { epoch, number: self.log.position.number + 1 };
         }
-        let position = self.position;
+        let position = self.log.position;
         primary.held_replies.push_back((position, id, now));
         let followers = primary.standbys.iter().filter(|(_, follower)| {
             matches!(follower.catch_up, CatchUp::SnapshotSent(_) | CatchUp::InStep)
@@ -317,13 +304,13 @@ impl Replica {
         let recipients: Vec<_> = followers.map(|(node, _)| node.clone()).collect();
         let failed = result.is_err();
         let served = Served { id, result: result.map(Vec::from) };
-        self.table.settle(id.sender, settled);
-        self.table.note(served.clone());
+        self.log.table.settle(id.sender, settled);
+        self.log.table.note(served.clone());
         if self.config.kind != StandbyKind::Cold {
             let payload = match (self.config.kind, state) {
                 (StandbyKind::Warm, Some(state)) => {
-                    let change = Change::between(self.state.as_deref(), &state);
-                    self.state = Some(state);
+                    let change = Change::between(self.log.state.as_deref(), &state);
+                    self.log.state = Some(state);
                     EntryPayload::State(change)
                 }
                 (StandbyKind::Hot, _) if !failed => EntryPayload::Request(request.into()),
@@ -363,11 +350,11 @@ impl Replica {
             }
             primary.held_replies.pop_front();
             primary.released = position;
-            self.answered = self.answered.max(position);
+            self.log.answered = self.log.answered.max(position);
             answers.extend(primary.waiting.remove(&id).map(|caller| (caller, id)));
         }
         for (caller, id) in answers {
-            let outcome = match self.table.find(id) {
+            let outcome = match self.log.table.find(id) {
                 Some(served) => ServiceOutcome::Served(served.result.clone().map(Bytes::from)),
                 // The caller has abandoned the request.
                 None => ServiceOutcome::Refused(DeliveryError::Expired),
@@ -413,12 +400,12 @@ impl Replica {
     /// Declares a fault with this detail, or clears it.
     pub(super) fn set_fault(&mut self, kind: FaultKind, detail: Option<String>) {
         match detail {
-            Some(detail) if self.faults.get(&kind) != Some(&detail) => {
-                self.faults.insert(kind.clone(), detail.clone());
-                self.outputs.push_back(ReplicaOutput::Fault { kind, detail });
+            Some(detail) if self.reports.faults.get(&kind) != Some(&detail) => {
+                self.reports.faults.insert(kind.clone(), detail.clone());
+                self.reports.outputs.push_back(ReplicaOutput::Fault { kind, detail });
             }
-            None if self.faults.remove(&kind).is_some() => {
-                self.outputs.push_back(ReplicaOutput::FaultCleared { kind });
+            None if self.reports.faults.remove(&kind).is_some() => {
+                self.reports.outputs.push_back(ReplicaOutput::FaultCleared { kind });
             }
             Some(_) | None => {}
         }
@@ -433,21 +420,21 @@ impl Replica {
     /// Starts this epoch without the entries that this replica lacks, as no reachable member has
     /// them. Returns whether there are any. The new position is greater than all earlier ones.
     pub(super) fn start_without_lost_state(&mut self, epoch: u64) -> bool {
-        let lost = self.config.kind != StandbyKind::Cold && self.position < self.answered;
+        let lost = self.config.kind != StandbyKind::Cold && self.log.position < self.log.answered;
         if lost {
-            self.report_loss(self.position, self.answered);
-            self.position = Position { epoch, number: 0 };
-            self.answered = self.position;
+            self.report_loss(self.log.position, self.log.answered);
+            self.log.position = Position { epoch, number: 0 };
+            self.log.answered = self.log.position;
         }
         lost
     }
 
     /// Does so in the middle of an epoch, for the only member of a service.
     pub(super) fn restart_without_lost_state(&mut self, epoch: u64) {
-        self.position = Position::default();
+        self.log.position = Position::default();
         self.start_without_lost_state(epoch);
         if let RoleState::Primary(primary) = &mut self.role {
-            (primary.base, primary.released) = (self.position, self.position);
+            (primary.base, primary.released) = (self.log.position, self.log.position);
         }
     }
 
@@ -460,7 +447,7 @@ impl Replica {
         // With `Continue`, the entries of one part are lost when the parts meet.
         if is_loss
             && self.comparable_by_position()
-            && !self.faults.contains_key(&FaultKind::StateLost)
+            && !self.reports.faults.contains_key(&FaultKind::StateLost)
         {
             self.report_loss(base, answered);
         }
@@ -484,13 +471,13 @@ impl Replica {
     pub(super) fn required_position(&self, now: Instant) -> Position {
         let waits =
             self.waiting_since().is_some_and(|since| now < since + self.config.state_timeout());
-        if waits { self.position.max(self.answered) } else { self.position }
+        if waits { self.log.position.max(self.log.answered) } else { self.log.position }
     }
 
     /// Returns since when this replica waits for a node that has the state that it lacks.
     pub(super) fn waiting_since(&self) -> Option<Instant> {
         // With `Continue`, no part waits for another one.
-        let lacks = self.comparable_by_position() && self.position < self.answered;
-        (lacks || self.health != Health::Complete).then_some(self.primary_seen_at)
+        let lacks = self.comparable_by_position() && self.log.position < self.log.answered;
+        (lacks || self.component.health != Health::Complete).then_some(self.primary_seen_at)
     }
 }

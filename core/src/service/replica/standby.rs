@@ -105,11 +105,11 @@ impl Replica {
             }
             self.step_down(Some(from.clone()), now);
         }
-        let ReplicaHeartbeat { epoch, number, position, answered } = heartbeat;
+        let ReplicaHeartbeat { epoch, sent, position, answered } = heartbeat;
         self.note_epoch(epoch);
-        self.answered = self.answered.max(answered);
+        self.log.answered = self.log.answered.max(answered);
         self.primary_seen_at = now;
-        let (own, loading) = (self.position, self.is_loading());
+        let (own, loading) = (self.log.position, self.component.is_loading());
         let comparable = self.comparable_by_position();
         let RoleState::Standby(standby) = &mut self.role else { return };
         if comparable && standby.complete && position == own {
@@ -124,15 +124,15 @@ impl Replica {
         let timeout = self.config.lease() + self.config.margin();
         standby.promised_until = now + timeout;
         standby.election_at = standby.promised_until + election_delay(&self.config, Some(from));
-        let status = match (self.config.kind, self.health) {
+        let status = match (self.config.kind, self.component.health) {
             (StandbyKind::Cold, _) => StandbyStatus::InStep,
             (StandbyKind::Hot, Health::Inactive) => StandbyStatus::Inactive,
             _ if standby.in_step != Some(epoch) => StandbyStatus::Behind,
-            _ if loading => StandbyStatus::Loading,
+            (StandbyKind::Hot, _) if loading => StandbyStatus::Loading,
             _ => StandbyStatus::InStep,
         };
-        let (position, answered) = (self.position, self.answered);
-        let promise = LeasePromise { epoch, number, position, answered, status };
+        let (position, answered) = (self.log.position, self.log.answered);
+        let promise = LeasePromise { epoch, sent: Some(sent), position, answered, status };
         self.send(from, &Message::LeasePromise(promise));
         self.report_role();
     }
@@ -154,7 +154,7 @@ impl Replica {
         }
         if self.config.depends && !std::mem::take(&mut standby.dependencies_ready) {
             if !std::mem::replace(&mut standby.checking_dependencies, true) {
-                self.outputs.push_back(ReplicaOutput::CheckDependencies);
+                self.reports.outputs.push_back(ReplicaOutput::CheckDependencies);
             }
             return self.report_role();
         }
@@ -167,7 +167,7 @@ impl Replica {
         self.report_role();
         let epoch = self.epoch.max(self.used_epoch).saturating_add(1);
         self.used_epoch = epoch;
-        let position = self.position;
+        let position = self.log.position;
         let RoleState::Standby(standby) = &mut self.role else { return };
         let votes = SortedMap::new();
         standby.candidacy = Some(Candidacy { epoch, requested_at: now, position, votes });
@@ -216,12 +216,12 @@ impl Replica {
         (standby.candidacy, standby.pending_request) = (None, None);
         standby.promised_until = now + self.config.lease() + self.config.margin();
         standby.election_at = standby.promised_until + election_delay(&self.config, None);
-        let in_step = standby.complete && position == self.position;
+        let in_step = standby.complete && position == self.log.position;
         if in_step {
             standby.in_step = Some(epoch);
         }
         self.note_epoch(epoch);
-        let answered = self.answered;
+        let answered = self.log.answered;
         self.send(from, &Message::Vote(Vote { epoch, in_step, answered }));
     }
 
@@ -262,9 +262,9 @@ impl Replica {
         if self.config.kind == StandbyKind::Cold {
             return;
         }
-        self.position.number += 1;
-        self.state = state.or(self.state.take());
-        self.table.note(Served { id, result: result.map(Vec::from) });
+        self.log.position.number += 1;
+        self.log.state = state.or(self.log.state.take());
+        self.log.table.note(Served { id, result: result.map(Vec::from) });
     }
 
     /// Returns whether two replicas at one position have the same entries. With
@@ -274,7 +274,7 @@ impl Replica {
     }
 
     pub(super) fn handle_vote(&mut self, from: &NodeName, vote: Vote, now: Instant) {
-        self.answered = self.answered.max(vote.answered);
+        self.log.answered = self.log.answered.max(vote.answered);
         let in_step = vote.in_step && self.comparable_by_position();
         let RoleState::Standby(standby) = &mut self.role else { return };
         let Some(candidacy) = &mut standby.candidacy else { return };
@@ -289,7 +289,7 @@ impl Replica {
             let requested_at = candidacy.requested_at;
             let votes = std::mem::take(&mut candidacy.votes);
             // The voters compared their positions with the one at the request.
-            let unchanged = candidacy.position == self.position;
+            let unchanged = candidacy.position == self.log.position;
             let voters = votes.into_iter().map(|(node, in_step)| (node, unchanged && in_step));
             self.take_over(vote.epoch, requested_at, voters, now);
         }
@@ -301,13 +301,13 @@ impl Replica {
         if epoch < self.epoch || standby.in_step != Some(epoch) {
             return;
         }
-        if position.number != self.position.number.saturating_add(1) {
+        if position.number != self.log.position.number.saturating_add(1) {
             standby.fall_behind();
             return self.report_role();
         }
         match payload {
-            EntryPayload::State(change) => match change.apply(self.state.as_deref()) {
-                Some(state) => self.state = Some(state.into()),
+            EntryPayload::State(change) => match change.apply(self.log.state.as_deref()) {
+                Some(state) => self.log.state = Some(state.into()),
                 // The state is not the one that the primary made the change for.
                 None => {
                     standby.fall_behind();
@@ -315,51 +315,46 @@ impl Replica {
                 }
             },
             EntryPayload::Request(request) => {
-                self.jobs.push_back(Job::Replay { request: request.into() });
+                self.component.jobs.push_back(Job::Replay { request: request.into() });
             }
             EntryPayload::Failed => {}
         }
-        self.position = position;
-        self.table.settle(served.id.sender, settled);
-        self.table.note(served);
+        self.log.position = position;
+        self.log.table.settle(served.id.sender, settled);
+        self.log.table.note(served);
         self.start_next_job();
         self.confirm(from, epoch);
     }
 
     pub(super) fn handle_snapshot(&mut self, from: &NodeName, snapshot: Snapshot) {
         let Snapshot { epoch, position, state, table } = snapshot;
-        let inactive = self.config.kind == StandbyKind::Hot && self.health == Health::Inactive;
+        let inactive =
+            self.config.kind == StandbyKind::Hot && self.component.health == Health::Inactive;
         let RoleState::Standby(standby) = &mut self.role else { return };
         if epoch < self.epoch || inactive {
             return;
         }
         (standby.in_step, standby.complete) = (Some(epoch), true);
-        if self.health == Health::Stateless {
-            self.health = Health::Complete;
+        if self.component.health == Health::Stateless {
+            self.component.health = Health::Complete;
         }
         self.note_epoch(epoch);
-        self.position = position;
-        self.table = table.bounded();
+        self.log.position = position;
+        self.log.table = table.bounded();
         // The snapshot does not contain the request that the component executes now.
-        if let Some(Job::Serve { request, .. }) = &self.current_job {
-            self.current_job = Some(Job::Replay { request: request.clone() });
+        if let Some(Job::Serve { request, .. }) = &self.component.current {
+            self.component.current = Some(Job::Replay { request: request.clone() });
         }
         match self.config.kind {
             StandbyKind::Hot => {
-                self.jobs.clear();
-                self.jobs.push_back(Job::Load { state: state.into() });
+                self.component.jobs.clear();
+                self.component.jobs.push_back(Job::Load { state: state.into() });
             }
-            StandbyKind::Warm | StandbyKind::Cold => self.state = Some(state.into()),
+            StandbyKind::Warm | StandbyKind::Cold => self.log.state = Some(state.into()),
         }
         self.start_next_job();
         self.confirm(from, epoch);
         self.report_role();
-    }
-
-    /// Returns whether a hot component has yet to load the state that this replica has received.
-    fn is_loading(&self) -> bool {
-        let mut jobs = self.jobs.iter().chain(&self.current_job);
-        self.config.kind == StandbyKind::Hot && jobs.any(|job| matches!(job, Job::Load { .. }))
     }
 
     /// Confirms to the primary that the component has loaded the state.
@@ -374,11 +369,12 @@ impl Replica {
 
     /// Sends this replica's position to the primary, without a promise.
     fn confirm(&mut self, primary: &NodeName, epoch: u64) {
-        if self.is_loading() {
+        if self.config.kind == StandbyKind::Hot && self.component.is_loading() {
             return;
         }
-        let (position, answered, status) = (self.position, self.answered, StandbyStatus::InStep);
-        let confirmation = LeasePromise { epoch, number: 0, position, answered, status };
+        let (position, answered, status) =
+            (self.log.position, self.log.answered, StandbyStatus::InStep);
+        let confirmation = LeasePromise { epoch, sent: None, position, answered, status };
         self.send(primary, &Message::LeasePromise(confirmation));
     }
 }

@@ -71,3 +71,22 @@ fn an_epoch_beyond_all_measure_ends_no_replica() {
     own.handle_timeout(at(34));
     assert_eq!(own.role(), Role::Standby { primary: None, in_step: false });
 }
+
+#[test]
+fn a_promise_that_answers_no_heartbeat_extends_no_lease_beyond_its_receipt() {
+    let mut own = started(listing(0, &[0, 1, 2]));
+    let second = started(listing(1, &[0, 1, 2]));
+    own.handle_timeout(at(34));
+    let (position, answered) = (Position::default(), Position::default());
+    deliver(&mut own, &second, &Message::Vote(Vote { epoch: 1, in_step: true, answered }), 35);
+    for (sent, millis) in [(u64::MAX, 40), (0, 50)] {
+        let status = StandbyStatus::InStep;
+        let promise = LeasePromise { epoch: 1, sent: Some(sent), position, answered, status };
+        deliver(&mut own, &second, &Message::LeasePromise(promise), millis);
+    }
+
+    own.handle_timeout(at(69));
+    assert_eq!(own.role(), Role::Primary { epoch: 1 });
+    own.handle_timeout(at(70));
+    assert_eq!(own.role(), Role::Standby { primary: None, in_step: false });
+}
