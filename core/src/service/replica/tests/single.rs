@@ -90,3 +90,27 @@ fn a_promise_that_answers_no_heartbeat_extends_no_lease_beyond_its_receipt() {
     own.handle_timeout(at(70));
     assert_eq!(own.role(), Role::Standby { primary: None, in_step: false });
 }
+
+#[test]
+fn a_replica_that_needs_no_vote_waits_for_answers_after_its_second_poll_but_not_for_ever() {
+    let stop = listing(0, &[0]);
+    let goes_on = ReplicaConfig { on_partition: OnPartition::Continue, ..listing(0, &[0, 1, 2]) };
+    for config in [stop, goes_on] {
+        let mut own = started(config);
+        let serves = |own: &mut Replica, millis: u64| {
+            (0..100).for_each(|more| own.handle_timeout(at(millis + more)));
+            matches!(own.role(), Role::Primary { .. })
+        };
+        own.handle_carriers(&[], |_| true, at(0));
+        assert!(!serves(&mut own, 400), "no node was connected at the first poll");
+        own.handle_carriers(&[node(1)], |_| true, at(500));
+        assert!(!serves(&mut own, 900), "its answer is missing");
+
+        let mut answered = own.restarted(at(600));
+        let configuration = answered.configuration();
+        answered.handle_configuration(&node(1), &configuration, at(600));
+        assert!(serves(&mut answered, 600));
+        own.handle_carriers(&[node(1)], |_| true, at(1000));
+        assert!(serves(&mut own, 1000), "it does not answer");
+    }
+}
