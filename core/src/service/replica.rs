@@ -485,7 +485,8 @@ impl Replica {
         };
         self.note_comparison(from, comparison);
         match other_goes_on {
-            Some(true) => self.resign(now),
+            // Its standbys keep their promises: a lease's time to meet that node as well.
+            Some(true) => self.step_down(None, now),
             // That node resigns when it learns that this one serves.
             Some(false) if matches!(self.role, RoleState::Primary(_)) => {
                 self.agreement.ask_again(from);

@@ -203,6 +203,23 @@ fn of_two_primaries_that_meet_the_one_with_the_longer_list_goes_on() {
 }
 
 #[test]
+fn the_primary_that_resigns_hands_the_service_to_no_standby_that_has_not_met_the_other_one() {
+    let (short, long): (&[usize], &[usize]) = (&[0, 1, 2], &[3, 4, 5, 6]);
+    let mut robot = Robot::configured(&[short, short, short, long, long, long, long]);
+    robot.advance_ms(200);
+    assert_eq!(robot.primaries(), [0, 3]);
+    robot.compare(0, 3);
+    robot.drain(0);
+    robot.overlaps = 0;
+    // Less than a lease later the standbys meet it as well.
+    robot.advance_ms(10);
+    robot.meet();
+    robot.poll_directories(SECOND);
+
+    assert_eq!((robot.primaries(), robot.overlaps), (vec![3], 0));
+}
+
+#[test]
 fn a_primary_that_leads_asks_again_the_one_that_took_it_for_a_standby() {
     let mut robot = Robot::apart(&[&[0], &[0, 1, 2], &[0, 1, 2]]);
     let [0, leader] = robot.primaries()[..] else { panic!("{:?}", robot.primaries()) };
