@@ -443,8 +443,7 @@ impl ReplicaActor {
                     actor.machine.handle_no_service(&with)
                 }
                 Err(DeliveryError::Left { .. }) => actor.machine.handle_left(&with),
-                // The machine asks again.
-                Err(_) => {}
+                Err(_) => actor.machine.handle_no_answer(&with),
             }
             actor.drive(context);
         }));

@@ -502,6 +502,11 @@ impl Replica {
         self.note_comparison(of, ConfigComparison::Absent { confirmed });
     }
 
+    /// A node did not answer: it is asked again at the next poll of the directory.
+    pub fn handle_no_answer(&mut self, of: &NodeName) {
+        self.agreement.ask_again(of);
+    }
+
     /// A node has ended in order.
     pub fn handle_left(&mut self, node: &NodeName) {
         self.note_comparison(node, ConfigComparison::Unknown);
