@@ -205,8 +205,9 @@ impl Replica {
         self.refused
     }
 
-    /// Counts a message that names another sender than the node that it came from.
-    pub fn handle_forged(&mut self) {
+    /// Counts a message that names another sender than the node that it came from, or comes from a
+    /// node that may not claim the service.
+    pub fn handle_refused(&mut self) {
         self.refused += 1;
     }
 
