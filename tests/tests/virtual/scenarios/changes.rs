@@ -305,3 +305,18 @@ async fn a_thousand_additions_and_removals_leave_no_growth() {
     assert_eq!((node.abandoned_threads(), node.state()), (0, NodeState::Running));
     assert!(no_fault_stands(&node).await);
 }
+
+#[blastema_testkit::test]
+async fn a_component_that_is_added_and_never_comes_up_is_put_to_rest() {
+    let (strings, mut node) = Strings::robot(["arm"]).await;
+    (0..99).for_each(|_| strings.pull("hand", "on_initialize", Pull::Fail("no device")));
+
+    node.add_child(strings.spec("hand")).await.expect("the root takes it");
+    node.await_given_up(FaultKind::InitializationFailed, "hand").await;
+    node.advance(Duration::from_secs(1)).await;
+
+    let tree = node.tree().await.unwrap();
+    assert_eq!(tree.children[1].state, ChildState::Resting);
+    assert_eq!(ask(&node, "arm", Deed::Nothing).await.unwrap(), 1);
+    node.remove_child("hand").await.expect("a stopped child can be removed");
+}
