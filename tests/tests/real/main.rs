@@ -13,7 +13,6 @@ mod devices;
 mod discovery;
 mod dropped_nodes;
 mod exposure;
-mod hostile_transports;
 mod inspection;
 mod kill_storm;
 mod large_messages;
