@@ -6,7 +6,6 @@ mod books;
 mod busy;
 mod busy_computer;
 mod chain_outside;
-mod changes;
 mod conditions;
 mod credit;
 mod devices;

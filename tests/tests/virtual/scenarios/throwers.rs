@@ -8,20 +8,6 @@ use blastema_testkit::TestNode;
 use std::time::Duration;
 
 #[blastema_testkit::test]
-async fn a_component_that_panics_while_it_stops_is_stopped() {
-    for hook in ["on_deactivated", "on_shutdown", "on_finalize", "drop"] {
-        let (strings, node) = Strings::robot(["arm", "hand"]).await;
-        strings.pull("hand", hook, Pull::Panic("while stopping"));
-
-        let stopped = tokio::time::timeout(Duration::from_secs(6), node.shutdown()).await;
-
-        assert!(stopped.is_ok(), "{hook}");
-        assert_eq!(node.state(), NodeState::Stopped, "{hook}");
-        assert!(strings.diary().contains(&"arm#1 on_finalize".into()), "{hook}");
-    }
-}
-
-#[blastema_testkit::test]
 async fn a_component_that_fails_to_come_to_rest_has_a_fault_that_is_over() {
     for pull in [Pull::Fail("jammed"), Pull::Fatal("jammed"), Pull::Wait(Duration::from_secs(60))] {
         let (strings, node) = Strings::robot(["hand"]).await;
