@@ -1,5 +1,6 @@
 //! What benchmarks of several processes, and of a whole process, have in common.
 
+use blastema::{Link, Network, Node, NodeBuilder};
 use rustix::thread::{CpuSet, sched_setaffinity};
 use std::io::{BufRead, BufReader, Write};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
@@ -55,6 +56,22 @@ fn program(part: &str, arguments: &[String]) -> Command {
 pub(crate) fn fresh(part: &str, arguments: &[&str]) -> f64 {
     let output = program(part, &texts(arguments)).output().expect("this program starts");
     String::from_utf8_lossy(&output.stdout).trim().parse().unwrap_or(f64::NAN)
+}
+
+/// A node with these links, of three words each: `OWN NEIGHBOUR ADDRESS`. The key may be empty.
+pub(crate) fn builder(name: &str, key: &str, medium: &str, links: &[String]) -> NodeBuilder {
+    let builder = Node::builder(name);
+    let mut builder = if key.is_empty() { builder } else { builder.keys(key) };
+    for (number, link) in links.chunks(3).enumerate() {
+        let [own, far, at] = link else { panic!("the parent writes three words for a link") };
+        let parse = |text: &str| text.parse().expect("the parent writes addresses");
+        let (name, far) = (format!("net{number}"), Link::new(far, parse(at)));
+        builder = builder.network(match medium {
+            "tcp" => Network::tcp(&name, parse(own)).link(far),
+            _ => Network::udp(&name, parse(own)).link(far),
+        });
+    }
+    builder
 }
 
 /// Says that this process is ready, and waits until its parent ends it.

@@ -5,9 +5,8 @@
 
 use crate::keys::BenchKeys;
 use crate::measure::{Table, median};
-use crate::process::{Peer, addresses, pin, serve_until_told, texts};
+use crate::process::{Peer, addresses, builder, pin, serve_until_told, texts};
 use blastema::prelude::*;
-use blastema::{Link, Network, NodeBuilder};
 use std::time::{Duration, Instant};
 
 const WARM_UP: usize = 200;
@@ -35,26 +34,11 @@ pub(crate) fn child(arguments: &[String]) {
     pin(1);
     let [key, medium, name, links @ ..] = arguments else { return };
     blastema::run(async {
-        let builder = builder(key, medium, name, links).child(ChildSpec::new("mirror", || Mirror));
+        let builder = builder(name, key, medium, links).child(ChildSpec::new("mirror", || Mirror));
         let node = builder.start().await.expect("the node starts");
         let _ = tokio::task::spawn_blocking(serve_until_told).await;
         node.shutdown().await;
     });
-}
-
-fn builder(key: &str, medium: &str, name: &str, links: &[String]) -> NodeBuilder {
-    let builder = Node::builder(name);
-    let mut builder = if key.is_empty() { builder } else { builder.keys(key) };
-    for (number, link) in links.chunks(3).enumerate() {
-        let [own, far, at] = link else { panic!("the parent writes three words for a link") };
-        let parse = |text: &str| text.parse().expect("the parent writes addresses");
-        let (name, far) = (format!("net{number}"), Link::new(far, parse(at)));
-        builder = builder.network(match medium {
-            "tcp" => Network::tcp(&name, parse(own)).link(far),
-            _ => Network::udp(&name, parse(own)).link(far),
-        });
-    }
-    builder
 }
 
 async fn asked(mirror: &Sender<Echo>) -> f64 {
@@ -96,7 +80,7 @@ fn over(medium: &str, rounds: usize) {
                 peers.push(Peer::start("remote", &texts(arguments)));
             }
             let links = [near, "middle".into(), left];
-            let node = builder(&key("near"), medium, "near", &links).start().await;
+            let node = builder("near", &key("near"), medium, &links).start().await;
             let node = node.expect("the node starts");
             for (mirror, hops) in [("middle:mirror", "one hop"), ("far:mirror", "two hops")] {
                 rows.push((format!("{hops}, {with} keys"), reached(&node, mirror).await));

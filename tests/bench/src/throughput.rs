@@ -6,9 +6,9 @@
 
 use crate::keys::BenchKeys;
 use crate::measure::Table;
-use crate::process::{Peer, addresses, pin, serve_until_told, texts};
+use crate::process::{Peer, addresses, builder, pin, serve_until_told, texts};
+use blastema::Blob;
 use blastema::prelude::*;
-use blastema::{Blob, Link, Network, NodeBuilder};
 use std::time::{Duration, Instant};
 
 const SMALL: u64 = 300_000;
@@ -59,30 +59,14 @@ impl Handle<Count> for Sink {
     }
 }
 
-/// A node that has the other one as its neighbour.
-fn builder(
-    name: &str,
-    key: &str,
-    medium: &str,
-    own: &str,
-    (far, remote): (&str, &str),
-) -> NodeBuilder {
-    let address = |text: &str| text.parse().expect("the parent writes addresses");
-    let (own, link) = (address(own), Link::new(far, address(remote)));
-    let builder = Node::builder(name).network(match medium {
-        "tcp" => Network::tcp("net0", own).link(link),
-        _ => Network::udp("net0", own).link(link),
-    });
-    if key.is_empty() { builder } else { builder.keys(key) }
-}
-
 /// Another process: `MEDIUM OWN REMOTE KEY`; the key may be empty.
 pub(crate) fn child(arguments: &[String]) {
     pin(1);
     let [medium, own, remote, key] = arguments else { return };
     blastema::run(async {
         let sink = |name: &str| ChildSpec::new(name, Sink::default).queue(4096, WhenFull::Wait);
-        let builder = builder("sink", key, medium, own, ("source", remote));
+        let link = [own.clone(), "source".into(), remote.clone()];
+        let builder = builder("sink", key, medium, &link);
         let node = builder.child(sink("small")).child(sink("large")).start().await;
         let node = node.expect("the node starts");
         let _ = tokio::task::spawn_blocking(serve_until_told).await;
@@ -140,7 +124,8 @@ pub(crate) fn run(rounds: usize) {
                 let key = |name: &str| if sealed { keys.of(name) } else { String::new() };
                 let arguments = texts(&[medium, &far, &own, &key("sink")]);
                 sinks.push(Peer::start("throughput", &arguments));
-                let builder = builder("source", &key("source"), medium, &own, ("sink", &far));
+                let link = [own, "sink".into(), far];
+                let builder = builder("source", &key("source"), medium, &link);
                 nodes.push((row, builder.start().await.expect("the node starts")));
             }
             let title = format!("messages of a mebibyte, {medium}");
