@@ -3,6 +3,7 @@
 use crate::scenarios::puppet::{Deed, Pull, Strings, ask, incarnation};
 use blastema::core::detection::FaultRecord;
 use blastema::prelude::*;
+use blastema::{Incarnation, Lifecycle, Severity};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 
@@ -19,6 +20,24 @@ fn decided(record: &FaultRecord) -> Vec<&str> {
     let action = |entry: &blastema::core::detection::FaultEntry| entry.decided.is_some();
     assert!(record.entries.iter().all(action), "{record:?}");
     record.entries.iter().filter_map(|e| e.decided.as_ref()).map(|(_, m)| m.as_str()).collect()
+}
+
+#[blastema_testkit::test]
+async fn an_error_is_reset_within_the_same_incarnation() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings).await;
+    strings.diary();
+
+    fail(&node, "the gripper slips").await;
+    let fault = node.await_fault(FaultKind::ErrorState, "arm").await;
+    node.await_recovered(FaultKind::ErrorState, "arm").await;
+
+    assert_eq!((fault.detail.as_str(), fault.incarnation), ("the gripper slips", Incarnation(1)));
+    let hooks = ["arm#1 on_aborting", "arm#1 on_error", "arm#1 on_reset", "arm#1 on_activated"];
+    assert_eq!(strings.diary(), hooks);
+    assert_eq!(incarnation(&node, "arm").await, 1);
+    assert_eq!(decided(&node.faults().await), ["reset"]);
+    assert_eq!(node.row("arm").await.state, Some(Lifecycle::Active));
 }
 
 #[blastema_testkit::test]
@@ -59,6 +78,20 @@ async fn a_reset_that_fails_is_followed_by_a_restart() {
     assert_eq!(decided(&record)[0], "restart");
     let ended = |e: &blastema::core::detection::FaultEntry| e.recovered_at.is_some();
     assert!(record.entries.iter().all(ended), "{record:?}");
+}
+
+#[blastema_testkit::test]
+async fn a_fatal_failure_is_answered_by_a_new_incarnation() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings).await;
+
+    ask(&node, "arm", Deed::FailFatally("it burns".into())).await.unwrap();
+    let fault = node.await_fault(FaultKind::Fatal, "arm").await;
+    node.await_recovered(FaultKind::Fatal, "arm").await;
+
+    assert_eq!((fault.detail.as_str(), fault.severity), ("it burns", Severity::Critical));
+    assert_eq!(incarnation(&node, "arm").await, 2);
+    node.expect_no_faults().await;
 }
 
 #[blastema_testkit::test]

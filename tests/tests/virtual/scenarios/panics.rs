@@ -1,8 +1,9 @@
 //! A component panics, wherever it may.
 
-use crate::scenarios::puppet::{Deed, Pull, Strings, ask, incarnation, strike};
+use crate::scenarios::puppet::{Deed, Do, Note, Pull, Strings, ask, incarnation, strike};
 use blastema::prelude::*;
 use blastema::{Incarnation, Severity};
+use blastema_testkit::TestNode;
 use std::time::Duration;
 
 #[blastema_testkit::test]
@@ -35,6 +36,41 @@ async fn a_panic_is_recovered_on_the_spot_and_recorded() {
 }
 
 #[blastema_testkit::test]
+async fn what_was_queued_behind_a_deadly_message_is_served_by_the_next_incarnation() {
+    let (strings, node) = Strings::robot(["laser"]).await;
+    let (deadly, notes) = (node.sender::<Do>("laser"), node.sender::<Note>("laser"));
+
+    deadly.unwrap().tell(Do(Deed::Panic("first".into()))).unwrap();
+    (1..=3).for_each(|n| notes.as_ref().unwrap().tell(Note(n)).unwrap());
+    node.settle().await;
+
+    assert_eq!(strings.lines("note"), ["laser#2 note 1", "laser#2 note 2", "laser#2 note 3"]);
+    assert_eq!(node.dead_letters().total(), 1, "only the deadly one");
+}
+
+#[blastema_testkit::test]
+async fn a_panic_in_a_task_or_timer_of_its_own_is_the_components_death() {
+    let (_, mut node) = Strings::robot(["laser"]).await;
+    let deeds = [
+        (Deed::PanicInTask("a task".into()), "a task, at", "in a task of its own"),
+        (Deed::PanicInTimer("a timer".into()), "a timer, at", "in a timer"),
+    ];
+
+    for (n, (deed, text, during)) in deeds.into_iter().enumerate() {
+        let before = u64::try_from(n).unwrap() + 1;
+        assert_eq!(ask(&node, "laser", deed).await.unwrap(), before);
+        node.advance(Duration::from_millis(9)).await;
+        node.expect_no_faults().await;
+        node.advance(Duration::from_millis(1)).await;
+
+        let fault = node.await_fault(FaultKind::Panic, "laser").await;
+        assert!(fault.detail.starts_with(text) && fault.detail.ends_with(during), "{fault:?}");
+        node.await_recovered(FaultKind::Panic, "laser").await;
+        assert_eq!(incarnation(&node, "laser").await, before + 1);
+    }
+}
+
+#[blastema_testkit::test]
 async fn a_panic_in_a_hook_is_the_components_death() {
     for hook in ["on_activated", "on_startup", "on_initialize", "factory"] {
         let (strings, mut node) = Strings::robot(["laser"]).await;
@@ -53,6 +89,22 @@ async fn a_panic_in_a_hook_is_the_components_death() {
         assert!(entry.fault.detail.ends_with(&format!("in {during}")), "{}", entry.fault.detail);
         node.expect_no_faults().await;
     }
+}
+
+#[blastema_testkit::test]
+async fn a_panic_in_a_round_is_the_components_death_and_rounds_go_on() {
+    let strings = Strings::default();
+    let spec = strings.spec("laser").rate_hz(10.0);
+    let mut node = TestNode::start(Node::builder("module1").child(spec)).await;
+    strings.pull("laser", "on_execute", Pull::Panic("odd scan"));
+
+    node.advance(Duration::from_millis(100)).await;
+    let fault = node.await_fault(FaultKind::Panic, "laser").await;
+
+    assert!(fault.detail.ends_with("in on_execute"), "{}", fault.detail);
+    strings.pull("laser", "on_execute", Pull::Panic("odd again"));
+    node.advance(Duration::from_millis(100)).await;
+    assert_eq!(node.await_fault(FaultKind::Panic, "laser").await.incarnation, Incarnation(2));
 }
 
 #[blastema_testkit::test]

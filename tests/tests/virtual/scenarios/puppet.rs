@@ -31,6 +31,10 @@ pub(crate) enum Deed {
     Nothing,
     /// Panics with this text.
     Panic(String),
+    /// Panics in a task of its own, a little later.
+    PanicInTask(String),
+    /// Panics in a timer, a little later.
+    PanicInTimer(String),
     /// Panics with something that is no text.
     PanicOddly,
     /// Leaves work because of this.
@@ -225,6 +229,13 @@ impl Handle<Do> for Puppet {
         match deed {
             Deed::Nothing => {}
             Deed::Panic(text) => panic!("{text}"),
+            Deed::PanicInTask(text) => cx.spawn(async move {
+                tokio::time::sleep(soon).await;
+                panic!("{text}");
+            }),
+            Deed::PanicInTimer(text) => {
+                cx.after(soon, move |_, _| panic!("{text}"));
+            }
             Deed::PanicOddly => std::panic::panic_any(42_u8),
             Deed::Fail(why) => cx.fail(why),
             Deed::FailFatally(why) => cx.fail(Failure::fatal(why)),

@@ -1,9 +1,40 @@
 //! Every result of sending, and that each request resolves.
 
-use crate::scenarios::puppet::{Deed, Do, Note, Pull, Strings, strike};
+use crate::scenarios::puppet::{Deed, Do, Note, Pull, Strings, ask, strike};
+use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::prelude::*;
-use blastema_testkit::{Harness, TestNode};
+use blastema_testkit::{Harness, TestNode, now};
 use std::time::Duration;
+
+#[blastema_testkit::test]
+async fn a_request_resolves_when_its_deadline_passes() {
+    let (_, node) = Strings::robot(["arm"]).await;
+    let arm = node.sender::<Do>("arm").unwrap();
+    let start = now();
+
+    let late = arm.ask_within(Do(Deed::Await(5000)), Duration::from_millis(700)).await;
+
+    let error = late.expect_err("it takes too long");
+    assert_eq!((error.kind, error.message), (DeliveryError::DeadlinePassed, None));
+    let took = now() - start;
+    assert!(took >= Duration::from_millis(700) && took <= Duration::from_millis(720), "{took:?}");
+    assert_eq!(arm.ask_within(Do(Deed::Nothing), Duration::from_secs(60)).await.unwrap(), 1);
+}
+
+#[blastema_testkit::test]
+async fn a_request_whose_deadline_passed_in_the_queue_is_not_served() {
+    let (_, node) = Strings::robot(["arm"]).await;
+    let arm = node.sender::<Do>("arm").unwrap();
+    arm.tell(Do(Deed::Await(3000))).unwrap();
+
+    let late = arm.ask(Do(Deed::Panic("too late".into()))).await;
+    node.advance(Duration::from_secs(5)).await;
+
+    assert_eq!(late.expect_err("it waits too long").kind, DeliveryError::DeadlinePassed);
+    assert_eq!(ask(&node, "arm", Deed::Nothing).await.unwrap(), 1, "no life ended by it");
+    let name = "arm".parse().unwrap();
+    assert_eq!(node.dead_letters().count(&name, DeadReason::DeadlinePassed), 1);
+}
 
 #[blastema_testkit::test]
 async fn between_two_incarnations_a_full_queue_says_restarting() {

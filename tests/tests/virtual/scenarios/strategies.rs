@@ -97,6 +97,23 @@ async fn a_strategy_whose_drop_panics_harms_nobody() {
 }
 
 #[blastema_testkit::test]
+async fn a_ladder_that_is_exhausted_ends_in_safe_rest() {
+    let strings = Strings::default();
+    let ladder = Ladder::first(RecoveryAction::Custom("oil".into()));
+    let mut node =
+        TestNode::start(robot(&strings, ladder).recovery("oil", || Useless::Fails)).await;
+
+    declare(&node).await;
+    let reason = node.await_given_up(oil(), "joint").await;
+    node.advance(Duration::from_secs(1)).await;
+
+    assert!(reason.contains("the can is empty"), "{reason}");
+    assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Resting);
+    assert!(strings.lines("on_finalize").contains(&"joint#1 on_finalize".into()));
+    assert_eq!(node.state(), NodeState::Running, "the others go on");
+}
+
+#[blastema_testkit::test]
 async fn an_isolated_object_neither_sends_nor_receives_but_lives() {
     let strings = Strings::default();
     let ladder = Ladder::first(RecoveryAction::Isolate);
