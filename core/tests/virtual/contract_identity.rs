@@ -11,22 +11,29 @@ use blastema_macros::{Event, Request, Structure};
 use std::sync::Arc;
 use std::time::Duration;
 
+/// The contract of both sides, of the parts that the module has.
+macro_rules! state {
+    () => {
+        /// A comment does not count.
+        #[derive(Clone, Event)]
+        #[contract(name = "robot/state", crate = "crate::facade")]
+        pub(crate) struct State {
+            #[contract(unit = "m", frame = "laser")]
+            pub ranges: Vec<f32>,
+            pub left: f64,
+            pub right: f64,
+            pub pose: Pose,
+            pub mode: Mode,
+            pub plan: Option<Step>,
+        }
+    };
+}
+
 /// The types of one side. The other side's differ in one thing each.
 mod here {
     use super::*;
 
-    /// A comment does not count.
-    #[derive(Clone, Event)]
-    #[contract(name = "robot/state", crate = "crate::facade")]
-    pub(crate) struct State {
-        #[contract(unit = "m", frame = "laser")]
-        pub ranges: Vec<f32>,
-        pub left: f64,
-        pub right: f64,
-        pub pose: Pose,
-        pub mode: Mode,
-        pub plan: Option<Step>,
-    }
+    state! {}
 
     #[derive(Clone, Structure)]
     #[contract(crate = "crate::facade")]
@@ -179,17 +186,7 @@ fn exchanged_renamed_added_and_removed_fields_are_named() {
 #[test]
 fn a_difference_deep_inside_a_recursive_type_is_found_once() {
     let lines = lines! {
-        #[derive(Clone, Event)]
-        #[contract(name = "robot/state", crate = "crate::facade")]
-        pub(crate) struct State {
-            #[contract(unit = "m", frame = "laser")]
-            pub ranges: Vec<f32>,
-            pub left: f64,
-            pub right: f64,
-            pub pose: Pose,
-            pub mode: Mode,
-            pub plan: Option<Step>,
-        }
+        state! {}
 
         #[derive(Clone, Structure)]
         #[contract(crate = "crate::facade")]
@@ -241,17 +238,7 @@ fn units_and_frames_count() {
 #[test]
 fn variants_are_compared_by_name_order_and_fields() {
     let lines = lines! {
-        #[derive(Clone, Event)]
-        #[contract(name = "robot/state", crate = "crate::facade")]
-        pub(crate) struct State {
-            #[contract(unit = "m", frame = "laser")]
-            pub ranges: Vec<f32>,
-            pub left: f64,
-            pub right: f64,
-            pub pose: Pose,
-            pub mode: Mode,
-            pub plan: Option<Step>,
-        }
+        state! {}
 
         #[derive(Clone, Structure)]
         #[contract(crate = "crate::facade")]
