@@ -10,9 +10,9 @@
 //! An object is entered in the dependencies before its supervisor has it, and is taken out before
 //! that stops it: so nothing begins to depend on what is about to end.
 
-use super::Node;
 use super::to_the_end::ToTheEnd;
 use super::tree::{PreparedTree, Subtree, TreeEnvironment};
+use super::{Node, Shared};
 use crate::component::Component;
 use crate::component::spec_error::{SpecError, did_you_mean};
 use crate::fault_chain::directory::SupervisorRecipients;
@@ -128,15 +128,15 @@ impl Node {
     /// [`RemoveError::Unknown`] where no supervisor keeps it, as the root itself;
     /// [`RemoveError::Needed`] where another object [depends](ChildSpec::depends_on) on any of it.
     pub async fn remove_child(&self, name: &str) -> Result<(), RemoveError> {
-        let nearest = || self.0.directory.nearest(name);
+        let nearest = || self.0.chain.directory.nearest(name);
         let unknown = || RemoveError::Unknown { name: name.to_owned(), nearest: nearest() };
         let object = ObjectName::new(name).map_err(|_| unknown())?;
-        let supervisor = self.0.directory.supervisor_of(&object).ok_or_else(unknown)?;
+        let supervisor = self.0.chain.directory.supervisor_of(&object).ok_or_else(unknown)?;
         let names = {
             let mut dependencies = self.0.dependencies();
             // Else another call removes it already.
             dependencies.has(&object).then_some(()).ok_or_else(unknown)?;
-            let names = self.0.directory.subtree(&object);
+            let names = self.0.chain.directory.subtree(&object);
             dependencies.remove(&names)?;
             names
         };
@@ -152,7 +152,7 @@ impl Node {
         supervisor: &SupervisorRecipients,
         names: Vec<ObjectName>,
     ) -> Result<(), RemoveError> {
-        let below = names.iter().filter_map(|name| self.0.directory.supervisor(name));
+        let below = names.iter().filter_map(|name| self.0.chain.directory.supervisor(name));
         let below: Vec<_> = below.map(|supervisor| supervisor.pings.clone()).collect();
         let remove = ChildRequest { object, action: ChildAction::Remove };
         loop {
@@ -178,7 +178,7 @@ impl Node {
         whole: bool,
     ) -> Result<ObjectName, SpecError> {
         let name = parent.unwrap_or("root");
-        let directory = &self.0.directory;
+        let directory = &self.0.chain.directory;
         let no_supervisor = || {
             let nearest = directory.nearest_supervisor(name);
             SpecError::NoSupervisor { name: name.to_owned(), nearest }
@@ -186,7 +186,7 @@ impl Node {
         let parent = ObjectName::new(name).map_err(|_| no_supervisor())?;
         let supervisor = directory.supervisor(&parent).ok_or_else(no_supervisor)?;
         let mut tree = PreparedTree::default();
-        let prepared = subtree.prepare(&self.tree_environment(), &mut tree);
+        let prepared = subtree.prepare(&self.0.tree_environment(true), &mut tree);
         let entered = match tree.refused.is_empty() {
             true => self.enter(&parent, &tree).and_then(|is_there| match is_there {
                 true => Ok(()),
@@ -242,18 +242,6 @@ impl Node {
         })
     }
 
-    fn tree_environment(&self) -> TreeEnvironment<'_> {
-        TreeEnvironment {
-            environment: &self.0.environment,
-            guardian: &self.0.guardian,
-            arbiter: self.0.chain.arbiter.as_ref(),
-            monitor: self.0.chain.monitor.clone(),
-            directory: self.0.directory.clone(),
-            plan: &self.0.plan,
-            whole_start: true,
-        }
-    }
-
     /// Enters the dependencies of what is to be added, if its parent is there.
     fn enter(&self, parent: &ObjectName, tree: &PreparedTree) -> Result<bool, SpecError> {
         let mut dependencies = self.0.dependencies();
@@ -276,6 +264,21 @@ impl Node {
         let work = async move { drop(answer.send(work.await)) };
         ToTheEnd::of(self.0.chain.arbiter.clone(), work).await;
         outcome.await.ok()
+    }
+}
+
+impl Shared {
+    /// What the preparation of a subtree needs.
+    pub(super) fn tree_environment(&self, whole_start: bool) -> TreeEnvironment<'_> {
+        TreeEnvironment {
+            environment: &self.environment,
+            guardian: &self.chain.guardian,
+            arbiter: self.chain.arbiter.as_ref(),
+            monitor: self.chain.monitor.clone(),
+            directory: self.chain.directory.clone(),
+            plan: &self.plan,
+            whole_start,
+        }
     }
 }
 

@@ -6,6 +6,7 @@
 //!                   └─ the root has given up ────►┘
 //! ```
 
+use super::restart::RestartError;
 use crate::actuator::ActuatorTable;
 use crate::fault_chain::strategy::SafeOutputs;
 use crate::platform;
@@ -49,19 +50,8 @@ pub(super) struct StartRoot(pub(super) Box<dyn Child>);
 
 /// From the node: start the root once more, from safe state. Answered likewise.
 #[derive(Message)]
-#[rtype(result = "Result<(), RestartRefused>")]
+#[rtype(result = "Result<(), RestartError>")]
 pub(super) struct RestartRoot;
-
-/// Why the root was not started once more.
-#[derive(Debug, PartialEq, Eq)]
-pub(super) enum RestartRefused {
-    /// The node is not in the safe state, but in this one.
-    NotInSafeState(NodeState),
-    /// It was told to stop for good, before that or while it waited for the last ones to end.
-    ShutDown,
-    /// It came to rest again, for this reason.
-    GaveUp(String),
-}
 
 /// From the node: stop everything in order. Answered when that is done.
 #[derive(Message)]
@@ -304,14 +294,15 @@ impl Handler<StartRoot> for NodeController {
 }
 
 impl Handler<RestartRoot> for NodeController {
-    type Result = PendingAnswer<Result<(), RestartRefused>>;
+    type Result = PendingAnswer<Result<(), RestartError>>;
 
     fn handle(&mut self, _: RestartRoot, context: &mut Context<Self>) -> Self::Result {
         let refused = match self.state() {
             // It is in the safe state until its last components have ended; its threads end next.
-            _ if self.closed => Some(RestartRefused::ShutDown),
+            _ if self.closed => Some(RestartError::ShutDown),
+            NodeState::Stopped => Some(RestartError::ShutDown),
             NodeState::InSafeState { .. } => None,
-            state => Some(RestartRefused::NotInSafeState(state)),
+            state => Some(RestartError::NotInSafeState { state }),
         };
         if let Some(refused) = refused {
             return PendingAnswer::new(std::future::ready(Err(refused)));
@@ -324,8 +315,8 @@ impl Handler<RestartRoot> for NodeController {
             Phase::Down => self.begin_again(context),
         }
         PendingAnswer::new(async move {
-            let started = started.await.map_err(|_| RestartRefused::ShutDown)?;
-            started.map_err(RestartRefused::GaveUp)
+            let started = started.await.map_err(|_| RestartError::ShutDown)?;
+            started.map_err(|reason| RestartError::GaveUp { reason })
         })
     }
 }
@@ -461,7 +452,7 @@ mod tests {
             rig.says(ChildEvent::Stopped);
 
             closed.await.unwrap().unwrap();
-            assert_eq!(again.await.unwrap().unwrap(), Err(RestartRefused::ShutDown));
+            assert_eq!(again.await.unwrap().unwrap(), Err(RestartError::ShutDown));
             settle().await;
             assert_eq!(rig.script.done(), ["start root", "stop root"]);
             assert_eq!(*rig.state.borrow(), NodeState::Stopped);

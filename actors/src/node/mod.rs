@@ -64,7 +64,6 @@ use crate::actuator;
 use crate::actuator::{ActuatorRow, Commander};
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
-use crate::fault_chain::directory::SupervisorDirectory;
 use crate::host::reference::ActorRef;
 use crate::liveness::sampler::Running;
 use crate::liveness::threads;
@@ -72,9 +71,9 @@ use crate::liveness::threads::ThreadRow;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::messaging::injection::Injection;
 use crate::messaging::sender::Sender;
+use crate::platform;
 use crate::platform::file_lock::released_here;
 use crate::platform::systemd::Systemd;
-use crate::runtime::guardian::Guardian;
 use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
 use actix::Recipient;
@@ -87,17 +86,15 @@ use blastema_contract::supervisor::{ReadTree, SupervisionTree};
 use blastema_core::detection::dependencies::Dependencies;
 use blastema_core::detection::{FaultRecord, MonitorRow};
 use blastema_core::{Contract, DeliveryError, Event, Incarnation, NodeName, ObjectName, Variable};
-use controller::{RestartRoot, Shutdown};
+use controller::Shutdown;
 use lost_communication::KeptPolicy;
 use std::any::type_name;
 use std::fmt;
 use std::path::PathBuf;
-use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 use std::time::Duration;
 use to_the_end::ToTheEnd;
-use tokio::sync::watch;
 use tracing::warn;
 
 /// How long the end of a node waits until another one may have its files and its socket.
@@ -136,23 +133,14 @@ struct Shared {
     chain: FaultChain,
     #[cfg(feature = "network")]
     networks: Option<Networks>,
-    /// Where the tree is read.
-    root: Recipient<ReadTree>,
-    /// What supervisors need that are added while the node runs.
-    guardian: Guardian,
-    shutdown: Recipient<Shutdown>,
-    restart: Recipient<RestartRoot>,
-    directory: SupervisorDirectory,
-    state: watch::Receiver<NodeState>,
+    /// Where the tree is read, once it is prepared.
+    root: Option<Recipient<ReadTree>>,
     dependencies: Mutex<Dependencies>,
-    plan: Arc<blastema_core::recovery::Plan>,
+    plan: blastema_core::recovery::Plan,
     systemd: Option<Systemd>,
     /// What it does when communication is lost.
     policies: Vec<Arc<KeptPolicy>>,
-    /// Components have begun, so that outputs may have to be made safe.
-    begun: AtomicBool,
-    /// The safe outputs were applied without the fault chain.
-    safe: Mutex<bool>,
+    outputs: safety::OutputState,
     /// What stood in the record of faults when the node was shut down.
     last_record: OnceLock<FaultRecord>,
     /// Files and sockets that no other node has while this one lives.
@@ -183,12 +171,12 @@ impl Node {
 
     /// How the node is now.
     pub fn state(&self) -> NodeState {
-        self.0.state.borrow().clone()
+        self.0.chain.state.borrow().clone()
     }
 
     /// Waits until the node has stopped or has entered the safe state, and returns that state.
     pub async fn ended(&self) -> NodeState {
-        let mut state = self.0.state.clone();
+        let mut state = self.0.chain.state.clone();
         let ended = |state: &NodeState| !matches!(state, NodeState::Starting | NodeState::Running);
         match state.wait_for(ended).await {
             Ok(state) => state.clone(),
@@ -306,12 +294,12 @@ impl Node {
 
     /// Every step in the history of every fault, from now on.
     pub fn fault_events(&self) -> FaultEvents {
-        FaultEvents::subscribe(&self.0.chain.monitor, self.0.state.clone())
+        FaultEvents::subscribe(&self.0.chain.monitor, self.0.chain.state.clone())
     }
 
     /// The supervision tree as it stands now; `None` once the node has ended.
     pub async fn tree(&self) -> Option<SupervisionTree> {
-        self.0.chain.answer(self.0.root.send(ReadTree)).await
+        self.0.chain.answer(self.0.root.as_ref()?.send(ReadTree)).await
     }
 
     /// Puts a fault into the component of this name, which need not know of it: for demonstrations
@@ -415,7 +403,7 @@ impl Node {
         let before = cut_short();
         #[cfg(feature = "network")]
         self.0.networks.iter().for_each(|networks| networks.handle.expect_end());
-        let stopped = self.0.chain.answer(self.0.shutdown.send(Shutdown)).await;
+        let stopped = self.0.chain.answer(self.0.chain.controller.send(Shutdown)).await;
         if stopped.is_none() && self.state() != NodeState::Stopped {
             // The fault chain stands, and no component can be stopped.
             self.0.make_safe("the fault chain does not answer to the shutdown");
@@ -444,7 +432,7 @@ impl Node {
 
 impl Shared {
     fn dependencies(&self) -> MutexGuard<'_, Dependencies> {
-        self.dependencies.lock().unwrap_or_else(PoisonError::into_inner)
+        platform::lock(&self.dependencies)
     }
 
     /// Tells the service manager of the process this, if the node is described with one.
@@ -477,7 +465,7 @@ impl Shared {
     /// they may be those of the robot that runs already.
     fn end(&self, cause: &str) {
         self.chain.expect_end();
-        let begun = self.begun.load(SeqCst);
+        let begun = self.outputs.begun.load(SeqCst);
         if begun {
             self.become_safe(cause);
         }
@@ -487,7 +475,7 @@ impl Shared {
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        let meanwhile = match &*self.state.borrow() {
+        let meanwhile = match &*self.chain.state.borrow() {
             NodeState::Starting => "it started",
             NodeState::Running => "it ran",
             NodeState::InSafeState { .. } => "it was in the safe state",

@@ -1,7 +1,7 @@
 //! Restarting a node that is in the safe state, and its children.
 
 use super::Node;
-use super::controller::{NodeState, RestartRefused, RestartRoot};
+use super::controller::{NodeState, RestartRoot};
 use crate::arbiter::pool::CULPRITS_LIMIT;
 use crate::component::spec_error::did_you_mean;
 use blastema_contract::supervisor::{ChildAction, ChildRequest, GaveUp, Recovered};
@@ -105,18 +105,8 @@ impl Node {
         if lost.len() >= CULPRITS_LIMIT {
             return Err(RestartError::ThreadsHang { count: lost.values().sum() });
         }
-        match self.0.restart.send(RestartRoot).await {
-            Ok(Ok(())) => Ok(()),
-            Ok(Err(RestartRefused::NotInSafeState(NodeState::Stopped))) => {
-                Err(RestartError::ShutDown)
-            }
-            Ok(Err(RestartRefused::NotInSafeState(state))) => {
-                Err(RestartError::NotInSafeState { state })
-            }
-            Ok(Err(RestartRefused::GaveUp(reason))) => Err(RestartError::GaveUp { reason }),
-            // The controller ends with the node's threads.
-            Ok(Err(RestartRefused::ShutDown)) | Err(_) => Err(RestartError::ShutDown),
-        }
+        // The controller ends with the node's threads.
+        self.0.chain.controller.send(RestartRoot).await.unwrap_or(Err(RestartError::ShutDown))
     }
 
     /// Starts the next incarnation of a component, or of a supervisor and all below it. This ends
@@ -134,10 +124,10 @@ impl Node {
     pub async fn restart_child(&self, name: &str) -> Result<RestartedChild, RestartError> {
         let unknown = || RestartError::Unknown {
             name: name.to_owned(),
-            nearest: self.0.directory.nearest(name),
+            nearest: self.0.chain.directory.nearest(name),
         };
         let object = ObjectName::new(name).map_err(|_| unknown())?;
-        let controller = self.0.directory.supervisor_of(&object).ok_or_else(unknown)?;
+        let controller = self.0.chain.directory.supervisor_of(&object).ok_or_else(unknown)?;
         let restart = ChildRequest { object, action: ChildAction::Restart(None) };
         match controller.requests.send(restart).await {
             Ok(Ok(Recovered { incarnation, waits, .. })) => Ok(match (incarnation, waits) {
