@@ -12,6 +12,7 @@ pub(super) use self::networks::Networks;
 
 use self::chain::{callbacks_of, make_chain, reports};
 use super::builder::{ActorPlacement, Configuration, NodeBuilder};
+use super::changes::KeptTree;
 use super::checks::{check_names, check_settings, dependencies};
 use super::controller::{NodeState, StartRoot};
 use super::error::{PolicyPart, StartError};
@@ -216,8 +217,8 @@ async fn start(
     assembly.start_networks(&mut builder.networks)?;
     let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies);
     let (root, tree, dependencies) = preparation.map_err(first)?;
-    (assembly.node.root, assembly.node.dependencies) =
-        (Some(root.tree()), Mutex::new(dependencies));
+    assembly.node.tree.root = Some(root.tree());
+    assembly.node.tree.dependencies = Mutex::new(dependencies);
     assembly.check_parameters(&builder.policies)?;
     let mut refused = assembly.connect_ports(&builder.policies, &builder.connections);
     refused.next().map_or(Ok(()), Err)?;
@@ -290,16 +291,16 @@ impl NodeAssembly {
             fault_codes: Arc::new(plan.codes()),
             ..with_features(environment, actuators)
         };
+        let dependencies = Mutex::new(Dependencies::of(node.clone()));
+        let tree = KeptTree { root: None, dependencies, plan };
         let node = Shared {
-            dependencies: Mutex::new(Dependencies::of(node.clone())),
             name: node,
             incarnation,
             environment: Arc::new(environment),
             chain,
             #[cfg(feature = "network")]
             networks: None,
-            root: None,
-            plan,
+            tree,
             systemd: None,
             policies: Vec::new(),
             outputs: OutputState::default(),
@@ -377,7 +378,7 @@ impl NodeAssembly {
             return Err(tree.refused.into_iter().map(StartError::from).collect());
         }
         let names: Vec<&ObjectName> = tree.components.iter().map(|facts| &facts.name).collect();
-        let answered = self.node.plan.check(names, own_kinds, strategies.names());
+        let answered = self.node.tree.plan.check(names, own_kinds, strategies.names());
         answered.map_err(StartError::from)?;
         let dependencies = dependencies(&self.node.name, &tree);
         dependencies.check().map_err(StartError::from)?;

@@ -6,7 +6,7 @@
 //!                   └─ the root has given up ────►┘
 //! ```
 
-use super::restart::RestartError;
+use super::changes::RestartError;
 use crate::actuator::ActuatorTable;
 use crate::fault_chain::strategy::SafeOutputs;
 use crate::platform;

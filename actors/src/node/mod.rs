@@ -29,8 +29,6 @@ mod network;
 #[cfg(feature = "network")]
 mod network_rows;
 mod order;
-mod ports;
-mod restart;
 mod safety;
 pub(crate) mod snapshot;
 mod to_the_end;
@@ -38,7 +36,7 @@ mod tree;
 mod watchdogs;
 
 pub use builder::NodeBuilder;
-pub use changes::RemoveError;
+pub use changes::{RemoveError, RestartError, RestartedChild};
 pub use conditions::Heartbeats;
 pub use controller::NodeState;
 pub use error::{PolicyPart, StartError};
@@ -54,7 +52,6 @@ pub use network::{
 #[cfg(feature = "network")]
 pub use network_rows::{LinkName, MediumRow, NetworkRow, RouteRow};
 pub use order::{ComponentOrder, OrderReply, OrderRow, OrderVerb};
-pub use restart::{RestartError, RestartedChild};
 #[cfg(feature = "network")]
 pub use snapshot::NetworkSnapshot;
 pub use snapshot::NodeSnapshot;
@@ -71,20 +68,18 @@ use crate::liveness::threads::ThreadRow;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::messaging::injection::Injection;
 use crate::messaging::sender::Sender;
-use crate::platform;
 use crate::platform::file_lock::released_here;
 use crate::platform::systemd::Systemd;
 use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
-use actix::Recipient;
 use assembly::FaultChain;
 #[cfg(feature = "network")]
 use assembly::Networks;
 use blastema_contract::detector::ReadRecord;
 use blastema_contract::monitor::ReadTable;
 use blastema_contract::supervisor::{ReadTree, SupervisionTree};
-use blastema_core::detection::dependencies::Dependencies;
 use blastema_core::detection::{FaultRecord, MonitorRow};
+use blastema_core::port::{ConnectError, PortConnection};
 use blastema_core::{Contract, DeliveryError, Event, Incarnation, NodeName, ObjectName, Variable};
 use controller::Shutdown;
 use lost_communication::KeptPolicy;
@@ -92,7 +87,7 @@ use std::any::type_name;
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use to_the_end::ToTheEnd;
 use tracing::warn;
@@ -133,10 +128,7 @@ struct Shared {
     chain: FaultChain,
     #[cfg(feature = "network")]
     networks: Option<Networks>,
-    /// Where the tree is read, once it is prepared.
-    root: Option<Recipient<ReadTree>>,
-    dependencies: Mutex<Dependencies>,
-    plan: blastema_core::recovery::Plan,
+    tree: changes::KeptTree,
     systemd: Option<Systemd>,
     /// What it does when communication is lost.
     policies: Vec<Arc<KeptPolicy>>,
@@ -272,6 +264,31 @@ impl Node {
         self.0.environment.topics().publisher_of(topic, self.0.name.as_str())
     }
 
+    /// Connects the out port of a component to the port of another one while the node runs. The
+    /// connection outlives the incarnations of both, and ends with the component that listens,
+    /// commands or asks.
+    ///
+    /// # Errors
+    /// There is no such component or port, the ports do not fit, or
+    /// [another node](ConnectError::Elsewhere) makes the connection. What a port of another node
+    /// takes is found when the first message goes there.
+    pub fn connect(&self, from: &str, to: &str) -> Result<(), ConnectError> {
+        self.0.environment.registry.connect_ports(from, to)
+    }
+
+    /// Disconnects two ports. What has been accepted is still delivered.
+    ///
+    /// # Errors
+    /// [`ConnectError::NotConnected`], or an address is wrong.
+    pub fn disconnect(&self, from: &str, to: &str) -> Result<(), ConnectError> {
+        self.0.environment.registry.disconnect_ports(from, to)
+    }
+
+    /// Returns the connections that this node makes. Its own name is left out of the addresses.
+    pub fn connections(&self) -> Vec<PortConnection> {
+        self.0.environment.registry.connections()
+    }
+
     /// Everything that is watched, each row with its age and incarnation. It can be read at any
     /// time, also while components are stuck.
     pub async fn table(&self) -> Vec<MonitorRow> {
@@ -299,7 +316,7 @@ impl Node {
 
     /// The supervision tree as it stands now; `None` once the node has ended.
     pub async fn tree(&self) -> Option<SupervisionTree> {
-        self.0.chain.answer(self.0.root.as_ref()?.send(ReadTree)).await
+        self.0.chain.answer(self.0.tree.root.as_ref()?.send(ReadTree)).await
     }
 
     /// Puts a fault into the component of this name, which need not know of it: for demonstrations
@@ -431,10 +448,6 @@ impl Node {
 }
 
 impl Shared {
-    fn dependencies(&self) -> MutexGuard<'_, Dependencies> {
-        platform::lock(&self.dependencies)
-    }
-
     /// Tells the service manager of the process this, if the node is described with one.
     fn tell_systemd(&self, state: &str) {
         if let Some(Err(reason)) = self.systemd.as_ref().map(|manager| manager.tell(state)) {
