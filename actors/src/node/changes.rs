@@ -10,7 +10,7 @@
 //! An object is entered in the dependencies before its supervisor has it, and is taken out before
 //! that stops it: so nothing begins to depend on what is about to end.
 
-use super::controller::{NodeState, RestartRoot};
+use super::controller::{RestartError, RestartRoot};
 use super::to_the_end::ToTheEnd;
 use super::tree::{PreparedTree, Subtree, TreeEnvironment};
 use super::{Node, Shared};
@@ -36,59 +36,6 @@ use tokio::sync::oneshot;
 
 /// Between two attempts at a supervisor that was restarted, or is full of requests.
 const RETRY_INTERVAL: Duration = Duration::from_millis(10);
-
-/// Why nothing was brought back.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum RestartError {
-    /// Only a node in the safe state can be restarted. [`Node::restart_child`] restarts a component
-    /// of a running node.
-    #[error("the node is not in the safe state, it is {state:?}: only from there it is restarted")]
-    NotInSafeState {
-        /// How it is.
-        state: NodeState,
-    },
-    /// The node was shut down, and its threads have ended. Build a new node.
-    #[error("the node was shut down: build another one")]
-    ShutDown,
-    /// Four components or more keep threads in handlers that never return, which cannot be ended.
-    /// Restart the process.
-    #[error("{count} threads hang for good: only a new process helps")]
-    ThreadsHang {
-        /// How many.
-        count: usize,
-    },
-    /// The node entered the safe state again before all components were active. The record of
-    /// faults names the cause.
-    #[error("it entered the safe state again: {reason}")]
-    GaveUp {
-        /// What the last thing was.
-        reason: String,
-    },
-    /// No supervisor of this node keeps an object of this name.
-    #[error("no supervisor of this node keeps {name}{}", did_you_mean(nearest.as_ref()))]
-    Unknown {
-        /// The name.
-        name: String,
-        /// The child whose name is spelt most like it.
-        nearest: Option<ObjectName>,
-    },
-    /// The supervisor of the component is not at work, as in a node in the safe state. Restart the
-    /// node, or the supervisor.
-    #[error("the supervisor of {name} is not at work: restart the node, or that supervisor")]
-    SupervisorRests {
-        /// The component.
-        name: ObjectName,
-    },
-    /// The component's next incarnation did not come to be.
-    #[error("{name} did not come back: {reason}")]
-    ChildGaveUp {
-        /// Which.
-        name: ObjectName,
-        /// Why.
-        reason: GiveUpReason,
-    },
-}
 
 /// The state of a component after [`Node::restart_child`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,8 +6,8 @@
 //!                   └─ the root has given up ────►┘
 //! ```
 
-use super::changes::RestartError;
 use crate::actuator::ActuatorTable;
+use crate::component::spec_error::did_you_mean;
 use crate::fault_chain::strategy::SafeOutputs;
 use crate::platform;
 use crate::runtime::guardian::answers_the_monitor;
@@ -18,7 +18,8 @@ use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::SafeStateChanged;
 use blastema_contract::strategy::EnterSafeState;
 use blastema_core::detection::NodeCondition;
-use blastema_core::{Fault, FaultKind, Incarnation, NodeName};
+use blastema_core::recovery::GiveUpReason;
+use blastema_core::{Fault, FaultKind, Incarnation, NodeName, ObjectName};
 use serde::Serialize;
 use tokio::sync::{oneshot, watch};
 use tracing::info;
@@ -52,6 +53,59 @@ pub(super) struct StartRoot(pub(super) Box<dyn Child>);
 #[derive(Message)]
 #[rtype(result = "Result<(), RestartError>")]
 pub(super) struct RestartRoot;
+
+/// Why nothing was brought back.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RestartError {
+    /// Only a node in the safe state can be restarted. [`Node::restart_child`](crate::Node::restart_child) restarts a component
+    /// of a running node.
+    #[error("the node is not in the safe state, it is {state:?}: only from there it is restarted")]
+    NotInSafeState {
+        /// How it is.
+        state: NodeState,
+    },
+    /// The node was shut down, and its threads have ended. Build a new node.
+    #[error("the node was shut down: build another one")]
+    ShutDown,
+    /// Four components or more keep threads in handlers that never return, which cannot be ended.
+    /// Restart the process.
+    #[error("{count} threads hang for good: only a new process helps")]
+    ThreadsHang {
+        /// How many.
+        count: usize,
+    },
+    /// The node entered the safe state again before all components were active. The record of
+    /// faults names the cause.
+    #[error("it entered the safe state again: {reason}")]
+    GaveUp {
+        /// What the last thing was.
+        reason: String,
+    },
+    /// No supervisor of this node keeps an object of this name.
+    #[error("no supervisor of this node keeps {name}{}", did_you_mean(nearest.as_ref()))]
+    Unknown {
+        /// The name.
+        name: String,
+        /// The child whose name is spelt most like it.
+        nearest: Option<ObjectName>,
+    },
+    /// The supervisor of the component is not at work, as in a node in the safe state. Restart the
+    /// node, or the supervisor.
+    #[error("the supervisor of {name} is not at work: restart the node, or that supervisor")]
+    SupervisorRests {
+        /// The component.
+        name: ObjectName,
+    },
+    /// The component's next incarnation did not come to be.
+    #[error("{name} did not come back: {reason}")]
+    ChildGaveUp {
+        /// Which.
+        name: ObjectName,
+        /// Why.
+        reason: GiveUpReason,
+    },
+}
 
 /// From the node: stop everything in order. Answered when that is done.
 #[derive(Message)]
@@ -395,7 +449,6 @@ impl Handler<Shutdown> for NodeController {
 mod tests {
     use super::*;
     use crate::fault_chain::tests::scripted::{Script, ScriptedReply};
-    use blastema_core::ObjectName;
     use blastema_doubles::{Probe, paused, settle};
 
     /// A controller whose root starts, ends or hangs as a script says.

@@ -36,9 +36,9 @@ mod tree;
 mod watchdogs;
 
 pub use builder::NodeBuilder;
-pub use changes::{RemoveError, RestartError, RestartedChild};
+pub use changes::{RemoveError, RestartedChild};
 pub use conditions::Heartbeats;
-pub use controller::NodeState;
+pub use controller::{NodeState, RestartError};
 pub use error::{PolicyPart, StartError};
 pub use faults::FaultEvents;
 pub use health::{DegradedPart, FaultCounts, LastRecovery, NodeHealth};
