@@ -17,6 +17,16 @@ pub(crate) struct ValueError {
     pub(crate) help: String,
 }
 
+impl ValueError {
+    pub(crate) fn new(
+        sentence: impl Into<String>,
+        label: impl Into<String>,
+        help: impl Into<String>,
+    ) -> Self {
+        ValueError { sentence: sentence.into(), label: label.into(), help: help.into() }
+    }
+}
+
 /// What a text means.
 pub(crate) type ParsedValue<T> = Result<T, ValueError>;
 
@@ -32,7 +42,7 @@ pub(crate) fn hint<'w>(wrong: &str, known: impl IntoIterator<Item = &'w str> + C
 }
 
 fn wrong<T>(sentence: String, label: &str, help: impl Into<String>) -> ParsedValue<T> {
-    Err(ValueError { sentence, label: label.to_owned(), help: help.into() })
+    Err(ValueError::new(sentence, label, help))
 }
 
 pub(crate) fn text(text: &str) -> ParsedValue<String> {
