@@ -63,7 +63,7 @@ pub(crate) use handshake_frame::{INIT_LENGTH, is_handshake};
 pub use header::SealProfile;
 pub use noise::NoiseCrypto;
 
-use self::admission::{CookieJar, HandshakeBudget, RepeatMemory};
+use self::admission::{BUDGET, BUDGET_PERIOD, CookieJar, RepeatMemory};
 use self::channel::Opening;
 use self::handshake::HandshakeStep;
 use self::header::SealHeader;
@@ -74,7 +74,7 @@ use super::wire::{Refusals, WireError};
 use crate::recovery::Backoff;
 use crate::sorted::SortedMap;
 use crate::timer::Timers;
-use crate::{Incarnation, Instant, Machine};
+use crate::{Incarnation, Instant, Machine, SlidingWindow};
 use bytes::{Bytes, BytesMut};
 use std::collections::VecDeque;
 use std::hash::Hash;
@@ -293,7 +293,7 @@ pub struct Sealer<C: SealCrypto, A> {
     /// Whose channel, or handshake, a number in a frame to this node means.
     numbers: SortedMap<u32, NodeId>,
     repeats: RepeatMemory,
-    budget: HandshakeBudget,
+    budget: SlidingWindow,
     cookies: CookieJar,
     /// Messages of handshakes that wait for their turn.
     steps: VecDeque<HandshakeStep<A>>,
@@ -312,7 +312,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             peers: SortedMap::new(),
             numbers: SortedMap::new(),
             repeats: RepeatMemory::default(),
-            budget: HandshakeBudget::new(now),
+            budget: SlidingWindow::new(BUDGET, BUDGET_PERIOD),
             cookies: CookieJar::new(&mut seeds, now),
             seeds,
             steps: VecDeque::new(),
@@ -335,7 +335,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if peer == self.config.node {
             return Err(PeerKeyError::Ourselves(peer));
         }
-        if self.peers.get(&peer).is_some_and(|known| known.has_key(public)) {
+        if self.peers.get(&peer).is_some_and(|known| known.public == *public) {
             return Ok(());
         }
         self.remove_peer(peer);

@@ -17,7 +17,7 @@ pub(super) struct SealedPeer<C: SealCrypto, A> {
     /// For `mac1`.
     pub(super) filter: MacKey,
     pub(super) cookie_cipher: CookieCipher,
-    pub(super) channels: PeerChannels<C::Cipher>,
+    pub(super) channels: PeerChannels,
     /// The incarnation in which it was open last.
     pub(super) was_open: Option<Incarnation>,
     /// Where it is.
@@ -79,10 +79,6 @@ impl<C: SealCrypto, A> SealedPeer<C, A> {
             proven_at: Instant::ORIGIN,
             refused: 0,
         }
-    }
-
-    pub(super) fn has_key(&self, public: &[u8; PUBLIC_KEY]) -> bool {
-        self.public == *public
     }
 
     pub(super) fn set_address(&mut self, address: A) {
