@@ -149,12 +149,8 @@ impl<'a> Topology<'a> {
 
     pub(crate) fn routes(&self) -> SortedMap<NodeId, Route> {
         let from_here = self.distances(self.here);
-        let from_neighbours: SortedMap<_, _> = self
-            .links
-            .values()
-            .map(|a| (a.id, ()))
-            .map(|(id, ())| (id, self.distances(id)))
-            .collect();
+        let neighbours = self.links.values().map(|adjacent| adjacent.id);
+        let from_neighbours = neighbours.map(|id| (id, self.distances(id))).collect();
         from_here
             .iter()
             .filter(|(id, _)| **id != self.here)
