@@ -187,7 +187,7 @@ impl Session {
         if tries > Self::CLOSE_TRIES {
             return self.end(DeliveryError::Stopped);
         }
-        self.rtt[TrafficClass::Control as usize].back_off();
+        self.streams[TrafficClass::Control as usize].rtt.back_off();
         let again_at = Some(self.now + self.retransmit_timeout(TrafficClass::Control));
         self.state = State::Closing { peer, again_at, tries: tries + 1 };
         self.transmit(PacketPriority::Control, Segment::Close { tag: peer.tag });

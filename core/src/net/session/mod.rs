@@ -63,7 +63,7 @@ use self::round_trip::RttEstimator;
 use self::turns::WeightedTurns;
 use super::wire::Refusals;
 use super::wire::packet::{PacketPriority, UndeliveredReason};
-use super::wire::segment::{ACKNOWLEDGED_TOGETHER, Data, Datagram, Segment, SessionReceipt};
+use super::wire::segment::{Data, Datagram, Segment, SessionReceipt};
 use crate::timer::Timers;
 use crate::{Credit, DeliveryError, GatherBuffer, Incarnation, Instant, Machine, TrafficClass};
 use bytes::Bytes;
@@ -75,7 +75,7 @@ use std::time::Duration;
 /// of a large one; from 3 on acknowledgements tell when the last part arrived; from 4 on each class
 /// has a stream of its own; from 6 on an open tells what arrived in the session before; from 7 on
 /// faults come as requests, and a reply that cannot be written is an error of its own.
-pub const VERSION: u8 = 7;
+pub const VERSION: u8 = 8;
 
 /// The machine of one peer node's sessions, one after the other.
 #[derive(Debug)]
@@ -93,9 +93,6 @@ pub struct Session {
     path: Option<usize>,
     /// By class, as all arrays here.
     streams: [StreamState; TrafficClass::COUNT],
-    /// Of each stream, for control overtakes the others on its way.
-    rtt: [RttEstimator; TrafficClass::COUNT],
-    retransmit_at: [Option<Instant>; TrafficClass::COUNT],
     /// Of what travels by one path.
     congestion: CongestionControl,
     /// Parts of control since the last one that shares what it leaves.
@@ -160,6 +157,9 @@ struct Unsettled {
 struct StreamState {
     outbound: Outbound,
     inbound: Inbound,
+    /// Of each stream by itself, for control overtakes the others on its way.
+    rtt: RttEstimator,
+    retransmit_at: Option<Instant>,
 }
 
 impl Session {
@@ -176,8 +176,6 @@ impl Session {
     /// A machine without a session; it opens one when there is a path.
     pub fn new(config: SessionConfig, now: Instant) -> Self {
         let streams = [(); TrafficClass::COUNT].map(|()| StreamState::new(&config));
-        let trip = |()| RttEstimator::new(config.retransmit_min, config.retransmit_max);
-        let rtt = [(); TrafficClass::COUNT].map(trip);
         // Pieces of two of the largest messages.
         let assembly = config.message_max.saturating_mul(2);
         Session {
@@ -188,8 +186,6 @@ impl Session {
             known: None,
             path: None,
             streams,
-            rtt,
-            retransmit_at: [None; TrafficClass::COUNT],
             congestion: CongestionControl::new(config.window_bytes),
             control_run: 0,
             turns: WeightedTurns::default(),
@@ -305,8 +301,7 @@ impl Session {
         self.now = now;
         self.path = Some(mtu);
         let narrow = self.is_narrow();
-        let enter = if narrow { RttEstimator::enter_narrow_path } else { RttEstimator::enter_path };
-        self.rtt.iter_mut().for_each(enter);
+        self.streams.iter_mut().for_each(|stream| stream.rtt.enter_path(narrow));
         self.congestion.enter_path(mtu, narrow);
         self.datagrams_out.handle_path();
         self.datagrams_lost_at = None;
@@ -321,7 +316,7 @@ impl Session {
                 for stream in TrafficClass::ALL {
                     if self.streams[stream as usize].outbound.lose_all() {
                         let due = now + self.retransmit_timeout(stream);
-                        self.retransmit_at[stream as usize] = Some(due);
+                        self.streams[stream as usize].retransmit_at = Some(due);
                     }
                 }
             }
@@ -335,7 +330,7 @@ impl Session {
         self.path = None;
         self.datagrams_out.handle_no_path();
         self.datagrams_lost_at = None;
-        self.retransmit_at = [None; TrafficClass::COUNT];
+        self.streams.iter_mut().for_each(|stream| stream.retransmit_at = None);
         self.waiting_since.get_or_insert(now);
     }
 
@@ -404,15 +399,11 @@ impl Session {
                 if let Some(ack) = datagrams {
                     self.handle_datagram_ack(ack);
                 }
-                for (stream, ack) in ACKNOWLEDGED_TOGETHER.into_iter().zip(streams) {
+                for (stream, ack) in TrafficClass::ALL.into_iter().zip(streams) {
                     if let Some(ack) = ack {
                         self.handle_ack(stream, &ack);
                     }
                 }
-                self.close_when_done();
-            }
-            Ok(Segment::AcknowledgeOne { tag, stream, ack }) if self.meant_for_us(tag) => {
-                self.handle_ack(stream.class(), &ack);
                 self.close_when_done();
             }
             Ok(Segment::Close { tag }) if self.meant_for_us(tag) => self.handle_peers_close(),
@@ -425,8 +416,7 @@ impl Session {
             Ok(
                 Segment::Data(Data { tag, .. })
                 | Segment::Datagram(Datagram { tag, .. })
-                | Segment::Acknowledge { tag, .. }
-                | Segment::AcknowledgeOne { tag, .. },
+                | Segment::Acknowledge { tag, .. },
             ) => {
                 self.refusals.stale += 1;
                 self.transmit(PacketPriority::Control, Segment::Reset { tag });
@@ -491,7 +481,8 @@ impl Session {
                 let why = why.clone();
                 self.outputs.push_back(SessionOutput::Returned { stream, message, why, sent });
             }
-            *state = StreamState::new(&self.config);
+            state.rtt.progress();
+            *state = StreamState { rtt: state.rtt, ..StreamState::new(&self.config) };
         }
         self.counters = self.counters();
         let assembly = self.config.message_max.saturating_mul(2);
@@ -502,9 +493,7 @@ impl Session {
         self.datagrams_lost_at = None;
         self.replicas = DuplicateDiscard::default();
         self.congestion.restart(self.now);
-        self.retransmit_at = [None; TrafficClass::COUNT];
         self.waiting_since = None;
-        self.rtt.iter_mut().for_each(RttEstimator::progress);
     }
 
     fn transmit(&mut self, class: PacketPriority, segment: Segment) {
@@ -512,9 +501,10 @@ impl Session {
         self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere: false });
     }
 
-    fn transmit_everywhere(&mut self, class: PacketPriority, segment: Segment) {
-        let segment = segment.parcel();
-        self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere: true });
+    /// Transmits what belongs to one stream; a copy of what is redundant goes over every path.
+    fn transmit_for(&mut self, stream: TrafficClass, class: PacketPriority, segment: Segment) {
+        let (segment, everywhere) = (segment.parcel(), stream == TrafficClass::Redundant);
+        self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere });
     }
 
     /// The peer has owed an answer, or had no path, for too long.
@@ -538,6 +528,8 @@ impl StreamState {
         StreamState {
             outbound: Outbound::new(config.window),
             inbound: Inbound::new(config.window, config.message_max),
+            rtt: RttEstimator::new(config.retransmit_min, config.retransmit_max),
+            retransmit_at: None,
         }
     }
 }

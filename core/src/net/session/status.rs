@@ -1,7 +1,6 @@
 //! The status of a session, for display.
 
 use super::duplicates::DuplicateDiscard;
-use super::round_trip::RttEstimator;
 use super::{Session, SessionCounters, State};
 use crate::Incarnation;
 use crate::net::wire::Refusals;
@@ -76,7 +75,7 @@ impl Session {
 
     /// The smoothed round trip to the peer.
     pub fn round_trip(&self) -> Option<Duration> {
-        self.rtt.iter().find_map(RttEstimator::smoothed)
+        self.streams.iter().find_map(|stream| stream.rtt.smoothed())
     }
 
     /// What it did so far.

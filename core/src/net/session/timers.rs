@@ -1,6 +1,5 @@
 //! When a session acts by itself.
 
-use super::round_trip::RttEstimator;
 use super::{Session, State};
 use crate::timer::Timers;
 use crate::{Instant, TrafficClass};
@@ -55,12 +54,12 @@ impl Timers for Session {
         match (timer, self.state) {
             (SessionTimer::Idle, _) => {
                 // Where an answer takes long, one that is lost is asked for twice before that.
-                let longest = self.rtt.iter().map(RttEstimator::timeout).max();
+                let longest = self.streams.iter().map(|stream| stream.rtt.timeout()).max();
                 let answers = longest.filter(|_| self.path.is_some()).unwrap_or_default() * 3;
                 let times = if self.unsettled.is_some() { Session::SETTLE_TIMES } else { 1 };
                 Some(self.waiting_since? + (self.config.idle_timeout * times).max(answers))
             }
-            (SessionTimer::Loss(stream), _) => self.retransmit_at[stream as usize],
+            (SessionTimer::Loss(stream), _) => self.streams[stream as usize].retransmit_at,
             (SessionTimer::LossDatagrams, _) => self.datagrams_lost_at,
             (SessionTimer::OpenRetransmit, State::Opening { again_at, .. }) => {
                 self.path.map(|_| again_at)

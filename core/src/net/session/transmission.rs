@@ -9,8 +9,7 @@ use super::{Session, State};
 use crate::net::is_narrow;
 use crate::net::wire::packet::{PacketPriority, UndeliveredReason};
 use crate::net::wire::segment::{
-    ACKNOWLEDGED_TOGETHER, Ack, Data, DatagramAck, DelayTicks, PIECE_HEADER, Segment,
-    SeparateStream, data_header,
+    Ack, Data, DatagramAck, DelayTicks, PIECE_HEADER, Segment, data_header,
 };
 use crate::{DeliveryError, Instant, TrafficClass};
 use std::time::Duration;
@@ -24,7 +23,9 @@ impl Session {
         self.counters.last_return = Some(reason);
         self.returned = Some(reason);
         let soon = now + self.config.retransmit_min;
-        self.retransmit_at = self.retransmit_at.map(|due| due.map(|at| at.min(soon)));
+        for stream in &mut self.streams {
+            stream.retransmit_at = stream.retransmit_at.map(|at| at.min(soon));
+        }
     }
 
     /// Why the peer cannot be reached, as far as it was reported.
@@ -65,8 +66,9 @@ impl Session {
 
     /// How long an answer is waited for. Where this stream has measured none, others may have.
     pub(super) fn retransmit_timeout(&self, stream: TrafficClass) -> Duration {
-        let own = &self.rtt[stream as usize];
-        let measured = self.rtt.iter().filter(|rtt| rtt.smoothed().is_some());
+        let own = &self.streams[stream as usize].rtt;
+        let measured = self.streams.iter().map(|stream| &stream.rtt);
+        let measured = measured.filter(|rtt| rtt.smoothed().is_some());
         match own.smoothed() {
             Some(_) => own.timeout(),
             None => {
@@ -187,7 +189,7 @@ impl Session {
             let due = self.now + self.retransmit_timeout(TrafficClass::Event);
             self.datagrams_lost_at.get_or_insert(due);
             let load = CongestionControl::load(1, datagram.payload.len());
-            let round_trip = self.rtt[TrafficClass::Event as usize].smoothed();
+            let round_trip = self.streams[TrafficClass::Event as usize].rtt.smoothed();
             self.congestion.handle_sent(load, round_trip, self.now);
         }
         self.transmit(PacketPriority::Data, Segment::Datagram(datagram));
@@ -195,17 +197,9 @@ impl Session {
     }
 
     fn transmit_ack(&mut self, tag: u32, stream: TrafficClass, ack: Ack) {
-        if stream == TrafficClass::Redundant {
-            let segment = Segment::AcknowledgeOne { tag, stream: SeparateStream::Redundant, ack };
-            return self.transmit_everywhere(PacketPriority::Control, segment);
-        }
-        if stream == TrafficClass::Replication {
-            let segment = Segment::AcknowledgeOne { tag, stream: SeparateStream::Replication, ack };
-            return self.transmit(PacketPriority::Control, segment);
-        }
-        let streams = ACKNOWLEDGED_TOGETHER.map(|other| (other == stream).then(|| ack.clone()));
+        let streams = TrafficClass::ALL.map(|other| (other == stream).then(|| ack.clone()));
         let segment = Segment::Acknowledge { tag, streams, datagrams: None };
-        self.transmit(PacketPriority::Control, segment);
+        self.transmit_for(stream, PacketPriority::Control, segment);
     }
 
     pub(super) fn transmit_as(
@@ -222,31 +216,24 @@ impl Session {
         self.counters.bytes_sent += part.payload.len() as u64;
         self.counters.retransmitted += u64::from(again);
         let due = self.now + self.retransmit_timeout(stream);
-        self.retransmit_at[stream as usize].get_or_insert(due);
+        self.streams[stream as usize].retransmit_at.get_or_insert(due);
         let Chunk { first, last, payload, .. } = part;
         if stream.is_weighted() {
             let load = CongestionControl::load(1, payload.len());
-            let round_trip = self.rtt[stream as usize].smoothed();
+            let round_trip = self.streams[stream as usize].rtt.smoothed();
             self.congestion.handle_sent(load, round_trip, self.now);
         }
         for (piece, payload) in pieces_of(&payload, capacity) {
             let ack = ack.take();
             let data = Data { tag, stream, sequence, first, last, again, piece, ack, payload };
             let segment = Segment::Data(data);
-            match stream {
-                TrafficClass::Control => self.transmit(PacketPriority::Control, segment),
+            let class = match stream {
+                TrafficClass::Control => PacketPriority::Control,
                 // A stop, or a beat: it waits for nothing that is said one way.
-                TrafficClass::Redundant if first && last => {
-                    self.transmit_everywhere(PacketPriority::Control, segment);
-                }
-                TrafficClass::Redundant => self.transmit_everywhere(PacketPriority::Data, segment),
-                TrafficClass::Replication
-                | TrafficClass::Request
-                | TrafficClass::Event
-                | TrafficClass::Bulk => {
-                    self.transmit(PacketPriority::Data, segment);
-                }
-            }
+                TrafficClass::Redundant if first && last => PacketPriority::Control,
+                _ => PacketPriority::Data,
+            };
+            self.transmit_for(stream, class, segment);
         }
     }
 
@@ -254,9 +241,13 @@ impl Session {
     /// in any case, and what something has arrived of since the last time.
     pub(super) fn acknowledge(&mut self) {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
-        let streams = ACKNOWLEDGED_TOGETHER.map(|stream| {
+        let streams = TrafficClass::ALL.map(|stream| {
             let inbound = &mut self.streams[stream as usize].inbound;
-            let is_told = stream == TrafficClass::Control || inbound.owed().is_some();
+            let is_told = match stream {
+                TrafficClass::Control => true,
+                TrafficClass::Redundant => false,
+                _ => inbound.owed().is_some(),
+            };
             is_told.then(|| inbound.acknowledge())
         });
         let datagrams = self.datagrams_in.acknowledge();
@@ -267,12 +258,10 @@ impl Session {
     /// Acknowledges what has waited for it.
     pub(super) fn acknowledge_owed(&mut self) {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
-        for stream in [TrafficClass::Redundant, TrafficClass::Replication] {
-            let inbound = &mut self.streams[stream as usize].inbound;
-            if inbound.owed().is_some() {
-                let ack = inbound.acknowledge();
-                self.transmit_ack(peer.tag, stream, ack);
-            }
+        let redundant = &mut self.streams[TrafficClass::Redundant as usize].inbound;
+        if redundant.owed().is_some() {
+            let ack = redundant.acknowledge();
+            self.transmit_ack(peer.tag, TrafficClass::Redundant, ack);
         }
         if self.ack_owed().is_some() {
             self.acknowledge();
@@ -299,7 +288,7 @@ impl Session {
             let round_trip = self.now - sent;
             // What was sent again may be the answer to the first sending (Karn's algorithm).
             if !again {
-                self.rtt[stream as usize].measure(round_trip);
+                self.streams[stream as usize].rtt.measure(round_trip);
             }
             // Copies take every path.
             if stream != TrafficClass::Redundant {
@@ -315,7 +304,7 @@ impl Session {
                 self.congestion.handle_arrived(signal, self.now);
             }
             let due = self.now + self.retransmit_timeout(stream);
-            self.retransmit_at[stream as usize] = (self.flying(stream) > 0).then_some(due);
+            self.streams[stream as usize].retransmit_at = (self.flying(stream) > 0).then_some(due);
         }
         self.record_receipt();
     }
@@ -329,7 +318,7 @@ impl Session {
         };
         let DatagramProgress { arrived, latest: SentPart { sent, .. }, has_lost } = progress;
         let round_trip = self.now - sent;
-        self.rtt[TrafficClass::Event as usize].measure(round_trip);
+        self.streams[TrafficClass::Event as usize].rtt.measure(round_trip);
         let delay = ack.arrived - DelayTicks::of(sent);
         let sample = DelaySample { delay, round_trip, lane: DelayLane::Usual };
         self.congestion.handle_delay(sample, self.now);
@@ -345,23 +334,24 @@ impl Session {
         self.datagrams_out.lose_all();
         // What shares the path with them tells by itself what the path is like.
         if !self.is_shared() {
-            self.rtt[TrafficClass::Event as usize].back_off();
+            self.streams[TrafficClass::Event as usize].rtt.back_off();
             self.congestion.handle_timeout(self.now);
         }
     }
 
     /// Takes all that is in flight of this stream for lost.
     pub(super) fn detect_loss(&mut self, stream: TrafficClass) {
-        self.retransmit_at[stream as usize] = None;
+        self.streams[stream as usize].retransmit_at = None;
         if self.flying(stream) == 0 {
             return;
         }
-        self.rtt[stream as usize].back_off();
+        self.streams[stream as usize].rtt.back_off();
         // What shares the path with control tells by itself what the path is like.
         if stream.is_weighted() || stream == TrafficClass::Control && !self.is_shared() {
             self.congestion.handle_timeout(self.now);
         }
         self.streams[stream as usize].outbound.lose_all();
-        self.retransmit_at[stream as usize] = Some(self.now + self.retransmit_timeout(stream));
+        self.streams[stream as usize].retransmit_at =
+            Some(self.now + self.retransmit_timeout(stream));
     }
 }
