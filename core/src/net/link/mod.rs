@@ -398,12 +398,6 @@ impl Link {
         self.hello_interval
     }
 
-    /// How surprising the neighbour's silence is by now, as φ: 1 is one in ten, 8 one in 10⁸, were
-    /// delays normally distributed. It is for display, and decides nothing.
-    pub fn phi(&self, now: Instant) -> f32 {
-        self.neighbour.as_ref().map_or(0.0, |record| record.arrivals.phi(now))
-    }
-
     /// When the neighbour's last hello was received, if it is known.
     pub fn last_hello(&self) -> Option<Instant> {
         self.neighbour.as_ref().map(|record| record.received_at)
