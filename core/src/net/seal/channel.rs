@@ -99,11 +99,11 @@ pub(super) struct ChannelTerms {
 /// Two keys, and the counters under them.
 #[derive(Debug)]
 pub(super) struct Channel {
-    terms: ChannelTerms,
+    pub(super) terms: ChannelTerms,
     cipher: Box<dyn FrameCipher>,
-    since: Instant,
+    pub(super) since: Instant,
     /// A frame was opened under it.
-    confirmed: bool,
+    pub(super) confirmed: bool,
     next: [u64; 3],
     windows: [ReplayWindow; 3],
     sealed: u64,
@@ -136,18 +136,6 @@ impl Channel {
         }
     }
 
-    pub(super) fn terms(&self) -> &ChannelTerms {
-        &self.terms
-    }
-
-    pub(super) fn since(&self) -> Instant {
-        self.since
-    }
-
-    pub(super) fn is_confirmed(&self) -> bool {
-        self.confirmed
-    }
-
     fn suite(&self) -> Option<CipherSuite> {
         (self.terms.profile == SealProfile::Full).then_some(self.terms.suite)
     }
@@ -166,7 +154,7 @@ impl Channel {
     }
 
     /// Seals a frame, given in pieces. One buffer is allocated.
-    fn seal(&mut self, lane: FrameLane, pieces: &[&[u8]]) -> Bytes {
+    pub(super) fn seal(&mut self, lane: FrameLane, pieces: &[&[u8]]) -> Bytes {
         let (profile, suite, channel) = (self.terms.profile, self.suite(), self.terms.remote);
         let counter = self.next[lane.number()];
         self.next[lane.number()] += 1;
@@ -242,8 +230,8 @@ pub(super) enum Opening {
 /// The channels of one peer.
 #[derive(Debug, Default)]
 pub(super) struct PeerChannels {
-    present: Option<Channel>,
-    offered: Option<OfferedChannel>,
+    pub(super) present: Option<Channel>,
+    pub(super) offered: Option<OfferedChannel>,
     /// With the instant at which it is dropped.
     former: Option<(Channel, Instant)>,
     /// When a frame was opened under the present channel.
@@ -256,14 +244,6 @@ impl PeerChannels {
     /// A peer whose frames were opened within this time is there, in that incarnation. Links know
     /// after 175 ms of silence that a neighbour is gone.
     const HEARD_WITHIN: Duration = Duration::from_millis(200);
-
-    pub(super) fn present(&self) -> Option<&Channel> {
-        self.present.as_ref()
-    }
-
-    pub(super) fn offered(&self) -> Option<&OfferedChannel> {
-        self.offered.as_ref()
-    }
 
     /// The numbers of all channels in frames to this node.
     pub(super) fn local_numbers(&self) -> impl Iterator<Item = u32> {
@@ -301,11 +281,6 @@ impl PeerChannels {
         Some(present.seal(lane, pieces))
     }
 
-    /// Seals under the offered channel.
-    pub(super) fn seal_offered(&mut self, lane: FrameLane, pieces: &[&[u8]]) -> Option<Bytes> {
-        Some(self.offered.as_mut()?.channel.seal(lane, pieces))
-    }
-
     /// Opens a frame under the channel that its header names. Returns the peer's
     /// incarnation, as that channel's handshake says.
     pub(super) fn open(
@@ -341,11 +316,6 @@ impl PeerChannels {
         Ok((Opening::Accepted, peer))
     }
 
-    /// Offers a channel to the initiator of a handshake. It replaces an earlier offer.
-    pub(super) fn offer(&mut self, offer: OfferedChannel) {
-        self.offered = Some(offer);
-    }
-
     /// Takes the offered channel into use, and offers the present one instead. Returns the
     /// peer's incarnation in the channel that is used now.
     pub(super) fn exchange(&mut self, now: Instant) -> Option<Incarnation> {
@@ -355,11 +325,6 @@ impl PeerChannels {
         present.confirmed = true;
         (self.former, self.opened_at) = (None, Some(now));
         Some(present.terms.peer)
-    }
-
-    /// Drops the offer.
-    pub(super) fn withdraw(&mut self) {
-        self.offered = None;
     }
 
     /// Takes a channel into use. Frames of another incarnation of the peer are not opened any more.

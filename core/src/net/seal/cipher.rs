@@ -62,12 +62,6 @@ pub struct ChannelKeys {
     pub open: [u8; 32],
 }
 
-impl fmt::Debug for ChannelKeys {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("ChannelKeys(…)")
-    }
-}
-
 /// Seals and opens the frames of one channel, in place.
 pub trait FrameCipher: fmt::Debug + Send {
     /// Seals what stands in `frame` from `from` on, and appends the tag. The caller uses each nonce

@@ -226,7 +226,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         peer.has_proof(frame, bytes)?;
         if self.repeats.contains(init.from, init.ephemeral()) {
             // Our answer may have been lost.
-            if let Some(offer) = peer.channels.offered()
+            if let Some(offer) = &peer.channels.offered
                 && offer.ephemeral == init.ephemeral()
             {
                 let answer = offer.answer.clone();
@@ -409,16 +409,12 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         let Some(peer) = self.peers.get_mut(&node) else { return };
         let answer = peer.encoded(&HandshakeFrame::Answer(answer), now);
         let ephemeral = init.ephemeral();
-        peer.channels.offer(OfferedChannel {
-            channel,
-            since: now,
-            ephemeral,
-            answer: answer.clone(),
-        });
+        let offer = OfferedChannel { channel, since: now, ephemeral, answer: answer.clone() };
+        peer.channels.offered = Some(offer);
         self.transmit(from, answer);
         self.index(node);
-        let since = |peer: &SealedPeer<C, A>| Some(peer.channels.offered()?.since);
-        self.bound(OFFERS_MAX, since, |peer| peer.channels.withdraw());
+        let since = |peer: &SealedPeer<C, A>| Some(peer.channels.offered.as_ref()?.since);
+        self.bound(OFFERS_MAX, since, |peer| peer.channels.offered = None);
     }
 
     fn complete(&mut self, node: NodeId, answer: &AnswerFrame, to: A, now: Instant) {
@@ -439,7 +435,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if let Some(open) = peer.channels.in_use_by_other(theirs, now) {
             // For what the other one is told.
             let offer = OfferedChannel { channel, since: now, ephemeral, answer: Bytes::new() };
-            peer.channels.offer(offer);
+            peer.channels.offered = Some(offer);
             let in_use = SealerOutput::KeyInUse { peer: node, address: to, open, refused: theirs };
             self.outputs.push_back(in_use);
             return self.index(node);

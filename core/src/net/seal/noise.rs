@@ -27,6 +27,18 @@ use std::hint::black_box;
 use x25519_dalek::{PublicKey, StaticSecret};
 use zeroize::Zeroizing;
 
+/// Shows the name of a type that holds a secret, and nothing else.
+macro_rules! secret {
+    ($($name:ident),*) => {
+        $(impl fmt::Debug for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str(concat!(stringify!($name), "(…)"))
+            }
+        })*
+    };
+}
+secret!(NoiseCrypto, SeedGenerator, MacKey, CookieCipher, ChannelKeys);
+
 /// The cryptography of a node, with its static key.
 pub struct NoiseCrypto {
     secret: StaticSecret,
@@ -53,12 +65,6 @@ impl NoiseCrypto {
         let builder = Builder::with_resolver(params, Box::new(resolver));
         let builder = builder.local_private_key(self.secret.as_bytes()).ok()?;
         builder.remote_public_key(terms.peer).ok()?.prologue(terms.prologue).ok()
-    }
-}
-
-impl fmt::Debug for NoiseCrypto {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("NoiseCrypto(…)")
     }
 }
 
@@ -277,12 +283,6 @@ impl SeedGenerator {
     }
 }
 
-impl fmt::Debug for SeedGenerator {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("SeedGenerator(…)")
-    }
-}
-
 impl Random for SeedGenerator {
     fn try_fill_bytes(&mut self, out: &mut [u8]) -> Result<(), snow::Error> {
         for chunk in out.chunks_mut(32) {
@@ -320,12 +320,6 @@ impl MacKey {
         let differing =
             right.iter().zip(mac).fold(0, |bits, (ours, theirs)| black_box(bits | (ours ^ theirs)));
         mac.len() == right.len() && differing == 0
-    }
-}
-
-impl fmt::Debug for MacKey {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("MacKey(…)")
     }
 }
 
@@ -377,12 +371,6 @@ impl CookieCipher {
         let nonce = Nonce::assume_unique_for_key(nonce);
         let opened = self.0.open_in_place(nonce, Aad::from(mac), &mut sealed);
         opened.ok()?.first_chunk().copied()
-    }
-}
-
-impl fmt::Debug for CookieCipher {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("CookieCipher(…)")
     }
 }
 

@@ -81,10 +81,6 @@ impl<C: SealCrypto, A> SealedPeer<C, A> {
         }
     }
 
-    pub(super) fn set_address(&mut self, address: A) {
-        self.address = Some(address);
-    }
-
     pub(super) fn stop(&mut self) {
         self.approach = Approach::Idle;
         self.retransmit_at = None;
@@ -92,10 +88,6 @@ impl<C: SealCrypto, A> SealedPeer<C, A> {
 
     pub(super) fn is_idle(&self) -> bool {
         matches!(self.approach, Approach::Idle)
-    }
-
-    pub(super) fn retransmit_due(&self) -> Option<Instant> {
-        self.retransmit_at
     }
 
     /// Both ends use the present channel. Returns whether these are new keys for a peer that was

@@ -321,7 +321,7 @@ fn the_seventeenth_offer_withdraws_the_first() {
         right.handle_frame(transmitted(&mut left).remove(0), &node.0, at(node.0.into())).unwrap();
         right.handle_turn(at(node.0.into()));
     }
-    let offered = |node: u32| right.peers[&NodeId(node)].channels.offered().is_some();
+    let offered = |node: u32| right.peers[&NodeId(node)].channels.offered.is_some();
     assert_eq!((10..27).filter(|node| offered(*node)).count(), OFFERS_MAX);
     assert!(!offered(10) && offered(26));
 }
