@@ -68,8 +68,8 @@ impl RttEstimator {
             true => (Self::INITIAL_NARROW, Self::SHORTEST_NARROW, Self::LONGEST_NARROW),
             false => (Self::INITIAL, self.shortest, self.longest),
         };
-        // Steady round trips say nothing of the next one, which a busy computer or a radio delays: the
-        // shortest timeout comes on top of them (TCP in Linux does the same with 200 ms).
+        // Steady round trips say nothing of the next one, which a busy computer or a radio delays:
+        // the shortest timeout comes on top of them (TCP in Linux does the same with 200 ms).
         let least = if self.narrow { Duration::ZERO } else { shortest };
         let margin = (4 * self.deviation).max(least);
         let base = self.smoothed.map_or(initial, |smoothed| smoothed + margin).max(shortest);

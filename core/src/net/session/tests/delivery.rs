@@ -293,7 +293,7 @@ fn a_peer_that_promises_an_absurd_window_is_sent_no_more_than_ours() {
         pair.ends[0].handle_send(TrafficClass::Redundant, text("x"), at(pair.now)).unwrap();
         pair.drain();
     }
-    let tag = pair.ends[0].tag;
+    let tag = pair.ends[0].identity.tag;
     let ack = Ack { next: 1, window: u32::MAX, arrived: DelayTicks::default(), ranges: vec![] };
     let streams = [None, Some(ack), None, None, None, None];
     let greedy = Segment::Acknowledge { tag, streams, datagrams: None };
