@@ -114,7 +114,7 @@ fn what_nobody_can_do_is_refused_with_what_helps() {
             "choose one from 0 to 30",
         )
         .await;
-        check(|config| config.path = "/dev/does-not-exist".into(), "plug the adapter in").await;
+        check(|config| config.path = "/dev/does-not-exist".into(), "plug the device in").await;
     });
 }
 
