@@ -81,7 +81,6 @@ impl Rig {
                     RecoveryOutcome::Waits => format!("{id} waits"),
                     RecoveryOutcome::GaveUp { reason } => format!("{id} given up: {reason}"),
                 },
-                RecovererOutput::Release { action } => format!("release {action}"),
                 RecovererOutput::AbandonIncarnation { fault } => {
                     format!("give up {} {}", fault.location, fault.incarnation)
                 }
@@ -448,21 +447,6 @@ fn isolation_contains_and_does_not_recover() {
         rig.outcome(1, Ok(RecoveryDone::default())),
         ["1 given up: contained by isolate; service is not restored"]
     );
-}
-
-#[test]
-fn a_strategy_without_work_is_released_and_one_at_work_is_not() {
-    let limits = RecovererLimits { idle: Duration::from_secs(5), ..RecovererLimits::default() };
-    let mut rig = Rig::with(Plan::default(), limits);
-    rig.find(panic_of(1, "laser", 1));
-    rig.find(fault(2, FaultKind::ErrorState, at("arm"), 1));
-    rig.outcome(2, Ok(RecoveryDone::default()));
-
-    assert_eq!(rig.pass(Duration::from_secs(5)), ["release reset"]);
-    rig.outcome(1, works(2));
-    assert_eq!(rig.pass(Duration::from_secs(4)), [""; 0]);
-    assert_eq!(rig.pass(Duration::from_secs(1)), ["release restart"]);
-    assert_eq!(rig.machine.poll_timeout(), None);
 }
 
 #[test]
