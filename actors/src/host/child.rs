@@ -10,7 +10,7 @@ use crate::liveness::{label, sampler};
 use crate::messaging::death_watch::{DownReason, Watchable};
 use crate::messaging::injection::Injection;
 use actix::Recipient;
-use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
+use blastema_contract::child::{Child, ChildEvent, ChildOrder, ChildReport};
 use blastema_core::{DeliveryError, FaultKind, Incarnation, Lifecycle, ObjectName};
 use std::any::Any;
 use std::sync::Arc;
@@ -38,11 +38,7 @@ impl<C: Component> ComponentChild<C> {
     }
 
     /// An incarnation is there, or on its way.
-    fn is_alive(&self) -> bool {
-        self.cell.queue.owner().is_some()
-    }
-
-    fn order(&self, command: HostCommand) {
+    fn command(&self, command: HostCommand) {
         if let Some(control) = self.cell.control() {
             control.send(command);
         }
@@ -158,33 +154,36 @@ impl<C: Component> Child for ComponentChild<C> {
         incarnation
     }
 
-    fn stop(&mut self) {
-        if self.is_alive() {
-            return self.order(HostCommand::Stop);
+    fn order(&mut self, order: ChildOrder) -> bool {
+        let is_alive = self.cell.queue.owner().is_some();
+        match order {
+            ChildOrder::Stop { again: true } if is_alive => self.command(HostCommand::MakeWay),
+            ChildOrder::Stop { .. } if is_alive => self.command(HostCommand::Stop),
+            ChildOrder::Stop { again } => {
+                if !again {
+                    self.cell.record.leave_work();
+                    self.cell.end();
+                }
+                self.tell(self.cell.record.incarnation(), ChildEvent::Stopped);
+            }
+            ChildOrder::ExpectEnd => {}
+            ChildOrder::Retire => {
+                self.give_up(false);
+                self.cell.end();
+            }
+            ChildOrder::Abandon => {
+                self.give_up(false);
+            }
+            ChildOrder::CutOff => return self.give_up(true),
+            ChildOrder::Reset if is_alive => self.command(HostCommand::Reset),
+            ChildOrder::Reset => {
+                let reason = "it is not alive".to_owned();
+                self.tell(self.cell.record.incarnation(), ChildEvent::ResetFailed { reason });
+            }
+            ChildOrder::Isolate(isolated) => self.cell.isolate(isolated),
+            ChildOrder::RestartGrant(grant) => self.cell.record.set_order(grant),
         }
-        self.cell.record.leave_work();
-        self.cell.end();
-        self.tell(self.cell.record.incarnation(), ChildEvent::Stopped);
-    }
-
-    fn make_way(&mut self) {
-        if self.is_alive() {
-            return self.order(HostCommand::MakeWay);
-        }
-        self.tell(self.cell.record.incarnation(), ChildEvent::Stopped);
-    }
-
-    fn retire(&mut self) {
-        self.give_up(false);
-        self.cell.end();
-    }
-
-    fn abandon(&mut self) {
-        self.give_up(false);
-    }
-
-    fn cut_off(&mut self) -> bool {
-        self.give_up(true)
+        false
     }
 
     fn move_to_own_thread(&mut self) -> Result<(), &'static str> {
@@ -198,31 +197,14 @@ impl<C: Component> Child for ComponentChild<C> {
         Ok(())
     }
 
-    fn reset(&mut self) {
-        if self.is_alive() {
-            return self.order(HostCommand::Reset);
-        }
-        let reason = "it is not alive".to_owned();
-        self.tell(self.cell.record.incarnation(), ChildEvent::ResetFailed { reason });
-    }
-
-    fn isolate(&mut self, isolated: bool) {
-        self.cell.isolate(isolated);
-    }
-
     fn explain_isolation(&mut self, reason: &str) {
         self.cell.record.cold().explain_isolation(Some(reason.to_owned()));
-    }
-
-    fn set_restart_grant(&mut self, order: Option<RestartGrant>) {
-        self.cell.record.set_order(order);
     }
 }
 
 impl<C: Component> Drop for ComponentChild<C> {
     fn drop(&mut self) {
-        self.abandon();
-        self.cell.end();
+        self.order(ChildOrder::Retire);
         let record = &self.cell.record;
         // Before the name is free for another component.
         record.announce(|listener| listener.removed());

@@ -8,7 +8,7 @@ use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_core::detection::RecoveryOutcome;
 use blastema_core::recovery::{Ladder, Plan, RecovererLimits, SupervisorRules};
 use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, NodeName};
-use blastema_doubles::{Probe, advance, paused, settle};
+use blastema_doubles::{Probe, paused, settle};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;

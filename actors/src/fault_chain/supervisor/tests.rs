@@ -47,7 +47,7 @@ fn it_starts_its_children_in_order_and_tells_whom_it_reports_to() {
             states
         );
 
-        root.stop();
+        root.order(ChildOrder::Stop { again: false });
         assert_eq!(bench.above.expect().await.event, ChildEvent::Stopped);
         assert_eq!(bench.script.done(), ["stop b", "stop a"]);
     });
@@ -94,7 +94,7 @@ fn a_child_that_does_not_stop_is_given_up_in_time() {
         let mut root = bench.serving(rules(Strategy::OneForOne), &["a", "b"]).await;
         bench.script.answer("stop b", &[ScriptedReply::Hangs]);
 
-        root.stop();
+        root.order(ChildOrder::Stop { again: false });
         advance(Duration::from_secs(5)).await;
 
         assert_eq!(bench.script.done(), ["stop b", "abandon b", "stop a"]);
@@ -158,7 +158,7 @@ fn a_nested_supervisor_answers_open_requests_after_its_restart() {
         assert_eq!((drive.incarnation, drive.children[0].restarts), (Incarnation(2), 1));
         assert!(tree.children[1].below.is_none());
 
-        root.abandon();
+        root.order(ChildOrder::Abandon);
         settle().await;
         assert_eq!(bench.script.done(), ["abandon planner", "abandon wheel"]);
     });

@@ -2,7 +2,7 @@
 
 use super::{Add, Note, Slow, Stage, acc, logged};
 use crate::{ChildSpec, Component, Context, DeliveryError, Event, Handle, WhenFull};
-use blastema_contract::child::ChildEvent;
+use blastema_contract::child::{ChildEvent, ChildOrder};
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_doubles::{advance, paused, settle};
 use std::time::Duration;
@@ -63,7 +63,7 @@ fn deliver_ends_when_the_receiver_is_stopped() {
         settle().await;
         assert!(!waiting.is_finished());
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
 
         let refused = waiting.await.unwrap().unwrap_err();
         assert_eq!((refused.kind, refused.message), (DeliveryError::Stopped, Note(2)));
@@ -100,7 +100,7 @@ fn what_is_left_at_a_stop_goes_back_to_askers_and_to_the_dead_letters() {
         });
         settle().await;
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
 
         let back = asked.await.unwrap().unwrap_err();
         assert_eq!((back.kind, back.message), (DeliveryError::Stopped, Some(Add(3))));

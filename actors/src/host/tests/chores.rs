@@ -6,6 +6,7 @@ use crate::platform;
 use crate::{
     ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports, Request, Sender,
 };
+use blastema_contract::child::ChildOrder;
 use blastema_core::Instant;
 use blastema_doubles::{advance, paused, settle};
 use std::sync::{Arc, Mutex};
@@ -127,7 +128,7 @@ async fn kit() -> Kit {
     let (l, d) = (log.clone(), detached.clone());
     let spec = ChildSpec::new("worker", move || Worker { log: l.clone(), detached: d.clone() });
     let (mut child, worker) = stage.start(spec).await;
-    child.set_restart_grant(order(5));
+    child.order(order(5));
     Kit { stage, _child: child, worker, log, detached }
 }
 
@@ -254,13 +255,13 @@ fn an_isolated_component_neither_sends_nor_receives_until_it_may_again() {
         advance(Duration::from_millis(25)).await;
         assert_eq!(logged(&received), [1, 2]);
 
-        child.isolate(true);
+        child.order(ChildOrder::Isolate(true));
         advance(Duration::from_millis(30)).await;
         assert_eq!(logged(&received), [0; 0]);
         let refused = crier.tell(Said(0)).unwrap_err();
         assert_eq!((refused.kind, refused.message), (DeliveryError::isolated("crier"), Said(0)));
 
-        child.isolate(false);
+        child.order(ChildOrder::Isolate(false));
         advance(Duration::from_millis(20)).await;
         assert_eq!(logged(&received), [6, 7]);
         crier.tell(Said(0)).unwrap();

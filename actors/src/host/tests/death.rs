@@ -1,6 +1,6 @@
 //! Panics, standing orders, aborts, death watch.
 
-use super::{Acc, Add, Boom, Note, Slow, Stage, acc, boom, logged, order};
+use super::{Acc, Add, Boom, ChildOrder, Note, Slow, Stage, acc, boom, logged, order};
 use crate::{
     ChildSpec, Component, Context, DeliveryError, Down, DownReason, Event, Handle, Incarnation,
 };
@@ -19,7 +19,7 @@ fn a_panic_ends_one_incarnation_and_the_queue_lives() {
         let stage = Stage::new();
         let (spec, log) = acc("acc");
         let (mut child, acc) = stage.start(spec).await;
-        child.set_restart_grant(order(5));
+        child.order(order(5));
         assert_eq!(acc.ask(Add(5)).await, Ok(5));
         acc.tell(boom("one")).unwrap();
         acc.tell(Note(7)).unwrap();
@@ -49,7 +49,7 @@ fn the_asker_of_the_message_that_kills_is_told_which_incarnation_died() {
     paused(async {
         let stage = Stage::new();
         let (mut child, acc) = stage.start(acc("acc").0).await;
-        child.set_restart_grant(order(5));
+        child.order(order(5));
 
         let died = acc.ask(boom("x")).await.unwrap_err();
 
@@ -65,7 +65,7 @@ fn a_standing_order_has_an_end_and_the_queue_waits_for_the_supervisor() {
         let stage = Stage::new();
         let (spec, log) = acc("acc");
         let (mut child, acc) = stage.start(spec).await;
-        child.set_restart_grant(order(1));
+        child.order(order(1));
         acc.tell(boom("one")).unwrap();
         acc.tell(boom("two")).unwrap();
         acc.tell(Note(3)).unwrap();
@@ -89,14 +89,14 @@ fn a_standing_order_is_worth_its_number_in_every_period() {
     paused(async {
         let stage = Stage::new();
         let (mut child, acc) = stage.start(acc("acc").0).await;
-        child.set_restart_grant(order(1));
+        child.order(order(1));
         for _ in 0..3 {
             acc.tell(boom("x")).unwrap();
             advance(Duration::from_secs(11)).await;
         }
         assert!(stage.exits.drain().iter().all(|exited| exited.restarted_as.is_some()));
 
-        child.set_restart_grant(None);
+        child.order(ChildOrder::RestartGrant(None));
         acc.tell(boom("x")).unwrap();
         settle().await;
 
@@ -185,7 +185,7 @@ fn a_handler_that_waits_for_ever_is_given_up_on_the_same_arbiter() {
         settle().await;
         acc.tell(Add(1)).unwrap();
 
-        child.abandon();
+        child.order(ChildOrder::Abandon);
         assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);
 
         let why = lost.await.unwrap().unwrap_err().kind;
@@ -228,9 +228,9 @@ fn who_watches_is_told_how_each_incarnation_ends_until_its_own_does() {
         let kept = told.clone();
         let spec = ChildSpec::new("widow", move || Widow(kept.clone()));
         let (mut widow_child, widow) = stage.start(spec).await;
-        widow_child.set_restart_grant(order(5));
+        widow_child.order(order(5));
         let (mut child, acc) = stage.start::<Acc>(acc("acc").0).await;
-        child.set_restart_grant(order(5));
+        child.order(order(5));
         let endings = || {
             let downs = std::mem::take(&mut *told.lock().unwrap());
             downs.into_iter().map(|down| (down.incarnation.0, down.ending)).collect::<Vec<_>>()
@@ -249,7 +249,7 @@ fn who_watches_is_told_how_each_incarnation_ends_until_its_own_does() {
         let first = endings();
         assert!(matches!(&first[..], [(1, DownReason::Panicked { text, .. })] if text == "x"));
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
         settle().await;
         assert_eq!(endings(), [(2, DownReason::Stopped)]);
         widow.tell(Look("acc".into())).unwrap();
@@ -260,7 +260,7 @@ fn who_watches_is_told_how_each_incarnation_ends_until_its_own_does() {
         settle().await;
         stage.reports.drain();
         assert_eq!(stage.begin(&mut *child, 3).await, ChildEvent::Started);
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
         settle().await;
         assert_eq!(endings(), [], "the incarnation that asked is over");
     });

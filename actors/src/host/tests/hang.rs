@@ -1,6 +1,6 @@
 //! Hangs, fences, lost arbiters; silence and waiting.
 
-use super::{Log, Stage, acc, logged, order};
+use super::{ChildOrder, Log, Stage, acc, logged, order};
 use crate::arbiter::pool::ArbiterPool;
 use crate::liveness::sampler;
 use crate::liveness::sampler::SamplerGuard;
@@ -283,7 +283,7 @@ fn silence_is_seen_and_its_end_too() {
             })]
         );
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
         advance(Duration::from_secs(5)).await;
         assert_eq!(sighted.drain(), [], "who is stopped need not speak");
     });
@@ -377,7 +377,7 @@ mod real {
             assert_eq!(during, "Block");
             assert_eq!(row.queue.unwrap().queued, 1);
 
-            child.abandon();
+            child.order(ChildOrder::Abandon);
             let died = hung.await.unwrap().unwrap_err().kind;
             assert_eq!(
                 died,
@@ -424,7 +424,7 @@ mod real {
             let topics = &site.stage.environment.topics();
             topics.publisher("news").unwrap().publish(Said(8)).unwrap();
 
-            child.abandon();
+            child.order(ChildOrder::Abandon);
             let lost =
                 site.sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Lost { .. })).await;
             let (culprit, victims) = (name("blocker"), [name("neighbour")].into());
@@ -435,7 +435,7 @@ mod real {
             assert_eq!((by, behind), (culprit, victims));
             assert_eq!(arbiters.abandoned(), 1);
             assert_eq!(*reported.lock().unwrap(), [[(name("blocker"), 1)].into()]);
-            moving.abandon();
+            moving.order(ChildOrder::Abandon);
             assert_eq!(site.stage.begin(&mut *moving, 2).await, ChildEvent::Started);
             site.until("queue and events came along", || site.received.lock().unwrap().len() == 2)
                 .await;
@@ -462,7 +462,7 @@ mod real {
             let (culprit, _, _, victims) = site.hangs().await;
             assert_eq!((culprit, victims), (name("blocker"), vec![]));
 
-            child.abandon();
+            child.order(ChildOrder::Abandon);
             assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
             let arbiters = &site.stage.environment.arbiters;
             site.until("the thread is given up", || arbiters.abandoned() == 1).await;
@@ -487,7 +487,7 @@ mod real {
             let (culprit, _, during, _) = site.hangs().await;
             assert_eq!((culprit, during), (name("spawner"), "a task of its own"));
 
-            child.abandon();
+            child.order(ChildOrder::Abandon);
             site.open.send(()).unwrap();
             site.until("the thread goes on", || site.stage.environment.arbiters.abandoned() == 0)
                 .await;
@@ -514,7 +514,7 @@ mod real {
             let (culprit, _, during, victims) = site.hangs().await;
             assert_eq!((culprit, during), (name("holder"), "Hold"));
             assert_eq!(victims, [name("witness")]);
-            child.abandon();
+            child.order(ChildOrder::Abandon);
             site.open.send(()).unwrap();
 
             site.until("it speaks", || logged(&site.received) == [9]).await;
@@ -543,9 +543,9 @@ mod real {
             publisher.publish(Hold).unwrap();
             site.hangs().await;
             publisher.publish(Hold).unwrap();
-            culprit.abandon();
+            culprit.order(ChildOrder::Abandon);
             site.sighted.wait(|sighted| matches!(sighted.0, LivenessEvent::Lost { .. })).await;
-            victim.abandon();
+            victim.order(ChildOrder::Abandon);
             assert_eq!(site.stage.begin(&mut *victim, 2).await, ChildEvent::Started);
 
             site.until("both events came along", || site.received.lock().unwrap().len() == 2).await;
@@ -567,7 +567,7 @@ mod real {
             let spec = ChildSpec::new("relapsing", move || Relapsing(gate.clone()));
             let (mut child, relapsing) =
                 site.stage.start(spec.max_block(Duration::from_secs(60))).await;
-            child.set_restart_grant(order(1));
+            child.order(order(1));
             relapsing.tell(Said(0)).unwrap();
             relapsing.tell(Said(1)).unwrap();
 
@@ -584,7 +584,7 @@ mod real {
             site.stage.reports.wait(|report| died(&report.event)).await;
             assert_eq!(site.stage.exits.drain(), [], "once");
             site.open.send(()).unwrap();
-            child.stop();
+            child.order(ChildOrder::Stop { again: false });
             site.stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
         });
     }

@@ -4,7 +4,7 @@ use super::{Stage, order};
 use crate::messaging::death_watch::Watchable;
 use crate::messaging::injection::Injection;
 use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Incarnation};
-use blastema_contract::child::ChildEvent;
+use blastema_contract::child::{ChildEvent, ChildOrder};
 use blastema_contract::reports::ExitReason;
 use blastema_core::{FaultKind, Lifecycle};
 use blastema_doubles::{advance, paused, settle};
@@ -114,7 +114,7 @@ fn an_incarnation_runs_from_initialisation_to_its_end_in_order() {
         assert_eq!(reported.last().unwrap(), &(Lifecycle::Active, None));
         assert_eq!(reference.state(), Lifecycle::Active);
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
         settle().await;
 
         assert_eq!(diary.ran(), ["on_deactivated", "on_shutdown", "on_finalize"]);
@@ -123,7 +123,7 @@ fn an_incarnation_runs_from_initialisation_to_its_end_in_order() {
         assert_eq!(stage.exits.drain().pop().unwrap().exit, ExitReason::Stopped);
         assert_eq!(reference.tell(Do::Fail).unwrap_err().kind, DeliveryError::Stopped);
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
         settle().await;
         assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Stopped);
     });
@@ -189,7 +189,7 @@ fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
         advance(Duration::from_secs(1)).await;
         assert_eq!(diary.ran().len(), 0, "nothing is executed in error");
 
-        child.reset();
+        child.order(ChildOrder::Reset);
         settle().await;
         assert_eq!(diary.ran()[..2], ["on_reset", "on_activated"]);
         assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Reset);
@@ -210,7 +210,7 @@ fn messages_wait_while_a_component_is_in_error() {
         settle().await;
         assert_eq!((reference.state(), reference.queued()), (Lifecycle::Error, 1));
 
-        child.reset();
+        child.order(ChildOrder::Reset);
         settle().await;
 
         assert_eq!(reference.queued(), 0);
@@ -252,12 +252,12 @@ fn a_failed_reset_and_a_fatal_failure_end_the_incarnation() {
         reference.tell(Do::Fail).unwrap();
         settle().await;
         diary.plan("on_reset", Outcome::Fail);
-        child.reset();
+        child.order(ChildOrder::Reset);
         settle().await;
         let events: Vec<_> = stage.reports.drain().into_iter().map(|r| r.event).collect();
         assert!(matches!(events[0], ChildEvent::ResetFailed { .. }), "{events:?}");
         assert!(matches!(events[1], ChildEvent::Died { .. }), "{events:?}");
-        child.reset();
+        child.order(ChildOrder::Reset);
         settle().await;
         let event = stage.reports.drain().pop().unwrap().event;
         assert!(matches!(event, ChildEvent::ResetFailed { .. }));
@@ -295,7 +295,7 @@ fn an_incarnation_that_does_not_end_in_time_is_ended_out_of_order() {
         let (mut child, _) = stage.start(spec.shutdown_within(Duration::from_secs(2))).await;
         diary.plan("on_deactivated", Outcome::Hang);
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
         advance(Duration::from_millis(1900)).await;
         assert!(stage.reports.drain().is_empty());
         advance(Duration::from_millis(200)).await;
@@ -319,7 +319,7 @@ fn each_hook_that_fails_while_an_incarnation_ends_says_so() {
             let hooks = ["on_deactivated", "on_shutdown", "on_finalize"];
             hooks.iter().for_each(|hook| diary.plan(hook, outcome));
 
-            child.stop();
+            child.order(ChildOrder::Stop { again: false });
             settle().await;
 
             assert_eq!(diary.ran(), hooks, "the others run all the same");
@@ -379,7 +379,7 @@ fn states_that_a_replacement_passes_through_in_one_poll_are_told_as_one() {
     paused(async {
         let stage = Stage::new();
         let (mut child, fragile) = stage.start(ChildSpec::new("fragile", || Fragile)).await;
-        child.set_restart_grant(order(3));
+        child.order(order(3));
         stage.states.drain();
 
         fragile.tell(Die).unwrap();

@@ -3,6 +3,7 @@
 use super::{Add, Note, Slow, Stage, acc, boom, logged, order};
 use crate::liveness::sampler::AliveSource;
 use crate::{DeliveryError, Sender, WhenFull};
+use blastema_contract::child::ChildOrder;
 use blastema_core::Lifecycle;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_doubles::{advance, now, paused, settle};
@@ -132,7 +133,7 @@ fn a_component_that_floods_itself_starves_nobody() {
         let (_other, acc) = stage.start(acc("acc").0).await;
 
         assert_eq!(acc.ask(Add(1)).await, Ok(1));
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
         settle().await;
 
         assert_eq!(flood.tell(Again(0)).unwrap_err().kind, DeliveryError::Stopped);
@@ -144,7 +145,7 @@ fn a_message_that_killed_three_incarnations_is_quarantined_and_no_other() {
     paused(async {
         let stage = Stage::new();
         let (mut child, acc) = stage.start(acc("acc").0).await;
-        child.set_restart_grant(order(10));
+        child.order(order(10));
         let sender = acc.sender();
         let (poison, other) = (sender.repeatable(boom("x")), sender.repeatable(boom("y")));
 
