@@ -13,8 +13,8 @@ impl Detector {
     /// This fault ends with the incarnation after it, which may have ended before the fault was
     /// told.
     pub(super) fn await_next_incarnation(&mut self, id: FaultId, at: Instant) {
-        self.fault_log.treat(id, |treatment| treatment.unhanded = true);
-        let Some(entry) = self.fault_log.entry(id) else { return };
+        let Some(entry) = self.fault_log.entry_mut(id) else { return };
+        entry.unhanded = true;
         let Fault { location, incarnation, .. } = entry.fault.clone();
         let FaultLocation::Object(address) = &location else { return };
         let seen = self.objects.get(&address.object);
@@ -42,17 +42,22 @@ impl Detector {
         let ended: Vec<FaultId> = self.unhanded_at(location).map(|fault| fault.id).collect();
         let due = Some(at + self.limits.next_incarnation);
         for id in ended {
-            self.fault_log.treat(id, |treatment| treatment.end_due = due);
+            if let Some(entry) = self.fault_log.entry_mut(id) {
+                entry.end_due = due;
+            }
         }
     }
 
     /// No incarnation has begun in time after the one that ended in order.
     pub(super) fn end_unhanded(&mut self, id: FaultId, at: Instant) {
-        let before = self.fault_log.treat(id, |treatment| treatment.end_due = None);
-        let Some(entry) = self.fault_log.entry(id).filter(|_| before.unhanded) else { return };
+        let Some(entry) = self.fault_log.entry_mut(id) else { return };
+        entry.end_due = None;
         let FaultLocation::Object(address) = &entry.fault.location else { return };
         let seen = self.objects.get(&address.object);
-        if !self.ending && seen.is_some_and(|seen| seen.state == Lifecycle::Finalized) {
+        if entry.unhanded
+            && !self.ending
+            && seen.is_some_and(|seen| seen.state == Lifecycle::Finalized)
+        {
             self.end(id, at);
         }
     }
@@ -72,6 +77,6 @@ impl Detector {
 
     pub(super) fn unhanded_at(&self, location: &FaultLocation) -> impl Iterator<Item = &Fault> {
         let open = self.fault_log.open_faults_at(location);
-        open.filter(|fault| self.fault_log.treatment(fault.id).unhanded)
+        open.filter(|fault| self.fault_log.entry(fault.id).is_some_and(|entry| entry.unhanded))
     }
 }
