@@ -11,7 +11,7 @@ use crate::component::{Component, Failure, Handle};
 use crate::messaging::death_watch::DownReason;
 use crate::messaging::death_watch::{Down, Watcher};
 use crate::messaging::sender::{DetachedSender, Sender};
-use crate::messaging::sink::MessageSink;
+use crate::messaging::sink::{MessageSink, Redirected};
 use crate::platform;
 use crate::settings::FAULT_HOLD;
 use blastema_contract::reports::FaultDeclared;
@@ -95,7 +95,7 @@ impl<C: Component> Context<C> {
     pub fn detached<M: Contract>(&self, sender: &Sender<M>) -> Sender<M> {
         let detached =
             DetachedSender { inner: sender.clone(), incarnation: self.state.token.clone() };
-        Sender(Arc::new(detached))
+        Sender(Arc::new(Redirected(detached)))
     }
 
     /// The time now, on the clock that all stamps of this computer share.
