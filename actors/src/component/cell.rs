@@ -27,6 +27,7 @@ use crate::messaging::queue::{BoundedQueue, WhenFull};
 use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sink::MessageSink;
 use crate::platform;
+use crate::platform::lock;
 use crate::platform::panics::{self, PanicRecord};
 use crate::settings::FAULT_HOLD;
 use blastema_contract::child::RestartGrant;
@@ -43,7 +44,7 @@ use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicU8, AtomicU64};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 use tracing::warn;
 
@@ -108,10 +109,6 @@ pub(crate) enum Blame {
     Fault,
     /// The incarnation ends with a fault already: it is only logged.
     Log,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl CellCore {

@@ -62,7 +62,7 @@ impl<C: Component> ComponentChild<C> {
             record.environment.watch_list.leave(placement.slot.index);
             let reading = placement.slot.activity.read();
             let during = label::name(reading.during);
-            if reading.turn % 2 == 1 && is_message(during) {
+            if reading.component.turn % 2 == 1 && is_message(during) {
                 record.record_dead_letter(during, &DeliveryError::PeerDied { incarnation });
             }
             record.record_fatal_message(incarnation);
@@ -72,7 +72,8 @@ impl<C: Component> ComponentChild<C> {
             if keeps_thread {
                 // The hang detector judges it no more.
                 if is_overdue && !heartbeat.is_fenced() {
-                    let is_named = reading.turn % 2 == 1 || reading.tasks || reading.condition;
+                    let is_named =
+                        reading.component.turn % 2 == 1 || reading.tasks || reading.condition;
                     let what = if is_named { sampler::during(&reading) } else { "its Drop" };
                     let phase = if is_start(during) { "start" } else { "stop" };
                     let detail = format!("{what} keeps its thread, and its {phase} was cut off");

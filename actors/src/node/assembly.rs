@@ -519,12 +519,9 @@ impl NodeAssembly {
         let list = self.environment.watch_list.clone();
         let (threads, sighted) =
             (self.environment.arbiters.clone(), self.parts.chain.monitor.clone().recipient());
-        self.parts.chain.start_sampler(Some(match self.placement {
-            ActorPlacement::Here => sampler::start_task(list, threads, config, sighted),
-            ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => {
-                sampler::start_thread(list, threads, config, sighted)?
-            }
-        }));
+        let on_thread = self.placement != ActorPlacement::Here;
+        let sampler = sampler::start(list, threads, config, sighted, on_thread)?;
+        self.parts.chain.start_sampler(Some(sampler));
         let rest = self.parts.controller.clone().recipient();
         rest_when_threads_run_out(&self.environment.arbiters, &self.node, rest);
         Ok(())

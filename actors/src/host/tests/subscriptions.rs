@@ -91,7 +91,7 @@ fn watched(stage: &Stage, grace: Duration) -> (Probe<LivenessReported>, SamplerG
     let config = HangDetectorConfig { grace, gap: Duration::from_secs(1), ..Default::default() };
     let (list, arbiters) =
         (stage.environment.watch_list.clone(), stage.environment.arbiters.clone());
-    let guard = sampler::start_thread(list, arbiters, config, sighted.recipient()).unwrap();
+    let guard = sampler::start(list, arbiters, config, sighted.recipient(), true).unwrap();
     (sighted, guard)
 }
 
