@@ -121,57 +121,6 @@ impl RecoveryStrategy for Homing {
 }
 
 #[test]
-fn a_panic_is_recovered_by_the_next_incarnation() {
-    paused(async {
-        let chain = Chain::built_in().await;
-
-        chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
-
-        assert_eq!(chain.reported_until("1 recovered").await, ["1 restart", "1 recovered"]);
-        assert_eq!(chain.bench.script.done(), ["start laser"]);
-    });
-}
-
-#[test]
-fn an_error_that_cannot_be_reset_is_restarted() {
-    paused(async {
-        let chain = Chain::built_in().await;
-        chain.bench.script.answer("reset arm", &[ScriptedReply::Fails]);
-
-        chain.recover(fault(1, FaultKind::ErrorState, "arm", 1)).await;
-
-        let jammed = "1 reset failed: arm: it could not reset itself: jammed";
-        let reported = chain.reported_until("1 recovered").await;
-        assert_eq!(reported, ["1 reset", jammed, "1 restart", "1 recovered"]);
-        assert_eq!(chain.bench.script.done(), ["reset arm", "stop arm", "start arm"]);
-    });
-}
-
-#[test]
-fn what_does_not_start_again_ends_in_safe_rest_and_the_rest_works_on() {
-    paused(async {
-        let chain = Chain::built_in().await;
-        chain.bench.script.answer("start laser", &[ScriptedReply::Fails; 3]);
-
-        chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
-
-        let last = "1 given up: contained by safe stop; service is not restored";
-        let reported = chain.reported_until(last).await;
-        let failed = "1 restart failed: laser: its next incarnation did not start: no device";
-        assert_eq!(reported.iter().filter(|line| *line == failed).count(), 3, "{reported:?}");
-        let others: Vec<&String> = reported.iter().filter(|line| *line != failed).collect();
-        assert_eq!(
-            others,
-            ["1 restart", "1 restart, attempt 2", "1 restart, attempt 3", "1 safe stop", last]
-        );
-        assert_eq!(chain.safe_outputs.load(SeqCst), 1);
-        assert_eq!(chain.node.recorded(), 0);
-        let done = ["start laser", "start laser", "start laser", "isolate laser"];
-        assert_eq!(chain.bench.script.done(), done);
-    });
-}
-
-#[test]
 fn what_nobody_keeps_puts_the_node_to_rest() {
     paused(async {
         let chain = Chain::built_in().await;

@@ -149,57 +149,6 @@ fn on_execute_keeps_its_rate_and_skips_what_it_missed() {
 }
 
 #[test]
-fn a_failed_initialisation_is_fatal_and_finalised() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let (mut child, _) = stage.add(spec);
-        diary.plan("on_initialize", Outcome::Fail);
-
-        let event = stage.fail_to_begin(&mut *child, 1).await;
-
-        let reason = "on_initialize failed".to_owned();
-        assert_eq!(event, ChildEvent::StartFailed { reason: reason.clone() });
-        settle().await;
-        assert_eq!(diary.ran(), ["on_initialize", "on_finalize"]);
-        assert!(states(&stage).contains(&(Lifecycle::Fatal, Some(reason))));
-        assert_eq!(stage.exits.drain().pop().unwrap().exit, ExitReason::Fatal);
-        assert!(stage.reports.drain().is_empty(), "it is not told twice");
-
-        assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);
-    });
-}
-
-#[test]
-fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let (mut child, reference) = stage.start(spec.rate_hz(10.0)).await;
-        settle().await;
-        diary.ran();
-        states(&stage);
-        diary.plan("on_execute", Outcome::Fail);
-
-        advance(Duration::from_millis(150)).await;
-
-        assert_eq!(diary.ran(), ["on_execute", "on_aborting", "on_error"]);
-        let reason = Some("on_execute failed".to_owned());
-        assert_eq!(states(&stage), [(Lifecycle::Error, reason)]);
-        advance(Duration::from_secs(1)).await;
-        assert_eq!(diary.ran().len(), 0, "nothing is executed in error");
-
-        child.order(ChildOrder::Reset);
-        settle().await;
-        assert_eq!(diary.ran()[..2], ["on_reset", "on_activated"]);
-        assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Reset);
-        assert_eq!(reference.state(), Lifecycle::Active);
-        advance(Duration::from_millis(150)).await;
-        assert!(diary.ran().contains(&"on_execute"));
-    });
-}
-
-#[test]
 fn messages_wait_while_a_component_is_in_error() {
     paused(async {
         let stage = Stage::new();
@@ -240,69 +189,6 @@ fn a_component_leaves_work_and_returns_when_it_is_asked_to() {
         advance(Duration::from_millis(150)).await;
         assert_eq!(diary.ran()[..2], ["on_activated", "on_execute"]);
         assert_eq!(reference.queued(), 0);
-    });
-}
-
-#[test]
-fn a_failed_reset_and_a_fatal_failure_end_the_incarnation() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let (mut child, reference) = stage.start(spec).await;
-        reference.tell(Do::Fail).unwrap();
-        settle().await;
-        diary.plan("on_reset", Outcome::Fail);
-        child.order(ChildOrder::Reset);
-        settle().await;
-        let events: Vec<_> = stage.reports.drain().into_iter().map(|r| r.event).collect();
-        assert!(matches!(events[0], ChildEvent::ResetFailed { .. }), "{events:?}");
-        assert!(matches!(events[1], ChildEvent::Died { .. }), "{events:?}");
-        child.order(ChildOrder::Reset);
-        settle().await;
-        let event = stage.reports.drain().pop().unwrap().event;
-        assert!(matches!(event, ChildEvent::ResetFailed { .. }));
-
-        diary.plan("on_activated", Outcome::FailFatally);
-        let event = stage.fail_to_begin(&mut *child, 2).await;
-        assert!(matches!(event, ChildEvent::StartFailed { .. }), "{event:?}");
-        settle().await;
-        assert_eq!(diary.ran().last(), Some(&"on_finalize"));
-    });
-}
-
-#[test]
-fn an_incarnation_that_is_not_ready_in_time_has_failed_to_start() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let (mut child, _) = stage.add(spec.ready_within(Duration::from_secs(2)));
-        diary.plan("on_startup", Outcome::Hang);
-
-        let event = stage.fail_to_begin(&mut *child, 1).await;
-
-        let ChildEvent::StartFailed { reason } = event else { panic!("{event:?}") };
-        assert_eq!(reason, "it was not ready within 2s");
-        settle().await;
-        assert_eq!(diary.ran(), ["on_initialize", "on_startup", "on_finalize"]);
-    });
-}
-
-#[test]
-fn an_incarnation_that_does_not_end_in_time_is_ended_out_of_order() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, diary) = diary();
-        let (mut child, _) = stage.start(spec.shutdown_within(Duration::from_secs(2))).await;
-        diary.plan("on_deactivated", Outcome::Hang);
-
-        child.order(ChildOrder::Stop { again: false });
-        advance(Duration::from_millis(1900)).await;
-        assert!(stage.reports.drain().is_empty());
-        advance(Duration::from_millis(200)).await;
-
-        assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Stopped);
-        let cut_off = "on_deactivated was cut off: it had not stopped within 2s".to_owned();
-        assert!(states(&stage).contains(&(Lifecycle::Initialized, Some(cut_off))));
     });
 }
 

@@ -70,16 +70,6 @@ impl Stage {
         self.reports.wait(|report| report.object == *child.name()).await.event
     }
 
-    /// Begins one that fails to start, and waits until it has ended.
-    pub(super) async fn fail_to_begin(
-        &self,
-        child: &mut dyn Child,
-        incarnation: u64,
-    ) -> ChildEvent {
-        assert_eq!(self.begin(child, incarnation).await, ChildEvent::FailsToStart);
-        self.reports.wait(|report| report.object == *child.name()).await.event
-    }
-
     /// A component in its first incarnation.
     pub(super) async fn start<C: Component>(
         &self,
