@@ -181,7 +181,7 @@ pub(crate) fn size(text: &str) -> ParsedValue<u64> {
 
 /// A kind of fault: its words with `-` between them, its code, or a code of the application's own.
 pub(crate) fn fault(text: &str) -> ParsedValue<FaultKind> {
-    let known = FaultKind::BUILT_IN.iter().map(|kind| (fault_word(kind), kind));
+    let known = FaultKind::built_in().map(|kind| (fault_word(kind), kind));
     let known: Vec<_> = known.collect();
     let built_in = known.iter().find(|(word, kind)| word == text || kind.code() == text);
     if let Some((_, kind)) = built_in {

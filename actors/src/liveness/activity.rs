@@ -3,11 +3,12 @@
 //! Every store is plain and every activity record has one writer, the thread that runs its
 //! component. Who wants to know since when looks twice.
 
+use crate::platform::lock;
 use crate::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64};
 use blastema_core::Incarnation;
-use blastema_core::detection::hang::ActivityMark;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use blastema_core::detection::hang::{ActivityMark, ComponentSample};
+use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
 
 /// What a component's executor says. A cache line each, so that two arbiters do not share one, and
@@ -43,18 +44,14 @@ pub(crate) struct ActivityRecord {
 /// What a look at an activity record finds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct ActivitySample {
-    pub(crate) turn: u64,
-    pub(crate) alive: u32,
-    pub(crate) incarnation: u64,
+    /// What it is judged by.
+    pub(crate) component: ComponentSample,
+    /// The number of the label of what is in service.
     pub(crate) during: u32,
-    pub(crate) speaks: bool,
+    /// A condition of a subscription is evaluated.
     pub(crate) condition: bool,
+    /// Its own tasks are polled.
     pub(crate) tasks: bool,
-    pub(crate) allowance: Duration,
-    pub(crate) interval: Duration,
-    pub(crate) ticks: u32,
-    pub(crate) missed_ticks: u64,
-    pub(crate) expired: u64,
 }
 
 impl ActivityRecord {
@@ -142,19 +139,20 @@ impl ActivityRecord {
 
     pub(crate) fn read(&self) -> ActivitySample {
         ActivitySample {
-            // First, so that the label is of this turn or of a later one: see `step`.
-            turn: self.turn.load(Acquire),
-            alive: self.alive.load(Relaxed),
-            incarnation: self.incarnation.load(Relaxed),
+            component: ComponentSample {
+                turn: self.turn.load(Acquire),
+                alive: self.alive.load(Relaxed).into(),
+                incarnation: Incarnation(self.incarnation.load(Relaxed)),
+                speaks: self.speaks.load(Relaxed),
+                allowance: Duration::from_millis(self.allowance.load(Relaxed).into()),
+                interval: Duration::from_nanos(self.interval.load(Relaxed)),
+                ticks: self.ticks.load(Relaxed),
+                missed_ticks: self.missed_ticks.load(Relaxed),
+                expired: self.expired.load(Relaxed),
+            },
             during: self.during.load(Relaxed),
-            speaks: self.speaks.load(Relaxed),
             condition: self.condition.load(Relaxed),
             tasks: self.tasks.load(Relaxed),
-            allowance: Duration::from_millis(self.allowance.load(Relaxed).into()),
-            interval: Duration::from_nanos(self.interval.load(Relaxed)),
-            ticks: self.ticks.load(Relaxed),
-            missed_ticks: self.missed_ticks.load(Relaxed),
-            expired: self.expired.load(Relaxed),
         }
     }
 }
@@ -174,7 +172,7 @@ static TABLE: Mutex<ActivityTable> =
     Mutex::new(ActivityTable { chunks: Vec::new(), free: Vec::new(), next: 0 });
 
 fn table() -> MutexGuard<'static, ActivityTable> {
-    TABLE.lock().unwrap_or_else(PoisonError::into_inner)
+    lock(&TABLE)
 }
 
 /// Where a component's activity record stands, for those who only read it.
@@ -249,9 +247,9 @@ mod tests {
 
         drop(slot);
 
-        let reading = activity.read();
+        let reading = activity.read().component;
         assert!(
-            reading.turn.is_multiple_of(2) || reading.incarnation != 3,
+            reading.turn.is_multiple_of(2) || reading.incarnation != Incarnation(3),
             "or it was claimed meanwhile"
         );
     }
@@ -263,7 +261,7 @@ mod tests {
             slot.activity.begin_incarnation(at as u64 + 1);
         }
         for (at, slot) in slots.iter().enumerate() {
-            assert_eq!(slot.activity.read().incarnation, at as u64 + 1);
+            assert_eq!(slot.activity.mark().incarnation, Incarnation(at as u64 + 1));
         }
     }
 }

@@ -507,12 +507,8 @@ impl NodeAssembly {
         let Shared { name, environment, chain, .. } = &self.node;
         let list = environment.watch_list.clone();
         let (threads, sighted) = (environment.arbiters.clone(), chain.monitor.clone().recipient());
-        chain.keep_sampler(match self.placement {
-            ActorPlacement::Here => sampler::start_task(list, threads, config, sighted),
-            ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => {
-                sampler::start_thread(list, threads, config, sighted)?
-            }
-        });
+        let on_thread = self.placement != ActorPlacement::Here;
+        chain.keep_sampler(sampler::start(list, threads, config, sighted, on_thread)?);
         let rest = chain.controller.clone().recipient();
         rest_when_threads_run_out(&environment.arbiters, name, rest);
         Ok(())

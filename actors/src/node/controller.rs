@@ -13,7 +13,7 @@ use crate::platform;
 use crate::runtime::guardian::answers_the_monitor;
 use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
-use blastema_contract::child::{Child, ChildEvent, ChildReport};
+use blastema_contract::child::{Child, ChildEvent, ChildOrder, ChildReport};
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::SafeStateChanged;
 use blastema_contract::strategy::EnterSafeState;
@@ -211,7 +211,7 @@ impl NodeController {
             && let Some(root) = &mut self.root
         {
             self.phase = Phase::Ending;
-            root.stop();
+            root.order(ChildOrder::Stop { again: false });
         }
     }
 
