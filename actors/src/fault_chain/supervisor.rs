@@ -37,6 +37,14 @@ pub(crate) struct SupervisorSetup {
     pub(crate) rules: SupervisorRules,
     /// Its children in their start order.
     pub(crate) children: Vec<(Box<dyn Child>, ChildRules)>,
+    /// Where it reports.
+    pub(crate) neighbours: SupervisorNeighbours,
+    /// Its name, which no other object has while it is there.
+    pub(crate) reserved: Option<ReservedName>,
+}
+
+/// Where a supervisor reports.
+pub(crate) struct SupervisorNeighbours {
     /// Gets a report of starts that took too long, and when it gives up.
     pub(crate) monitor: Recipient<FaultDeclared>,
     /// Gets a report when it is at work, and when it has ended.
@@ -45,8 +53,6 @@ pub(crate) struct SupervisorSetup {
     pub(crate) isolation: Recipient<IsolationReported>,
     /// Where strategies find the supervisor of an object.
     pub(crate) directory: SupervisorDirectory,
-    /// Its name, which no other object has while it is there.
-    pub(crate) reserved: Option<ReservedName>,
 }
 
 /// One node of the supervision tree.
@@ -61,10 +67,7 @@ pub(crate) struct SupervisorActor {
     parent: Option<Arc<Recipient<ChildReport>>>,
     /// Where its children report: all to the same, since each copy of a recipient costs memory.
     reports: Option<Arc<Recipient<ChildReport>>>,
-    monitor: Recipient<FaultDeclared>,
-    states: Recipient<StateReported>,
-    isolation: Recipient<IsolationReported>,
-    directory: SupervisorDirectory,
+    neighbours: SupervisorNeighbours,
     /// Where its incarnations can be watched.
     watched: Deaths,
     /// It was ordered to end in order to be restarted.
@@ -92,8 +95,7 @@ impl SupervisorActor {
     }
 
     fn new(setup: SupervisorSetup, watched: Deaths) -> Self {
-        let SupervisorSetup { name, rules, children: given, .. } = setup;
-        let SupervisorSetup { monitor, states, isolation, directory, reserved, .. } = setup;
+        let SupervisorSetup { name, rules, children: given, neighbours, reserved } = setup;
         let mut machine = Supervisor::new(rules);
         let is_taken_in = |(child, rules): &(Box<dyn Child>, ChildRules)| {
             let taken = machine.add_child(child.name().clone(), *rules, platform::now());
@@ -113,10 +115,7 @@ impl SupervisorActor {
             calls: 0,
             parent: None,
             reports: None,
-            monitor,
-            states,
-            isolation,
-            directory,
+            neighbours,
             watched,
             again: false,
             _reserved: reserved,
@@ -160,7 +159,7 @@ impl SupervisorActor {
     fn report_state(&self, state: Lifecycle) {
         let (object, incarnation) = (self.name.clone(), self.machine.incarnation());
         self.watched.enter(&object, incarnation, state);
-        self.states.do_send(StateReported { object, incarnation, state, reason: None });
+        self.neighbours.states.do_send(StateReported { object, incarnation, state, reason: None });
     }
 
     fn declare(
@@ -170,7 +169,13 @@ impl SupervisorActor {
         kind: FaultKind,
         detail: String,
     ) {
-        self.monitor.do_send(FaultDeclared { object, incarnation, kind, detail, hold: None });
+        self.neighbours.monitor.do_send(FaultDeclared {
+            object,
+            incarnation,
+            kind,
+            detail,
+            hold: None,
+        });
     }
 
     fn declare_storm(&self, reason: &str) {
@@ -189,7 +194,7 @@ impl SupervisorActor {
 
     fn drop_child(&mut self, name: &ObjectName) {
         self.children.remove(name);
-        self.directory.remove(name);
+        self.neighbours.directory.remove(name);
     }
 
     /// Drops a child that the machine did not take.
@@ -234,7 +239,7 @@ impl MachineActor for SupervisorActor {
                 let Some(child) = self.child(&name) else { return };
                 child.order(order);
                 if let ChildOrder::Isolate(isolated) = order {
-                    self.isolation.do_send(IsolationReported { object: name, isolated });
+                    self.neighbours.isolation.do_send(IsolationReported { object: name, isolated });
                 }
             }
             SupervisorOutput::Recovered { call, child, incarnation } => {
@@ -319,7 +324,7 @@ impl Actor for SupervisorActor {
             pings: address.clone().recipient(),
             read: address.recipient(),
         };
-        self.directory.enter(&self.name, ports, self.children.keys());
+        self.neighbours.directory.enter(&self.name, ports, self.children.keys());
         self.drive(context);
     }
 }
@@ -369,7 +374,7 @@ impl Handler<SupervisorOrder> for SupervisorActor {
                 self.children.values_mut().for_each(|child| child.explain_isolation(&reason));
             }
             SupervisorOrder::Forget => {
-                self.directory.forget(&self.name);
+                self.neighbours.directory.forget(&self.name);
                 self.watched.forget(&self.name);
                 self.watched.forget(&body_of(&self.name));
                 return context.stop();
@@ -450,7 +455,7 @@ impl Handler<AddChild> for SupervisorActor {
         }
         // The machine starts it at once, or says that it has left.
         self.children.insert(object.clone(), child);
-        self.directory.add(&self.name, object.clone());
+        self.neighbours.directory.add(&self.name, object.clone());
         if whole {
             let answer = self.ask(context, object.clone(), |machine, object, call, now| {
                 machine.handle_add(object, rules, call, now);

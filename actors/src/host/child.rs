@@ -213,22 +213,6 @@ impl<C: Component> Drop for ComponentChild<C> {
     }
 }
 
-impl<C: Component> ComponentCell<C> {
-    /// The component is not started again for now: closes its queue and its subscriptions.
-    pub(crate) fn end(self: &Arc<Self>) {
-        self.close(&self.record.refusal(None).unwrap_or(DeliveryError::Stopped));
-        self.subscriptions().iter().for_each(|subscription| subscription.end(self));
-    }
-
-    /// The same, by the incarnation that ends in order.
-    pub(crate) fn end_by(&self, incarnation: Incarnation) {
-        if self.queue.owner() == Some(incarnation) {
-            self.close_by(incarnation);
-            self.subscriptions().iter().for_each(|subscription| subscription.end(self));
-        }
-    }
-}
-
 impl<C: Component> Watchable for ComponentCell<C> {
     fn cell(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {
         Some(self)

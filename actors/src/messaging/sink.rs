@@ -39,7 +39,7 @@ pub(crate) trait MessageSink<M: Contract>: Send + Sync {
     }
 }
 
-/// Finds a sender for each message anew.
+/// Finds the sender of each message.
 pub(crate) trait Redirect<M: Contract>: Send + Sync {
     /// The present one.
     fn present(&self) -> Result<Sender<M>, DeliveryError>;

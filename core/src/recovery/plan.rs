@@ -499,7 +499,7 @@ mod tests {
                     .ends_with("does not answer: use restart")
             );
         }
-        for kind in FaultKind::built_in().cloned() {
+        for kind in FaultKind::built_in() {
             let plan = good().on(kind.clone(), Ladder::first(RecoveryAction::Reroute));
             let own = [FaultKind::Custom("GRIP".into())];
             let works = plan.check(&[name("laser")], &own, ["homing"]).is_ok();

@@ -311,7 +311,7 @@ impl World {
             }
             Some((_, Phase::Present)) => {}
             None => {
-                // As `Child::stop` says: who is not alive answers at once.
+                // As `ChildOrder::Stop` says: a child that is not alive answers at once.
                 let incarnation = self.last.get(name).copied().unwrap_or_default();
                 self.machine.handle_stopped(name, incarnation, self.now);
             }

@@ -1,7 +1,9 @@
 //! Children that follow the script of a test, and the neighbours of a supervisor.
 
 use crate::fault_chain::directory::SupervisorDirectory;
-use crate::fault_chain::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};
+use crate::fault_chain::supervisor::{
+    SupervisorActor, SupervisorChild, SupervisorNeighbours, SupervisorSetup,
+};
 use crate::runtime::guardian::Guardian;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildOrder, ChildReport};
@@ -182,10 +184,12 @@ impl Bench {
             name: object(name),
             rules,
             children,
-            monitor: self.faults.recipient(),
-            states: self.states.recipient(),
-            isolation: self.isolation.recipient(),
-            directory: self.directory.clone(),
+            neighbours: SupervisorNeighbours {
+                monitor: self.faults.recipient(),
+                states: self.states.recipient(),
+                isolation: self.isolation.recipient(),
+                directory: self.directory.clone(),
+            },
             reserved: None,
         };
         SupervisorActor::start(&self.guardian, None, setup)

@@ -517,7 +517,7 @@ fn every_fault_is_settled_whatever_the_strategies_do() {
         FaultLocation::Node(NodeName::new("there").expect("a good name")),
         FaultLocation::Link { node: node(), link: "ethernet".into(), neighbour: None },
     ];
-    for kind in FaultKind::built_in().cloned() {
+    for kind in FaultKind::built_in() {
         for location in &locations {
             for answers in 0..81 {
                 let mut rig = Rig::new();

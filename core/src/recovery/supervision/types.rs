@@ -90,11 +90,11 @@ pub enum ChildOrder {
     /// the child up again.
     Retire,
     /// Give the present incarnation up without asking it: its queue is taken away, what it still
-    /// says goes nowhere. No answer. The next start finds another place for the child if the old one
-    /// is stuck.
+    /// says goes nowhere. No answer. The next start finds another place for the child if the old
+    /// one is stuck.
     Abandon,
-    /// The same with an incarnation that has had its time to start, or to end; report where it keeps
-    /// its thread.
+    /// The same with an incarnation that has had its time to start, or to end; report where it
+    /// keeps its thread.
     CutOff,
     /// Recover from an error.
     Reset,
