@@ -3,12 +3,11 @@
 //! Every store is plain and every activity record has one writer, the thread that runs its
 //! component. Who wants to know since when looks twice.
 
-use crate::platform::lock;
 use crate::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64};
 use blastema_core::Incarnation;
 use blastema_core::detection::hang::{ActivityMark, ComponentSample};
-use std::sync::{Mutex, MutexGuard};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// What a component's executor says. A cache line each, so that two arbiters do not share one, and
@@ -140,6 +139,7 @@ impl ActivityRecord {
     pub(crate) fn read(&self) -> ActivitySample {
         ActivitySample {
             component: ComponentSample {
+                // First, so that the label is of this turn or of a later one: see `step`.
                 turn: self.turn.load(Acquire),
                 alive: self.alive.load(Relaxed).into(),
                 incarnation: Incarnation(self.incarnation.load(Relaxed)),
@@ -172,7 +172,7 @@ static TABLE: Mutex<ActivityTable> =
     Mutex::new(ActivityTable { chunks: Vec::new(), free: Vec::new(), next: 0 });
 
 fn table() -> MutexGuard<'static, ActivityTable> {
-    lock(&TABLE)
+    TABLE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Where a component's activity record stands, for those who only read it.
