@@ -207,11 +207,6 @@ impl ContractIdentity {
         TrafficClass::of_message(self.name, self.delivery, self.bulk)
     }
 
-    /// The traffic class of events of a topic.
-    pub fn event_class(&self) -> TrafficClass {
-        TrafficClass::of_event(self.delivery, self.bulk)
-    }
-
     /// What the peer needs to decide: name, version, delivery and fingerprint.
     pub fn brief(&self) -> PeerIdentity {
         PeerIdentity {
