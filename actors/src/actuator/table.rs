@@ -8,7 +8,7 @@ use super::command::{ActuatorCommand, CommandDone, CommandKind};
 use crate::messaging::reply::Responder;
 use crate::platform::{self, lock};
 use crate::registry::access::{AccessControl, AccessWish, MessageOrigin};
-use crate::registry::encoding::{Refusal, named_contract};
+use crate::registry::encoding::{RequestRefusal, named_contract};
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
 use crate::runtime::callbacks::{CallOutcome, Callbacks};
@@ -361,7 +361,7 @@ impl ActuatorTable {
         (object, access): (&ObjectName, &AccessControl),
         identity: &[u8],
         from: MessageOrigin,
-    ) -> Result<Arc<Actuator>, Refusal> {
+    ) -> Result<Arc<Actuator>, RequestRefusal> {
         let theirs = named_contract(identity)?;
         access.check(from, AccessWish::Command, object, || theirs.name.clone())?;
         let named = |actuator: &&Arc<Actuator>| {
@@ -370,7 +370,7 @@ impl ActuatorTable {
         let actuator = lock(&self.actuators).values().find(named).cloned();
         let unknown = || DeliveryError::Unknown { name: format!("{} of {object}", theirs.name) };
         let actuator = actuator.ok_or_else(unknown)?;
-        Refusal::check(&actuator.declared.identity, &theirs)?;
+        RequestRefusal::check(&actuator.declared.identity, &theirs)?;
         Ok(actuator)
     }
 
@@ -446,7 +446,7 @@ impl ActuatorTable {
             self.take_back(&actuator);
         }
         self.timekeeper.look();
-        reply.settle(done.map_err(Refusal::Why));
+        reply.settle(done.map_err(RequestRefusal::Why));
     }
 
     /// A commander holds the lease again: clears the fault of the former one, unless another
@@ -609,7 +609,7 @@ impl Actuator {
                 reply: bytes.into_bytes().into(),
                 ..CommandDone::default()
             };
-            reply.settle(result.map(done).map_err(Refusal::Why));
+            reply.settle(result.map(done).map_err(RequestRefusal::Why));
         });
         let metadata = MessageMetadata { age, ..MessageMetadata::default() };
         // What came of it is told to the closure in every case.

@@ -69,22 +69,22 @@ impl OtherContract {
 }
 
 /// Why the node refuses a request that names the contract which it is about.
-pub(crate) enum Refusal {
+pub(crate) enum RequestRefusal {
     Differs(OtherContract),
     Why(DeliveryError),
 }
 
-impl From<DeliveryError> for Refusal {
+impl From<DeliveryError> for RequestRefusal {
     fn from(why: DeliveryError) -> Self {
-        Refusal::Why(why)
+        RequestRefusal::Why(why)
     }
 }
 
-impl Refusal {
+impl RequestRefusal {
     /// Compares the contract that a request names with the one that there is.
     pub(crate) fn check(known: &ContractIdentity, theirs: &PeerIdentity) -> Result<(), Self> {
         let differs = |_| OtherContract { identity: known.full().encode() };
-        known.check(theirs).map_err(differs).map_err(Refusal::Differs)
+        known.check(theirs).map_err(differs).map_err(RequestRefusal::Differs)
     }
 }
 
@@ -96,11 +96,11 @@ pub(crate) fn named_contract(identity: &[u8]) -> Result<PeerIdentity, DeliveryEr
 
 impl<T, M: Contract<Reply = Result<T, OtherContract>>> Responder<M> {
     /// Replies, or refuses.
-    pub(crate) fn settle(self, result: Result<T, Refusal>) {
+    pub(crate) fn settle(self, result: Result<T, RequestRefusal>) {
         match result {
             Ok(reply) => self.give(Ok(reply)),
-            Err(Refusal::Differs(other)) => self.give(Err(other)),
-            Err(Refusal::Why(why)) => self.refuse(why, None),
+            Err(RequestRefusal::Differs(other)) => self.give(Err(other)),
+            Err(RequestRefusal::Why(why)) => self.refuse(why, None),
         }
     }
 }

@@ -9,7 +9,7 @@ use crate::messaging::reply::Responder;
 use crate::platform::file_lock::FileLock;
 use crate::platform::{self, lock, panics};
 use crate::registry::access::{AccessControl, AccessWish, MessageOrigin};
-use crate::registry::encoding::{Refusal, encoded, named_contract};
+use crate::registry::encoding::{RequestRefusal, encoded, named_contract};
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry};
 use blastema_core::contract::codec;
@@ -342,7 +342,7 @@ impl VariableStore {
         inner.machine.read(&key, platform::now()).map(|report| report.value.into())
     }
 
-    fn checked(&self, writes: Vec<WriteEntry>) -> Result<Vec<ValueWrite>, Refusal> {
+    fn checked(&self, writes: Vec<WriteEntry>) -> Result<Vec<ValueWrite>, RequestRefusal> {
         let mut checked = Vec::new();
         for WriteEntry { variable, value, if_revision } in writes {
             let (variable, VariableDeclaration { facts, default, .. }) = self.find(&variable)?;
@@ -363,14 +363,14 @@ impl VariableStore {
     fn find(
         &self,
         wanted: &VariableSelector,
-    ) -> Result<(VariableKey, VariableDeclaration<VariableFacts>), Refusal> {
+    ) -> Result<(VariableKey, VariableDeclaration<VariableFacts>), RequestRefusal> {
         let theirs = named_contract(&wanted.identity)?;
         let key = (wanted.object.clone(), theirs.name.clone());
         let inner = self.lock();
         let known = inner.machine.declaration(&key).cloned();
         let known = known.ok_or_else(|| inner.no_variable(&key))?;
         drop(inner);
-        Refusal::check(&known.facts.identity, &theirs)?;
+        RequestRefusal::check(&known.facts.identity, &theirs)?;
         Ok((key, known))
     }
 }
@@ -380,7 +380,7 @@ fn tell_watchers(mut inner: MutexGuard<'_, Inner>) {
     let reports: Vec<_> = std::iter::from_fn(|| inner.machine.poll_output()).collect();
     drop(inner);
     for (WaitingWatch { permit, reply }, result) in reports {
-        reply.settle(permit().and(result).map_err(Refusal::Why));
+        reply.settle(permit().and(result).map_err(RequestRefusal::Why));
     }
 }
 
