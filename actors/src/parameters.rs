@@ -11,7 +11,6 @@ use crate::component::extension::Extension;
 use crate::component::ports::{ParameterValues, ParametersType, Ports};
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
-use crate::platform::lock;
 use crate::variable::ports::VariablePorts;
 use crate::variable::{DeclaredVariable, RestorePolicy, VariableRef, declared};
 use blastema_core::contract::codec;
@@ -19,7 +18,7 @@ use blastema_core::parameters::{ParameterError, ParameterValue, Parameters};
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{DeliveryError, ObjectName, suggestion};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 use toml::{Table, Value};
 
 /// Returns the values that the parameters `P` do not take, each by itself.
@@ -56,7 +55,7 @@ impl Configured {
     /// component.
     pub(crate) fn take(&self, text: &str, file: Option<&Path>) -> Result<(), String> {
         let document: Table = text.parse().map_err(|error| format!("{error}"))?;
-        let mut inner = lock(&self.0);
+        let mut inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         for (component, table) in document {
             let Value::Table(table) = table else {
                 return Err(format!(
@@ -88,7 +87,7 @@ impl Configured {
         if written.is_empty() {
             return;
         }
-        let mut inner = lock(&self.0);
+        let mut inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let values = inner.given.entry(component.to_string()).or_default();
         for (key, text) in written {
             values.entry(key).or_insert(ParameterValue::Written(text));
@@ -101,7 +100,7 @@ impl Configured {
         component: &ObjectName,
         takes: Option<ParametersType>,
     ) -> Vec<SpecError> {
-        let inner = lock(&self.0);
+        let inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(given) = inner.given.get(component.as_str()) else { return Vec::new() };
         let unknown = |key: &String| {
             let (key, known) = (key.clone(), Vec::new());
@@ -116,7 +115,7 @@ impl Configured {
 
     /// The parameters of this component, which has some.
     fn parameters<P: Parameters>(&self, component: &ObjectName) -> Result<P, SpecError> {
-        let mut inner = lock(&self.0);
+        let mut inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         inner.takers.insert(component.to_string());
         let given = inner.given.get(component.as_str()).into_iter().flatten();
         let parameters = P::from_values(given.map(|(key, value)| (key.as_str(), value)));
@@ -125,13 +124,13 @@ impl Configured {
 
     /// A component of this name is added later, and may take values.
     pub(crate) fn expect(&self, component: &str) {
-        let mut inner = lock(&self.0);
+        let mut inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         inner.takers.insert(component.to_owned());
     }
 
     /// Finds values for a component that takes none, and the file that they stand in.
     pub(crate) fn check(&self) -> Result<(), (Option<PathBuf>, String)> {
-        let inner = lock(&self.0);
+        let inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(wrong) = inner.given.keys().find(|name| !inner.takers.contains(*name)) else {
             return Ok(());
         };
@@ -172,7 +171,7 @@ fn declare<C: Handle<P>, P: Parameters>(
     let changed = move || {
         // The last one that is told has been read last, however many threads set parameters. An
         // incarnation that begins later reads them itself.
-        let _telling = lock(&telling);
+        let _telling = telling.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(owner) = owner.upgrade()
             && let Some(incarnation) = owner.queue.owner()
             && let Ok(parameters) = owner.parameters::<P>()

@@ -8,7 +8,7 @@
 //! node, so that "has it changed since?" has an answer whatever happened in between.
 
 use crate::sorted::SortedMap;
-use crate::{Blob, DeliveryError, Instant, ObjectName};
+use crate::{DeliveryError, Instant, ObjectName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -48,10 +48,10 @@ pub enum ValueState {
 }
 
 /// A variable as it stands.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ValueReport {
     /// The value.
-    pub value: Blob,
+    pub value: Bytes,
     /// Of which change; rises.
     pub revision: u64,
     /// How far it can be relied on.
@@ -319,7 +319,7 @@ impl<F> Entry<F> {
 
     fn report(&self, now: Instant) -> ValueReport {
         ValueReport {
-            value: self.value.clone().into(),
+            value: self.value.clone(),
             revision: self.revision,
             state: self.state,
             age: now - self.since,

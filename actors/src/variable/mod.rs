@@ -20,9 +20,8 @@ pub(crate) use store::{DeclaredVariable, VariableStore, declared};
 use crate::messaging::sender::Sender;
 use crate::registry::Registry;
 use crate::registry::encoding::encoded;
-use access::{VariableRequest, VariableSelector, WATCH_WITHIN, WriteEntry};
+use access::{VariableAnswer, VariableRequest, VariableSelector, WATCH_WITHIN, WriteEntry};
 use blastema_core::contract::codec;
-use blastema_core::variables::ValueReport;
 use blastema_core::{
     ContractIdentity, DeliveryError, NodeName, ObjectAddress, ObjectName, Variable,
 };
@@ -154,7 +153,7 @@ impl<V: Variable> VariableRef<V> {
         VariableSelector { object: self.object.clone(), identity }
     }
 
-    async fn ask(&self, access: VariableRequest) -> Result<ValueReport, DeliveryError> {
+    async fn ask(&self, access: VariableRequest) -> Result<VariableAnswer, DeliveryError> {
         let asked = self.sender.ask_within(access, WATCH_WITHIN).await;
         asked
             .map_err(|error| none_at_all::<V>(error.kind))?
@@ -162,7 +161,7 @@ impl<V: Variable> VariableRef<V> {
     }
 
     async fn ask_for_value(&self, access: VariableRequest) -> Result<Reading<V>, DeliveryError> {
-        let ValueReport { value, revision, state, age } = self.ask(access).await?;
+        let VariableAnswer { value, revision, state, age } = self.ask(access).await?;
         let value = codec::decode::<V>(&value)
             .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
         Ok(Reading { value, revision, state, age })

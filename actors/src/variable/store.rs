@@ -1,7 +1,7 @@
 //! The node's variables: the body of the machine in the core.
 
 use super::RestoreDecision;
-use super::access::{VariableRequest, VariableSelector, WriteEntry};
+use super::access::{VariableAnswer, VariableRequest, VariableSelector, WriteEntry};
 use super::kept_file::{self, LoadError, PersistenceFile, WriteDone};
 use crate::messaging::death_watch::{DownReason, Watcher};
 use crate::messaging::incarnation::IncarnationToken;
@@ -15,10 +15,10 @@ use crate::registry::{ContractPort, Registry};
 use blastema_core::contract::codec;
 use blastema_core::sorted::SortedMap;
 use blastema_core::variables::{
-    PersistedValue, RestorePolicy, ValueReport, ValueState, ValueWrite, VariableDeclaration,
-    VariableKey, Variables,
+    PersistedValue, RestorePolicy, ValueState, ValueWrite, VariableDeclaration, VariableKey,
+    Variables,
 };
-use blastema_core::{Blob, ContractIdentity, DeliveryError, ObjectName, PeerIdentity, Variable};
+use blastema_core::{ContractIdentity, DeliveryError, ObjectName, PeerIdentity, Variable};
 use bytes::Bytes;
 use std::io;
 use std::path::PathBuf;
@@ -270,7 +270,7 @@ impl VariableStore {
     fn serve(&self, access: VariableRequest, permit: Permit, reply: Responder<VariableRequest>) {
         match access {
             VariableRequest::Read { variable } => {
-                let read = |(key, _)| Ok(self.lock().machine.read(&key, platform::now())?);
+                let read = |(key, _)| Ok(self.lock().machine.read(&key, platform::now())?.into());
                 reply.settle(self.find(&variable).and_then(read));
             }
             VariableRequest::Watch { variable, after } => match self.find(&variable) {
@@ -314,7 +314,7 @@ impl VariableStore {
             }
         };
         let (state, age) = (ValueState::Current, Duration::ZERO);
-        let report = ValueReport { value: Blob::default(), revision, state, age };
+        let report = VariableAnswer { value: Vec::new(), revision, state, age };
         let done: WriteDone = Box::new(move |kept| match kept {
             Ok(()) => reply.give(Ok(report)),
             Err(reason) => reply.refuse(DeliveryError::NotKept { reason }, None),
@@ -339,7 +339,7 @@ impl VariableStore {
         if inner.machine.declaration(&key).is_none() {
             return Err(inner.no_variable(&key));
         }
-        inner.machine.read(&key, platform::now()).map(|report| report.value.into())
+        inner.machine.read(&key, platform::now()).map(|report| report.value)
     }
 
     fn checked(&self, writes: Vec<WriteEntry>) -> Result<Vec<ValueWrite>, RequestRefusal> {
@@ -380,7 +380,7 @@ fn tell_watchers(mut inner: MutexGuard<'_, Inner>) {
     let reports: Vec<_> = std::iter::from_fn(|| inner.machine.poll_output()).collect();
     drop(inner);
     for (WaitingWatch { permit, reply }, result) in reports {
-        reply.settle(permit().and(result).map_err(RequestRefusal::Why));
+        reply.settle(permit().and(result).map(VariableAnswer::from).map_err(RequestRefusal::Why));
     }
 }
 
