@@ -4,8 +4,8 @@ use blastema_core::contract::codec::{decode_bounded, encode_bounded};
 use blastema_core::contract::layout::difference::{ContractPart, compare};
 use blastema_core::contract::layout::{Field, Fields, Primitive, Shape};
 use blastema_core::{
-    ContractIdentity, DecodeError, Described, DescriptionError, FaultKind, FaultLocation,
-    LayoutDescription, Lifecycle, ObjectAddress, PeerIdentity,
+    ContractIdentity, DecodeError, Described, FaultKind, FaultLocation, LayoutDescription,
+    Lifecycle, ObjectAddress, PeerIdentity,
 };
 use blastema_macros::{Event, Request, Structure};
 use std::sync::Arc;
@@ -333,8 +333,8 @@ fn identities_of_the_same_contract_bind_after_travelling() {
 }
 
 #[track_caller]
-fn check_refused(types: Vec<Shape<u32>>, expected: DescriptionError) {
-    assert_eq!(LayoutDescription::try_from(types.clone()), Err(expected.clone()));
+fn check_refused(types: Vec<Shape<u32>>, expected: &str) {
+    assert_eq!(LayoutDescription::try_from(types.clone()), Err(expected.to_owned()));
 
     let mut bytes = Vec::new();
     encode_bounded(&types, usize::MAX, &mut bytes).unwrap();
@@ -346,14 +346,12 @@ fn check_refused(types: Vec<Shape<u32>>, expected: DescriptionError) {
 fn an_unsound_description_is_refused() {
     let named = |name: &str| Shape::Struct(name.to_owned().into(), Fields::Unit);
 
-    check_refused(vec![], DescriptionError::Empty);
-    check_refused(vec![named("A"); 513], DescriptionError::TooManyTypes { count: 513 });
-    check_refused(
-        vec![Shape::Sequence(1)],
-        DescriptionError::DanglingReference { index: 1, count: 1 },
-    );
-    check_refused(vec![named("red \u{1b}[31m")], DescriptionError::Unprintable);
-    check_refused(vec![named(&"n".repeat(129))], DescriptionError::Unprintable);
+    check_refused(vec![], "the description is empty");
+    check_refused(vec![named("A"); 513], "the description holds 513 types; at most 512 are taken");
+    check_refused(vec![Shape::Sequence(1)], "the description refers to type 1 of 1");
+    let unprintable = "the description holds a name or unit that cannot be shown";
+    check_refused(vec![named("red \u{1b}[31m")], unprintable);
+    check_refused(vec![named(&"n".repeat(129))], unprintable);
 }
 
 #[test]
