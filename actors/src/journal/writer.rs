@@ -1,6 +1,5 @@
 //! The journal's thread, and the actor that gives it work.
 
-use super::WallTime;
 use super::lock::JournalLock;
 use super::store::{Author, JournalRow, Moment, Store, StoreError, StoreLimits};
 use crate::platform;

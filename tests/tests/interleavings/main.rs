@@ -30,15 +30,10 @@ mod sync {
     pub(crate) use loom::sync::{Mutex, MutexGuard, atomic};
 }
 
-/// Stands for the only place that reads a clock, and what it has beside that.
+/// Stands for the only place that reads a clock.
 mod platform {
     pub(crate) fn now() -> blastema_core::Instant {
         blastema_core::Instant::ORIGIN
-    }
-
-    /// For the locks that no model touches.
-    pub(crate) fn lock<T>(mutex: &std::sync::Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-        mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
 }
 
