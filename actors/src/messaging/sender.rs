@@ -204,8 +204,8 @@ pub(crate) struct DetachedSender<M: Contract> {
 }
 
 impl<M: Contract> Redirect<M> for DetachedSender<M> {
-    fn present(&self) -> Result<Sender<M>, DeliveryError> {
-        self.incarnation.forbidden().map_or_else(|| Ok(self.inner.clone()), Err)
+    fn present(&self) -> Result<Arc<dyn MessageSink<M>>, DeliveryError> {
+        self.incarnation.forbidden().map_or_else(|| Ok(self.inner.0.clone()), Err)
     }
 
     fn receiver(&self) -> Option<Receiver> {

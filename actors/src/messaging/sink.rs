@@ -2,13 +2,13 @@
 
 use crate::messaging::error::{Receiver, RequestError, SendError};
 use crate::messaging::reply::ReplyFuture;
-use crate::messaging::sender::Sender;
 use blastema_core::{Contract, DeliveryError, MessageId};
 use std::future::Future;
 use std::pin::Pin;
+use std::sync::Arc;
 use std::time::Duration;
 
-/// What stands behind a [`Sender`]: a component here, or one on another node.
+/// What stands behind a [`Sender`](crate::Sender): a component here, or one on another node.
 pub(crate) trait MessageSink<M: Contract>: Send + Sync {
     /// Hands the message over, or lets the receiver's policy decide. Never waits.
     fn tell(&self, message: M) -> Result<(), SendError<M>> {
@@ -39,10 +39,10 @@ pub(crate) trait MessageSink<M: Contract>: Send + Sync {
     }
 }
 
-/// Finds the sender of each message.
+/// Finds where each message is sent.
 pub(crate) trait Redirect<M: Contract>: Send + Sync {
     /// The present one.
-    fn present(&self) -> Result<Sender<M>, DeliveryError>;
+    fn present(&self) -> Result<Arc<dyn MessageSink<M>>, DeliveryError>;
 
     /// Completes when it may be another one.
     fn changed(&self) -> impl Future<Output = ()> + Send {
@@ -55,20 +55,20 @@ pub(crate) trait Redirect<M: Contract>: Send + Sync {
     }
 }
 
-/// Sends by the present sender.
+/// Sends to the present sink.
 pub(crate) struct Redirected<R>(pub(crate) R);
 
 impl<M: Contract, R: Redirect<M>> MessageSink<M> for Redirected<R> {
     fn tell(&self, message: M) -> Result<(), SendError<M>> {
         match self.0.present() {
-            Ok(sender) => sender.0.tell(message),
+            Ok(sink) => sink.tell(message),
             Err(why) => Err(SendError::new(why, message)),
         }
     }
 
     fn offer(&self, message: M) -> Result<(), SendError<M>> {
         match self.0.present() {
-            Ok(sender) => sender.0.offer(message),
+            Ok(sink) => sink.offer(message),
             Err(why) => Err(SendError::new(why, message)),
         }
     }
@@ -77,9 +77,9 @@ impl<M: Contract, R: Redirect<M>> MessageSink<M> for Redirected<R> {
         Box::pin(async move {
             let changed = self.0.changed();
             // The next message may go to another receiver than the one that is full now.
-            if let Ok(sender) = self.0.present() {
+            if let Ok(sink) = self.0.present() {
                 tokio::select! {
-                    () = sender.0.space() => {}
+                    () = sink.space() => {}
                     () = changed => {}
                 }
             }
@@ -87,8 +87,8 @@ impl<M: Contract, R: Redirect<M>> MessageSink<M> for Redirected<R> {
     }
 
     fn overdue(&self) {
-        if let Ok(sender) = self.0.present() {
-            sender.0.overdue();
+        if let Ok(sink) = self.0.present() {
+            sink.overdue();
         }
     }
 
@@ -103,7 +103,7 @@ impl<M: Contract, R: Redirect<M>> MessageSink<M> for Redirected<R> {
         within: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>> {
         match self.0.present() {
-            Ok(sender) => sender.0.ask(message, id, within),
+            Ok(sink) => sink.ask(message, id, within),
             Err(why) => Err(RequestError::new(why, Some(message))),
         }
     }

@@ -1,7 +1,7 @@
 //! What stands behind a `Sender` whose receiver may change: sends to the present one.
 
 use crate::messaging::sender::Sender;
-use crate::messaging::sink::{Redirect, Redirected};
+use crate::messaging::sink::{MessageSink, Redirect, Redirected};
 use crate::platform::lock;
 use crate::registry::Registry;
 use blastema_core::{Contract, DeliveryError};
@@ -40,17 +40,17 @@ impl<M: Contract, R: CurrentReceiver> CurrentSender<M, R> {
 }
 
 impl<M: Contract, R: CurrentReceiver> Redirect<M> for CurrentSender<M, R> {
-    fn present(&self) -> Result<Sender<M>, DeliveryError> {
+    fn present(&self) -> Result<Arc<dyn MessageSink<M>>, DeliveryError> {
         let current = self.receiver.current()?;
         let mut last = lock(&self.last);
         if let Some((known, sender)) = last.as_ref()
             && *known == current
         {
-            return Ok(sender.clone());
+            return Ok(sender.0.clone());
         }
         let sender = self.registry.sender::<M>(&current.0)?;
         *last = Some((current, sender.clone()));
-        Ok(sender)
+        Ok(sender.0)
     }
 
     fn changed(&self) -> impl Future<Output = ()> + Send {

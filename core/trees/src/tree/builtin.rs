@@ -2,7 +2,7 @@
 
 use super::{LoopQueue, NodeAnswer, PortBinding, PortError, TickError, Tree, TreeNodeId};
 use crate::blackboard::KeyId;
-use crate::model::ChildOrder;
+use crate::model::TickOrder;
 use crate::script::equal;
 use crate::status::Status;
 use crate::value::Value;
@@ -12,7 +12,7 @@ use std::time::Duration;
 impl Tree {
     /// The first so many children in turn. `memory.index` is the present one, and `memory.count`
     /// counts the skipped ones of a run.
-    pub(super) fn ordered(&mut self, id: TreeNodeId, order: ChildOrder, count: u32) -> NodeAnswer {
+    pub(super) fn ordered(&mut self, id: TreeNodeId, order: TickOrder, count: u32) -> NodeAnswer {
         let node = self.node_mut(id);
         if node.status == Status::Idle {
             node.memory.count = 0;
@@ -220,7 +220,7 @@ impl Tree {
     pub(super) fn try_catch(&mut self, id: TreeNodeId) -> NodeAnswer {
         let last = self.node(id).child_count - 1;
         if !self.memory(id).flag {
-            match self.ordered(id, ChildOrder::SEQUENCE, last)? {
+            match self.ordered(id, TickOrder::SEQUENCE, last)? {
                 Status::Failure => self.memory(id).flag = true,
                 status => return Ok(status),
             }

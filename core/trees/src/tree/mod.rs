@@ -15,7 +15,7 @@ pub(crate) use leaf::{BoundPort, LeafModel, LeafState, MakeLeaf, PortBinding};
 pub use leaf::{Halt, Leaf, LeafContext, LeafResult, LeafRun};
 
 use crate::blackboard::{Blackboard, BoardId, KeyId};
-use crate::model::{ChildOrder, Kind};
+use crate::model::{TickOrder, Kind};
 use crate::script::{Script, truth};
 use crate::status::Status;
 use crate::value::{PortType, PortValue, Value};
@@ -543,7 +543,7 @@ impl Tree {
         let memory = &mut node.memory;
         match node.kind {
             // Their memory outlives a halt.
-            Kind::Ordered(ChildOrder { keeps: true, .. })
+            Kind::Ordered(TickOrder { keeps: true, .. })
             | Kind::RunOnce
             | Kind::Precondition
             | Kind::WasEntryUpdated => {}
