@@ -665,7 +665,6 @@ impl<C: Component> ComponentCell<C> {
         Ok(())
     }
 
-    /// Returns what waits although it has expired, or its caller has stopped waiting.
     /// Gives a notice to the incarnation `owner`, whether its queue is full or not. An earlier one
     /// about the same thing that it has not taken yet is replaced.
     pub(crate) fn notify<M: Contract>(&self, owner: Incarnation, about: &str, notice: M)
@@ -738,6 +737,7 @@ impl<C: Component> ComponentCell<C> {
         let _ = self.record.guard(|| format!("the Drop of a message of {contract}"), give_back);
     }
 
+    /// Returns what waits although it has expired, or its caller has stopped waiting.
     #[cold]
     fn return_those_over(&self) {
         let is_over =

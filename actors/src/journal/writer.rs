@@ -81,14 +81,13 @@ pub(crate) struct JournalGuard {
 impl JournalGuard {
     /// The node ends for this reason, which is the last entry.
     pub(crate) fn end(self, cause: &str) {
-        // Only a drop sets it too, and that follows.
+        // A guard ends once.
         let _ = self.ends.set(cause.to_owned());
     }
 }
 
 impl Drop for JournalGuard {
     fn drop(&mut self) {
-        self.ends.get_or_init(|| "the node did not come to be".to_owned());
         // If the queue is full, the thread sees `ends` when it has written all of it.
         let _ = self.queue.try_send(Work::End);
         let _ = self.ended.recv_timeout(LAST_STEPS);

@@ -489,7 +489,7 @@ impl Shared {
 impl Drop for Shared {
     fn drop(&mut self) {
         let meanwhile = match &*self.chain.state.borrow() {
-            NodeState::Starting => "it started",
+            NodeState::Starting => return self.end("the node did not come to be"),
             NodeState::Running => "it ran",
             NodeState::InSafeState { .. } => "it was in the safe state",
             NodeState::Stopped => "it was shut down",

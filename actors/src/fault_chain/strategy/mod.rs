@@ -1,6 +1,5 @@
 //! Strategies: the actions that each node has are calls of the tools. Each strategy of the
-//! application has an actor on a thread of its own, made when it is first needed and let go when it
-//! has had nothing to do for a while.
+//! application has an actor on a thread of its own, made when it is first needed.
 //!
 //! ```text
 //! Recoverer ─────────────────────────────────────────────────────► tools
@@ -25,7 +24,7 @@ use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 /// A recovery strategy of the application.
 ///
 /// The node gets it by name, and calls it for the faults that the plan answers with this name. The
-/// node creates it at its first order, and drops it after a while without orders.
+/// node creates it at its first order, and keeps it until the node ends or the recoverer restarts.
 ///
 /// Orders for different places are carried out at the same time: whatever must be remembered
 /// between them is kept in a cell. A strategy that panics, or takes longer than

@@ -32,7 +32,7 @@
 //! work waits until the caller gives it a turn ([`Sealer::handle_turn`]), one message each.
 //!
 //! **Before authentication.** A frame of a handshake passes, in this order: its form; `mac1`, which
-//! needs a key of the pair; the memory of repeats; a budget of fifty a second; beyond that, where
+//! needs a key of the pair; the memory of repeats; a budget of 64 within a second; beyond that, where
 //! addresses can be forged, a cookie. All of it takes less than 64 KiB, and no address receives
 //! more bytes than came from there.
 //!
