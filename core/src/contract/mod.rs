@@ -318,7 +318,11 @@ fn contract_name<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error>
 /// It is taken over the bytes of both descriptions, which golden tests hold still: it is the same
 /// in every build and on every platform.
 pub fn fingerprint(message: LayoutOf, reply: LayoutOf) -> u64 {
-    hash::of(codec::encode_unbounded(&PeerStructure::of(message(), reply())))
+    fingerprint_of(message(), reply())
+}
+
+fn fingerprint_of(message: &Layout, reply: &Layout) -> u64 {
+    hash::of(codec::encode_unbounded(&PeerStructure::of(message, reply)))
 }
 
 /// The fingerprint of the contract `id`, computed when first asked for.

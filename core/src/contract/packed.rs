@@ -13,7 +13,9 @@
 //! The size is fixed. Types without a bound, such as `String` and `Vec`, have no packed form.
 
 use crate::contract::codec;
-use crate::contract::layout::{Described, Fields, LayoutOf, Primitive, Shape, Variant};
+use crate::contract::layout::{
+    Described, Field, Fields, Layout, LayoutOf, Primitive, Shape, Variant,
+};
 use crate::{Contract, ContractIdentity, DecodeError, EncodeError, hash};
 
 /// The largest packed message, in bytes: with a status before it, it fits into one packet.
@@ -102,9 +104,75 @@ fn leaf_size(leaf: Primitive) -> Option<usize> {
 /// The fingerprint of the packed contract: 32 bits of a hash over name, version and structure,
 /// units and frames included. The generated C header has the same number.
 pub fn fingerprint<M: Contract>() -> u32 {
-    let structure = ContractIdentity::of::<M>().fingerprint;
+    narrow::<M>(ContractIdentity::of::<M>().fingerprint)
+}
+
+fn narrow<M: Contract>(structure: u64) -> u32 {
     let bytes = M::NAME.bytes().chain(M::VERSION.to_le_bytes());
     hash::of(bytes.chain(structure.to_le_bytes())) as u32
+}
+
+/// The types that a field is tried with.
+const LEAVES: [LayoutOf; 14] = [
+    bool::layout,
+    u8::layout,
+    u16::layout,
+    u32::layout,
+    u64::layout,
+    u128::layout,
+    i8::layout,
+    i16::layout,
+    i32::layout,
+    i64::layout,
+    i128::layout,
+    f32::layout,
+    f64::layout,
+    char::layout,
+];
+
+/// Says which field differs in a contract with another fingerprint, which is all that a device
+/// tells of it: tries each field of the message and of the reply with other types, without its
+/// unit, without it, and in the place after the next one. `None` where more differs.
+pub fn difference<M: Contract>(theirs: u32) -> Option<String> {
+    let (message, reply) = (M::layout(), M::Reply::layout());
+    let is_theirs = |changed: &Layout, in_reply: bool| {
+        let pair = if in_reply { (message, changed) } else { (changed, reply) };
+        narrow::<M>(super::fingerprint_of(pair.0, pair.1)) == theirs
+    };
+    for (of, in_reply) in [(message, false), (reply, true)] {
+        let Shape::Struct(name, fields) = &of.shape else { continue };
+        let own = fields.as_slice();
+        let is_so = |changed: Vec<Field<LayoutOf>>| {
+            let fields = match fields {
+                Fields::Named(_) => Fields::Named(changed.into()),
+                _ => Fields::Tuple(changed.into()),
+            };
+            is_theirs(&Layout { id: of.id, shape: Shape::Struct(name.clone(), fields) }, in_reply)
+        };
+        for (at, field) in own.iter().enumerate() {
+            let with = |change: &dyn Fn(&mut Vec<Field<LayoutOf>>)| {
+                let mut changed = own.to_vec();
+                change(&mut changed);
+                is_so(changed)
+            };
+            let mut leaves = LEAVES.iter();
+            if let Some(leaf) = leaves.find(|leaf| with(&|fields| fields[at].of = **leaf)) {
+                let Shape::Leaf(leaf) = leaf().shape else { continue };
+                return Some(format!("the field `{}` is {} there", field.name, leaf.name()));
+            }
+            if with(&|fields| drop(fields.remove(at))) {
+                return Some(format!("there is no field `{}` there", field.name));
+            }
+            if field.unit.is_some() && with(&|fields| fields[at].unit = None) {
+                return Some(format!("the field `{}` has no unit there", field.name));
+            }
+            if at + 1 < own.len() && with(&|fields| fields.swap(at, at + 1)) {
+                let next = &own[at + 1].name;
+                return Some(format!("the field `{}` comes after `{next}` there", field.name));
+            }
+        }
+    }
+    None
 }
 
 /// Packs a value.
