@@ -107,7 +107,7 @@ pub enum LeaseStatus {
     Free,
     /// A commander holds the lease.
     Held {
-        /// Who.
+        /// The commander that holds it.
         commander: CommanderId,
         /// Under which epoch.
         epoch: u64,

@@ -19,24 +19,24 @@ pub enum Lifecycle {
     Created,
     /// Ready, and doing nothing.
     Initialized,
-    /// At work.
+    /// The object does its work.
     Active,
     /// A fault stopped its work; `on_reset` may bring it back.
     Error,
     /// This incarnation is over; only `on_finalize` is left to it.
     Fatal,
-    /// The end.
+    /// The incarnation has ended; no state follows.
     Finalized,
 }
 
 /// One way from one state to another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transition {
-    /// From where.
+    /// The state before the change.
     pub from: Lifecycle,
     /// The hook that was called, or what happened.
     pub by: &'static str,
-    /// To where.
+    /// The state after the change.
     pub to: Lifecycle,
 }
 

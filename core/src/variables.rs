@@ -50,7 +50,7 @@ pub enum ValueState {
 /// A variable as it stands.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ValueReport {
-    /// The value.
+    /// The encoded value.
     pub value: Bytes,
     /// Of which change; rises.
     pub revision: u64,
@@ -66,7 +66,7 @@ pub type VariableKey = (ObjectName, String);
 /// One value to be written.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ValueWrite {
-    /// Where to.
+    /// The variable to write.
     pub variable: VariableKey,
     /// What; `None` leaves the value that was there before a decision on it was awaited.
     pub value: Option<Bytes>,
@@ -92,7 +92,7 @@ pub struct PersistedValue {
     pub variable: VariableKey,
     /// Of the contract under which it was written: under another, its bytes mean something else.
     pub fingerprint: u64,
-    /// The value.
+    /// The encoded value.
     pub value: Vec<u8>,
 }
 

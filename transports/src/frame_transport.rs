@@ -19,7 +19,6 @@ pub struct FrameTransport {
     medium: Box<dyn FrameMedium>,
     outlet: Upstream,
     reopening: ReopenBackoff,
-    /// Being opened.
     opening: Option<OpenedMedium>,
     open: Option<OpenedMedium>,
     queue: TransmitQueues<(MediumAddress, Bytes)>,

@@ -47,15 +47,15 @@ pub trait Child: Send {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct ChildReport {
-    /// The child.
+    /// The child that the report is about.
     pub object: ObjectName,
-    /// Which incarnation.
+    /// The incarnation that the report is about.
     pub incarnation: Incarnation,
     /// What became of it.
     pub event: ChildEvent,
 }
 
-/// See [`Child`].
+/// The event that a [`ChildReport`] carries.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ChildEvent {
     /// The new incarnation is active, or, after [`Unavailable`](ChildEvent::Unavailable), it is at
@@ -87,7 +87,7 @@ pub enum ChildEvent {
     /// Its incarnation ended although its supervisor had not asked for it; the guard has told the
     /// monitor the same in [`Exited`](crate::reports::Exited).
     Died {
-        /// How.
+        /// How it ended.
         exit: ExitReason,
         /// The guard has carried out its standing order: this incarnation has begun in the old
         /// one's place.

@@ -32,7 +32,7 @@ pub struct Register {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Unregister {
-    /// Who.
+    /// The object to forget.
     pub object: ObjectName,
 }
 
@@ -50,7 +50,7 @@ pub struct NodeEnding;
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct IsolationReported {
-    /// Who.
+    /// The object that was isolated or admitted.
     pub object: ObjectName,
     /// Whether it is isolated now.
     pub isolated: bool,
@@ -74,7 +74,7 @@ pub struct LinkReported {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct NodeReported {
-    /// Which.
+    /// The node that changed.
     pub node: NodeName,
     /// Its incarnation, as last heard.
     pub incarnation: Incarnation,

@@ -30,11 +30,11 @@ pub struct Alive {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Exited {
-    /// Who.
+    /// The object that ended.
     pub object: ObjectName,
-    /// Which incarnation.
+    /// The incarnation that ended.
     pub incarnation: Incarnation,
-    /// How.
+    /// How it ended.
     pub exit: ExitReason,
     /// The guard has carried out its standing order: this incarnation has begun in the old one's
     /// place.
@@ -45,9 +45,9 @@ pub struct Exited {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct StateReported {
-    /// Who.
+    /// The object whose state changed.
     pub object: ObjectName,
-    /// Which incarnation.
+    /// The incarnation that is in that state.
     pub incarnation: Incarnation,
     /// Where it now stands.
     pub state: Lifecycle,
@@ -62,11 +62,11 @@ pub struct StateReported {
 pub struct FaultDeclared {
     /// Who declares it.
     pub object: ObjectName,
-    /// Which incarnation.
+    /// The incarnation in which the object found it.
     pub incarnation: Incarnation,
     /// What it is.
     pub kind: FaultKind,
-    /// The particulars.
+    /// The fault's particulars, for display.
     pub detail: String,
     /// How long it stands after it was declared last; `None` where its end is declared.
     pub hold: Option<Duration>,

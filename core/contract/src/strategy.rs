@@ -22,7 +22,7 @@ pub struct Reroute {
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Result<RecoveryDone, RecoveryFailed>")]
 pub struct IsolateNode {
-    /// Which.
+    /// The node to isolate or to admit.
     pub node: NodeName,
     /// Whether it is to be isolated.
     pub isolated: bool,

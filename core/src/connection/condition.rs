@@ -6,13 +6,13 @@ use crate::Instant;
 /// Which channels a condition needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Combination<C> {
-    /// This channel.
+    /// The channel that is needed.
     Channel(C),
     /// At least so many of these.
     AtLeast {
         /// How many: all of them, or one, or some.
         least: usize,
-        /// Of which.
+        /// What is counted: channels, or combinations of them.
         of: Vec<Combination<C>>,
     },
 }

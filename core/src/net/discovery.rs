@@ -44,7 +44,7 @@ impl DiscoveryAdmission {
 /// How neighbours are learned.
 #[derive(Clone, Debug)]
 pub struct DiscoveryConfig {
-    /// Our name.
+    /// The name of this node.
     pub node: NodeName,
     /// Who is admitted on each network, by the network's place.
     pub admissions: Vec<DiscoveryAdmission>,
@@ -76,7 +76,7 @@ pub enum DiscoveryOutput {
     Connect {
         /// On which network, by its place.
         domain: usize,
-        /// To whom.
+        /// The node at the link's other end.
         node: NodeName,
         /// Where its beacon says that it is, as its medium writes it.
         address: String,
@@ -85,7 +85,7 @@ pub enum DiscoveryOutput {
     Disconnect {
         /// On which network.
         domain: usize,
-        /// To whom.
+        /// The node at the link's other end.
         node: NodeName,
     },
 }

@@ -42,7 +42,7 @@ impl<K: Ord> RefusalAlarms<K> {
         (seen.looks > 0 && seen.looks.is_multiple_of(LOOKS)).then_some(since)
     }
 
-    /// Forgets `who`.
+    /// Forgets what was refused of `who`.
     pub fn forget(&mut self, who: &K) {
         self.seen.remove(who);
     }

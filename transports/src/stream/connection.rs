@@ -18,7 +18,7 @@ pub(super) struct Connection<S> {
 
 /// What came of reading once.
 pub(super) enum ReadStep {
-    /// A frame.
+    /// One whole frame.
     Frame(Bytes),
     /// A part of one.
     Part,

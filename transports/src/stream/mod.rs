@@ -116,9 +116,7 @@ pub(crate) use stream_transport;
 
 /// What makes streams.
 pub(crate) trait StreamFamily: 'static {
-    /// A connection.
     type Stream: AsyncRead + AsyncWrite + Unpin + 'static;
-    /// Takes connections.
     type Listener;
     /// Where a peer listens.
     type Address: Clone + Debug + Ord + Into<MediumAddress>;

@@ -42,7 +42,7 @@ pub(super) enum ConnectionState<S> {
     Absent,
     /// A connection is being made; frames wait for it.
     Dialing(HandshakeFuture<S>),
-    /// Frames flow.
+    /// The connection is open and carries frames.
     Connected(Connection<S>),
     /// It failed or broke a moment ago; frames are dropped.
     Backoff(Pin<Box<Sleep>>),

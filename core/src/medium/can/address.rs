@@ -64,7 +64,7 @@ impl Default for Addressing {
 /// What an identifier says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AddressInfo {
-    /// Who speaks.
+    /// The address of the sender.
     pub source: BusAddress,
     /// To whom, or [`BusAddress::ALL`].
     pub target: BusAddress,

@@ -23,7 +23,7 @@ pub struct AccessPolicy {
 /// A right that a peer does not have.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct AccessDenied {
-    /// The node.
+    /// The node that lacks the right.
     pub peer: NodeName,
     /// What it wanted to do.
     pub verb: Verb,
@@ -47,7 +47,6 @@ pub(in crate::net) enum BindingNeeds {
     Membership,
     /// An object of the same node: no peer.
     OwnNode,
-    /// This right.
     Right(Verb),
     /// This right at this node.
     RightAtNode(Verb),
@@ -241,11 +240,11 @@ struct RefusalEntry {
 pub struct RefusalRow {
     /// What was refused to whom, the last time.
     pub denied: AccessDenied,
-    /// How often.
+    /// The number of refusals.
     pub times: u64,
-    /// When first.
+    /// When the first one happened.
     pub first: Instant,
-    /// When last.
+    /// When the last one happened.
     pub last: Instant,
 }
 

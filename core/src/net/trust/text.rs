@@ -81,7 +81,7 @@ pub enum TrustProblem {
          its number: give the node another name"
     )]
     NumberTaken {
-        /// The number.
+        /// The number that both names give.
         number: crate::net::NodeId,
         /// Who has it.
         other: NodeName,

@@ -45,7 +45,7 @@ pub enum PacketPriority {
     Data,
 }
 
-/// One packet.
+/// What routers pass on, with its header.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Packet {
     /// How urgent it is.

@@ -67,7 +67,7 @@ pub enum Segment {
         tag: u32,
         /// For each stream, in the order of [`TrafficClass::ALL`].
         streams: [Option<Ack>; TrafficClass::COUNT],
-        /// For datagrams.
+        /// For datagrams; `None` if none is acknowledged.
         datagrams: Option<DatagramAck>,
     },
     /// All that I had to say is said and acknowledged.
@@ -87,7 +87,7 @@ pub enum Segment {
     },
 }
 
-/// The handshake.
+/// The handshake: one side opens a session, or answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OpenSegment {
     /// The version of the session's protocol.
@@ -118,7 +118,7 @@ pub struct SessionReceipt {
 pub struct Data {
     /// The receiver's tag.
     pub tag: u32,
-    /// Which stream.
+    /// The stream that it belongs to.
     pub stream: TrafficClass,
     /// Its place there.
     pub sequence: u64,
@@ -132,7 +132,7 @@ pub struct Data {
     pub piece: Option<Fragment>,
     /// What has arrived in the other direction.
     pub ack: Option<Ack>,
-    /// The bytes.
+    /// The bytes of the part, or of its piece.
     pub payload: GatherBuffer,
 }
 
@@ -149,7 +149,7 @@ pub struct Datagram {
     pub number: Option<u64>,
     /// This is not the whole message.
     pub piece: Option<Fragment>,
-    /// The bytes.
+    /// The bytes of the message, or of its piece.
     pub payload: GatherBuffer,
 }
 

@@ -15,7 +15,7 @@ pub type LeafResult = Result<Status, LeafError>;
 /// Whether a halted leaf has come to rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Halt {
-    /// It has.
+    /// The leaf has come to rest.
     Done,
     /// It needs further ticks. No action of the tree is started meanwhile.
     Pending,
@@ -68,7 +68,7 @@ pub enum Halt {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub trait Leaf: Send + 'static {
-    /// The ports.
+    /// Returns the ports of the leaf's type.
     fn ports() -> Vec<Port>
     where
         Self: Sized,
@@ -156,7 +156,7 @@ impl LeafState {
 /// One start of one leaf. An answer for an earlier start is not taken for a later one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LeafRun {
-    /// The leaf.
+    /// The number of the leaf.
     pub node: TreeNodeId,
     pub(super) start: u32,
 }
@@ -172,7 +172,7 @@ pub(crate) struct BoundPort {
 #[derive(Clone, Debug)]
 pub(crate) enum PortBinding {
     Missing,
-    /// Converted already.
+    /// A literal, converted while the tree is loaded.
     Literal(Value),
     Key(KeyId),
     /// The entry that a literal names, of a port that takes names.

@@ -50,7 +50,7 @@ pub enum EnqueueError {
     /// No node of this bus can have the address.
     #[error("no node on this bus can have the address {to}")]
     NoSuchAddress {
-        /// The address.
+        /// The address that was given.
         to: BusAddress,
     },
     /// It is longer than `message_max`, or empty, which ISO 15765-2 cannot say.
@@ -58,13 +58,13 @@ pub enum EnqueueError {
     Length {
         /// Of the message.
         length: usize,
-        /// As configured.
+        /// The configured `message_max`, in bytes.
         limit: usize,
     },
     /// Too much waits for the target already.
     #[error("the queue towards {to} is full")]
     Full {
-        /// The target.
+        /// The address with the full queue.
         to: BusAddress,
     },
 }
@@ -74,30 +74,30 @@ pub enum EnqueueError {
 pub enum IsoTpOutput {
     /// A message arrived.
     Received {
-        /// From whom.
+        /// The address of the sender.
         from: BusAddress,
-        /// What.
+        /// The whole message.
         message: Bytes,
     },
     /// A message is out; its receiver may have got it.
     Sent {
-        /// To whom.
+        /// The address that it was sent to.
         to: BusAddress,
     },
     /// A message is not out.
     NotSent {
         /// To whom it should have gone.
         to: BusAddress,
-        /// Why not.
+        /// Why it was not sent.
         error: TransmissionError,
         /// How many others that waited for the same target are gone with it.
         with_it: u64,
     },
     /// A message is lost on its way in, or a frame belongs to none.
     NotReceived {
-        /// From whom.
+        /// The address of the sender.
         from: BusAddress,
-        /// Why not.
+        /// Why it was not received.
         error: ReceptionError,
     },
     /// Another node speaks under our address, or the bus hands back what we said ourselves. What it

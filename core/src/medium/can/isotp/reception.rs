@@ -35,7 +35,7 @@ pub enum ReceptionError {
     /// More is announced than the limit allows.
     #[error("a message of {length} bytes is too long")]
     TooLong {
-        /// As announced.
+        /// The announced length, in bytes.
         length: u32,
     },
     /// Too many messages are under way to us.
@@ -93,7 +93,6 @@ enum State {
     Refusing {
         until: Instant,
     },
-    /// Frames come.
     Receiving {
         partial: Partial,
         left_in_block: Option<u8>,

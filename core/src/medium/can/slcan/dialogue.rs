@@ -43,7 +43,7 @@ pub enum AdapterError {
     /// It does not know the bus's bit rate, or the program that it has does not let it be set.
     #[error("the adapter refuses {hz} bit/s: choose the bus's bit rate among those it knows")]
     BitRate {
-        /// As configured.
+        /// The configured bit rate, in bit/s.
         hz: u32,
     },
     /// It does not know CAN FD, or not this rate.
