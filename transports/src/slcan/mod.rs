@@ -131,7 +131,7 @@ impl CanPort for SlcanAdapter {
         let Some(line) = &mut self.line else { return Poll::Ready(Err(unplugged())) };
         loop {
             // What others say on the bus before we are on it is not for us.
-            while line.hear()?.is_some() {}
+            while line.receive()?.is_some() {}
             if line.carry_on(task, now)? {
                 return Poll::Ready(Ok(()));
             }
@@ -176,7 +176,7 @@ impl CanPort for SlcanAdapter {
             flushed?;
         }
         loop {
-            if let Some(found) = line.hear()? {
+            if let Some(found) = line.receive()? {
                 return Poll::Ready(Ok(found));
             }
             ready!(line.poll_read(task))?;
@@ -284,7 +284,7 @@ impl Line {
     }
 
     /// Understands what was read: a frame, or something that is none; nothing when more must come.
-    fn hear(&mut self) -> io::Result<Option<Option<CanFrame>>> {
+    fn receive(&mut self) -> io::Result<Option<Option<CanFrame>>> {
         while let Some(byte) = self.unread.pop_front() {
             match self.listener.handle_byte(byte) {
                 Some(AdapterReply::Frame(frame)) => return Ok(Some(Some(frame))),

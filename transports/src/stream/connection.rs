@@ -33,7 +33,7 @@ pub(super) enum ReadEnd {
     Done,
     /// The budget is used up: the rest is for the next turn.
     Budget,
-    /// The outlet is full. The task is woken when it is not.
+    /// The upstream is full. The task is woken when it is not.
     Full,
 }
 
