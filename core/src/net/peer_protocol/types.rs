@@ -83,7 +83,7 @@ pub enum MessageTarget {
     Forgotten,
 }
 
-/// What an exchange wants done.
+/// What a peer protocol wants done.
 #[derive(Debug, PartialEq, Eq)]
 pub enum PeerProtocolOutput {
     /// Give this to the session with the peer.
@@ -111,7 +111,7 @@ pub enum PeerProtocolOutput {
         credit: Option<Credit>,
     },
     /// Does this object take this contract? Answer with
-    /// [`Exchange::handle_bound`](super::PeerProtocol::handle_bound).
+    /// [`PeerProtocol::handle_bound`](super::PeerProtocol::handle_bound).
     Bind {
         /// The node that asks.
         peer: NodeId,
@@ -125,7 +125,7 @@ pub enum PeerProtocolOutput {
         identity: Box<PeerIdentity>,
     },
     /// Give this message to the object that is bound; answer a request with
-    /// [`Exchange::handle_answer`](super::PeerProtocol::handle_answer).
+    /// [`PeerProtocol::handle_answer`](super::PeerProtocol::handle_answer).
     Serve {
         /// The node that sent it.
         peer: NodeId,
@@ -182,7 +182,7 @@ pub enum PeerProtocolOutput {
         difference: String,
     },
     /// Send what is published here to this peer, unless the contract differs; then tell with
-    /// [`Exchange::handle_subscribe_refused`](super::PeerProtocol::handle_subscribe_refused).
+    /// [`PeerProtocol::handle_subscribe_refused`](super::PeerProtocol::handle_subscribe_refused).
     Subscribe {
         /// Who wants it.
         peer: NodeId,

@@ -135,7 +135,7 @@ pub(crate) struct LeafState {
     pub(crate) node: TreeNodeId,
     pub(crate) model: Arc<LeafModel>,
     /// None before the first call, and after a panic: it is made again for the next start.
-    pub(crate) body: Option<Box<dyn Leaf>>,
+    pub(crate) leaf: Option<Box<dyn Leaf>>,
     /// The driver's answer, which the next tick gives.
     pub(crate) answer: Option<Status>,
     /// The number of starts.
@@ -149,7 +149,7 @@ pub(crate) struct LeafState {
 impl LeafState {
     pub(crate) fn new(node: TreeNodeId, model: Arc<LeafModel>) -> LeafState {
         let (starts, since) = (0, Duration::ZERO);
-        LeafState { node, model, body: None, answer: None, starts, since, deferred: false }
+        LeafState { node, model, leaf: None, answer: None, starts, since, deferred: false }
     }
 }
 

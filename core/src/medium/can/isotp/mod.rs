@@ -259,13 +259,13 @@ impl IsoTp {
         let audience = if to_all { TargetType::All } else { TargetType::One };
         let admitted =
             self.incoming.contains_key(&key) || self.incoming.len() < self.config.receptions_max;
-        let terms = ReceptionContext { config: &self.config, now };
+        let context = ReceptionContext { config: &self.config, now };
         let reception = self.incoming.entry(key).or_insert_with(|| Reception::new(audience));
         let result = match pdu {
             Pdu::Single(data) => reception.handle_single(data),
-            Pdu::First { length, data } => reception.handle_first(length, data, admitted, terms),
+            Pdu::First { length, data } => reception.handle_first(length, data, admitted, context),
             Pdu::Consecutive { sequence, data } => {
-                reception.handle_consecutive(sequence, data, terms)
+                reception.handle_consecutive(sequence, data, context)
             }
             Pdu::Flow(_) => FrameResult::default(),
         };
@@ -294,8 +294,8 @@ impl IsoTp {
         let id = self.addressing.id(AddressInfo { source: self.own, target: source });
         let id = id.expect("this node and the sender have addresses of this bus");
         let writer = PduWriter { id, format: self.config.format };
-        let terms = ReceptionContext { config: &self.config, now };
-        let frame = reception.poll_frame(&writer, terms);
+        let context = ReceptionContext { config: &self.config, now };
+        let frame = reception.poll_frame(&writer, context);
         if reception.is_idle() {
             self.incoming.remove(&(source, to_all));
         }

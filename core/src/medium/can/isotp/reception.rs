@@ -132,9 +132,9 @@ impl Reception {
         length: u32,
         data: &[u8],
         admitted: bool,
-        terms: ReceptionContext<'_>,
+        context: ReceptionContext<'_>,
     ) -> FrameResult {
-        let ReceptionContext { config, now } = terms;
+        let ReceptionContext { config, now } = context;
         let interrupted = self.interrupt();
         let whole = length as usize;
         if whole > config.message_max || !admitted {
@@ -152,7 +152,7 @@ impl Reception {
         let header = if whole > super::pdu::SHORT_LENGTH_MAX { 6 } else { 2 };
         let partial = Partial { bytes, length: whole, frame: data.len() + header, sequence: 1 };
         self.state = match self.audience {
-            TargetType::One => answer(partial, terms),
+            TargetType::One => answer(partial, context),
             TargetType::All => {
                 let until = now + config.frame_timeout;
                 State::Receiving { partial, left_in_block: None, until }
@@ -166,9 +166,9 @@ impl Reception {
         &mut self,
         sequence: u8,
         data: &[u8],
-        terms: ReceptionContext<'_>,
+        context: ReceptionContext<'_>,
     ) -> FrameResult {
-        let ReceptionContext { config, now } = terms;
+        let ReceptionContext { config, now } = context;
         let (mut partial, left_in_block) = match std::mem::replace(&mut self.state, State::Idle) {
             State::Receiving { partial, left_in_block, .. } => (partial, left_in_block),
             // No sender was told to go on. What is under way goes on when he is.
@@ -192,7 +192,7 @@ impl Reception {
         }
         let left_in_block = left_in_block.map(|left| left - 1);
         self.state = if left_in_block == Some(0) {
-            answer(partial, terms)
+            answer(partial, context)
         } else {
             State::Receiving { partial, left_in_block, until: now + config.frame_timeout }
         };
@@ -208,9 +208,9 @@ impl Reception {
     pub(super) fn poll_frame(
         &mut self,
         writer: &PduWriter,
-        terms: ReceptionContext<'_>,
+        context: ReceptionContext<'_>,
     ) -> Option<CanFrame> {
-        let ReceptionContext { config, now } = terms;
+        let ReceptionContext { config, now } = context;
         let (status, next) = match std::mem::replace(&mut self.state, State::Idle) {
             State::Refusing { .. } => (FlowStatus::Overflow, State::Idle),
             State::Answering { partial, .. } => {
@@ -256,8 +256,8 @@ impl Reception {
     }
 }
 
-fn answer(partial: Partial, terms: ReceptionContext<'_>) -> State {
-    State::Answering { partial, until: terms.now + terms.config.bus_timeout }
+fn answer(partial: Partial, context: ReceptionContext<'_>) -> State {
+    State::Answering { partial, until: context.now + context.config.bus_timeout }
 }
 
 #[cfg(test)]

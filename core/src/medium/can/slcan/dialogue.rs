@@ -150,8 +150,8 @@ impl AdapterControl {
             State::Open => return self.ask(now),
             State::Waiting { .. } | State::Failed(_) => return None,
         };
-        let patience = if step == SetupStep::Close { RETRY_DELAY } else { REPLY_TIMEOUT };
-        self.state = State::Waiting { step, until: now + patience };
+        let timeout = if step == SetupStep::Close { RETRY_DELAY } else { REPLY_TIMEOUT };
+        self.state = State::Waiting { step, until: now + timeout };
         Some(match step {
             SetupStep::Close => AdapterCommand::Close,
             SetupStep::BitRate => AdapterCommand::BitRate(self.rate),
