@@ -272,7 +272,7 @@ impl<F: StreamFamily> Streams<F> {
                 Some(Stranger::Unproven(mut unproven)) => {
                     match unproven.poll(task, &mut self.upstream) {
                         Ok(()) => self.strangers.push_back(Stranger::Unproven(unproven)),
-                        Err(broken) => self.give_up(unproven, broken),
+                        Err(reason) => self.give_up(unproven, reason),
                     }
                 }
                 greeting => self.strangers.extend(greeting),
@@ -327,13 +327,13 @@ impl<F: StreamFamily> Streams<F> {
     }
 
     /// An unproven connection is no more. It was no peer's, and is not reported as one.
-    fn give_up(&mut self, mut unproven: UnprovenConnection<F::Stream>, broken: DisconnectReason) {
-        self.count(broken);
+    fn give_up(&mut self, mut unproven: UnprovenConnection<F::Stream>, reason: DisconnectReason) {
+        self.count(reason);
         self.upstream.counters.dropped += unproven.clear();
     }
 
-    fn count(&mut self, broken: DisconnectReason) {
-        match broken {
+    fn count(&mut self, reason: DisconnectReason) {
+        match reason {
             DisconnectReason::Lost => self.upstream.counters.errors += 1,
             DisconnectReason::Refused => self.upstream.counters.refused += 1,
         }
@@ -407,8 +407,8 @@ impl<F: StreamFamily> Streams<F> {
                 self.upstream.counters.errors += 1;
                 self.upstream.counters.dropped += peer.rest();
                 task.waker().wake_by_ref();
-            } else if let Err(broken) = peer.write(task, &mut self.upstream) {
-                self.lose(index, broken, task);
+            } else if let Err(reason) = peer.write(task, &mut self.upstream) {
+                self.lose(index, reason, task);
             }
         }
     }
@@ -420,8 +420,8 @@ impl<F: StreamFamily> Streams<F> {
             let end = match self.peers.get_mut(index) {
                 None => self.read_strangers(task),
                 Some(peer) => {
-                    peer.read(task, self.bounds.mtu, &mut self.upstream).unwrap_or_else(|broken| {
-                        self.lose(index, broken, task);
+                    peer.read(task, self.bounds.mtu, &mut self.upstream).unwrap_or_else(|reason| {
+                        self.lose(index, reason, task);
                         ReadEnd::Done
                     })
                 }
@@ -447,10 +447,10 @@ impl<F: StreamFamily> Streams<F> {
             match unproven.read(task, self.bounds.mtu, &mut budget, &mut self.upstream) {
                 Ok(ReadEnd::Done) => {}
                 Ok(end) => return end,
-                Err(broken) => {
+                Err(reason) => {
                     index -= 1;
                     if let Some(Stranger::Unproven(unproven)) = self.strangers.remove(index) {
-                        self.give_up(unproven, broken);
+                        self.give_up(unproven, reason);
                     }
                 }
             }
@@ -458,8 +458,8 @@ impl<F: StreamFamily> Streams<F> {
         ReadEnd::Done
     }
 
-    fn lose(&mut self, index: usize, broken: DisconnectReason, task: &mut task::Context<'_>) {
-        self.count(broken);
+    fn lose(&mut self, index: usize, reason: DisconnectReason, task: &mut task::Context<'_>) {
+        self.count(reason);
         let peer = &mut self.peers[index];
         self.upstream.counters.dropped += peer.rest();
         self.upstream.report(TransportReport::PeerLost { peer: peer.address.clone().into() });

@@ -211,7 +211,7 @@ impl IsoTp {
         }
         let lane = self.outgoing.entry(to).or_default();
         if lane.current.is_none() {
-            lane.current = Some(Transmission::new(message, audience(to), &self.config, now));
+            lane.current = Some(Transmission::new(message, target(to), &self.config, now));
             return Ok(());
         }
         let queue = if urgent { &mut lane.urgent } else { &mut lane.waiting };
@@ -256,11 +256,11 @@ impl IsoTp {
 
     fn handle_content(&mut self, from: BusAddress, to_all: bool, pdu: Pdu<'_>, now: Instant) {
         let key = (from, to_all);
-        let audience = if to_all { TargetType::All } else { TargetType::One };
+        let target = if to_all { TargetType::All } else { TargetType::One };
         let admitted =
             self.incoming.contains_key(&key) || self.incoming.len() < self.config.receptions_max;
         let context = ReceptionContext { config: &self.config, now };
-        let reception = self.incoming.entry(key).or_insert_with(|| Reception::new(audience));
+        let reception = self.incoming.entry(key).or_insert_with(|| Reception::new(target));
         let result = match pdu {
             Pdu::Single(data) => reception.handle_single(data),
             Pdu::First { length, data } => reception.handle_first(length, data, admitted, context),
@@ -341,7 +341,7 @@ impl IsoTp {
         });
         match lane.urgent.pop_front().or_else(|| lane.waiting.pop_front()) {
             Some(message) => {
-                lane.current = Some(Transmission::new(message, audience(to), &self.config, now));
+                lane.current = Some(Transmission::new(message, target(to), &self.config, now));
             }
             None => drop(self.outgoing.remove(&to)),
         }
@@ -353,7 +353,7 @@ impl IsoTp {
     }
 }
 
-fn audience(to: BusAddress) -> TargetType {
+fn target(to: BusAddress) -> TargetType {
     if to == BusAddress::ALL { TargetType::All } else { TargetType::One }
 }
 

@@ -77,7 +77,7 @@ pub(super) struct ReceptionContext<'a> {
 /// What comes from one source.
 #[derive(Debug)]
 pub(super) struct Reception {
-    audience: TargetType,
+    target: TargetType,
     state: State,
 }
 
@@ -111,8 +111,8 @@ struct Partial {
 }
 
 impl Reception {
-    pub(super) fn new(audience: TargetType) -> Self {
-        Reception { audience, state: State::Idle }
+    pub(super) fn new(target: TargetType) -> Self {
+        Reception { target, state: State::Idle }
     }
 
     /// Whether nothing is under way.
@@ -138,7 +138,7 @@ impl Reception {
         let interrupted = self.interrupt();
         let whole = length as usize;
         if whole > config.message_max || !admitted {
-            if self.audience == TargetType::One {
+            if self.target == TargetType::One {
                 self.state = State::Refusing { until: now + config.bus_timeout };
             }
             let long = whole > config.message_max;
@@ -151,7 +151,7 @@ impl Reception {
         // The header of a first frame is two bytes, or six where the length needs them.
         let header = if whole > super::pdu::SHORT_LENGTH_MAX { 6 } else { 2 };
         let partial = Partial { bytes, length: whole, frame: data.len() + header, sequence: 1 };
-        self.state = match self.audience {
+        self.state = match self.target {
             TargetType::One => answer(partial, context),
             TargetType::All => {
                 let until = now + config.frame_timeout;

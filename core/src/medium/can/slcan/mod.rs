@@ -17,9 +17,9 @@
 //! that says nothing is thrown away up to its end, so that after garbage the next line is
 //! understood again; no line is longer than [`LINE_MAX`].
 
-mod dialogue;
+mod adapter_control;
 
-pub use dialogue::{AdapterControl, AdapterError};
+pub use adapter_control::{AdapterControl, AdapterError};
 
 use super::frame::{CanFrame, CanId, FD_LENGTHS, FD_MAX, Format};
 
