@@ -197,7 +197,7 @@ impl fmt::Display for PortConnection {
 pub struct PortDescription {
     /// Its name in addresses.
     pub name: String,
-    /// What it does.
+    /// The direction, and what passes through the port.
     pub role: ConnectionRole,
     /// The contract of its messages.
     pub contract: PeerIdentity,
@@ -328,7 +328,7 @@ pub enum ConnectError {
     Roles {
         /// What the port does at which the connection begins.
         from: ConnectionRole,
-        /// What the other one does.
+        /// The role of the other port.
         to: ConnectionRole,
     },
     /// The contracts of the two ports differ; "here" is where the connection begins.
@@ -342,9 +342,9 @@ pub enum ConnectError {
     Handle {
         /// The port that the handle is for.
         port: PortAddress,
-        /// What it does.
+        /// The role of the port.
         declared: ConnectionRole,
-        /// What the handle does.
+        /// The role that the handle needs.
         wanted: ConnectionRole,
     },
     /// Another node makes this connection: that of the end that listens, commands or asks.
@@ -359,7 +359,7 @@ pub enum ConnectError {
     /// The two ports are connected; or the out port, which leads to one port at a time, is.
     #[error("the port is connected to {to}: disconnect it first")]
     Taken {
-        /// What it is connected to.
+        /// The port that it is connected to.
         to: PortAddress,
     },
     /// The two ports are not connected.

@@ -52,7 +52,7 @@ pub enum ValueState {
 pub struct ValueReport {
     /// The encoded value.
     pub value: Bytes,
-    /// Of which change; rises.
+    /// The number of the change that gave the value; rises.
     pub revision: u64,
     /// How far it can be relied on.
     pub state: ValueState,
@@ -88,7 +88,7 @@ pub struct VariableDeclaration<F> {
 /// A value as it is kept for the node's next process.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PersistedValue {
-    /// Whose, and which.
+    /// The variable that had the value.
     pub variable: VariableKey,
     /// Of the contract under which it was written: under another, its bytes mean something else.
     pub fingerprint: u64,

@@ -136,7 +136,7 @@ pub enum MediumEvent {
     },
     /// Another wants our place on the medium, and does not get it: a user must know.
     Clash {
-        /// Who, and what helps.
+        /// The node that wants it, and what helps.
         text: String,
     },
     /// A connection with this peer is gone (media with connections only).

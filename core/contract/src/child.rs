@@ -43,7 +43,7 @@ pub trait Child: Send {
     fn explain_isolation(&mut self, _reason: &str) {}
 }
 
-/// What became of a supervisor's call.
+/// The outcome of a supervisor's call.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct ChildReport {
@@ -51,7 +51,7 @@ pub struct ChildReport {
     pub object: ObjectName,
     /// The incarnation that the report is about.
     pub incarnation: Incarnation,
-    /// What became of it.
+    /// The event, such as the outcome of a call.
     pub event: ChildEvent,
 }
 
@@ -96,13 +96,13 @@ pub enum ChildEvent {
     /// It is the root, whose children failed more often than it allows; it ends them all from now
     /// on, and then has [escalated](ChildEvent::Escalated).
     GivesUp {
-        /// Which limit was exceeded, by whom.
+        /// The limit that was exceeded, and the child that exceeded it.
         reason: String,
     },
     /// It is a supervisor whose children failed more often than it allows; it has ended them all
     /// and leaves the decision to whom it reports.
     Escalated {
-        /// Which limit was exceeded, by whom.
+        /// The limit that was exceeded, and the child that exceeded it.
         reason: String,
     },
 }

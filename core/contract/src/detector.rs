@@ -12,7 +12,7 @@ pub struct FaultOutcome {
     pub id: FaultId,
     /// When it was so, on this node's clock.
     pub at: Instant,
-    /// What became of it.
+    /// The outcome of its recovery.
     pub what: RecoveryOutcome,
 }
 

@@ -22,7 +22,7 @@ use std::sync::Arc;
 #[derive(Clone, Message)]
 #[rtype(result = "Result<Confirmed, RegistrationError>")]
 pub struct Register {
-    /// Who, and how.
+    /// The object, and how it is watched.
     pub enrolment: Registration,
     /// Where it answers the monitor's questions; `None` for one that is not asked.
     pub pings: Option<Recipient<AreYouAlive>>,
@@ -60,7 +60,7 @@ pub struct IsolationReported {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct LinkReported {
-    /// Who sees it.
+    /// The node that sees it.
     pub node: NodeName,
     /// The link's name in that node's configuration: one name, one link, one neighbour.
     pub link: Arc<str>,

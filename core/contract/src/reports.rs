@@ -60,11 +60,11 @@ pub struct StateReported {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct FaultDeclared {
-    /// Who declares it.
+    /// The object that declares it.
     pub object: ObjectName,
     /// The incarnation in which the object found it.
     pub incarnation: Incarnation,
-    /// What it is.
+    /// The kind of the fault.
     pub kind: FaultKind,
     /// The fault's particulars, for display.
     pub detail: String,
@@ -76,11 +76,11 @@ pub struct FaultDeclared {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct DeclaredFaultCleared {
-    /// Who had declared it.
+    /// The object that had declared it.
     pub object: ObjectName,
-    /// Which incarnation it is in now.
+    /// The object's present incarnation.
     pub incarnation: Incarnation,
-    /// What it was.
+    /// The kind of the fault.
     pub kind: FaultKind,
 }
 

@@ -55,7 +55,7 @@ pub enum PathReported {
     Reachable {
         /// The node that can be reached.
         node: NodeName,
-        /// In which incarnation.
+        /// The node's incarnation.
         incarnation: Incarnation,
         /// The largest segment on the way, in bytes.
         mtu: usize,

@@ -21,7 +21,7 @@ pub struct SendReliable {
     pub peer: NodeId,
     /// In which session: what was meant for one is never said in the next.
     pub session: u32,
-    /// In which stream.
+    /// The ordered stream that carries it.
     pub stream: TrafficClass,
     /// With what it stays in order there.
     pub strand: OrderingKey,
@@ -37,9 +37,9 @@ pub struct SendReliable {
 pub struct SendLatest {
     /// The node that it is for.
     pub peer: NodeId,
-    /// In which session.
+    /// The number of the session on this node.
     pub session: u32,
-    /// On which channel.
+    /// The channel on which the newest message counts.
     pub channel: u32,
     /// The encoded message.
     pub message: GatherBuffer,
@@ -55,7 +55,7 @@ pub enum SessionReported {
     Reachable {
         /// The node that can be reached.
         node: NodeName,
-        /// In which incarnation.
+        /// The node's incarnation.
         incarnation: Incarnation,
     },
     /// No path leads to it any more; its session waits for one for a while.
@@ -67,7 +67,7 @@ pub enum SessionReported {
     Opened {
         /// The node at the other end.
         node: NodeName,
-        /// In which incarnation.
+        /// The incarnation of that node.
         incarnation: Incarnation,
         /// The session's number on this node.
         session: u32,
@@ -109,7 +109,7 @@ pub struct AddGateway(pub Recipient<SessionReported>);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct ResetSession {
-    /// With whom; `None` for all.
+    /// The node at the other end; `None` for all sessions.
     pub peer: Option<NodeId>,
 }
 
@@ -145,7 +145,7 @@ pub enum PeerStatusChanged {
     Opened {
         /// The node at the other end.
         node: NodeName,
-        /// In which incarnation.
+        /// The incarnation of that node.
         incarnation: Incarnation,
     },
     /// The session has ended, or nothing that it says counts.

@@ -95,7 +95,7 @@ impl fmt::Display for MediumAddress {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Transmit {
-    /// To whom, on this medium.
+    /// The receiver's address on this medium.
     pub to: MediumAddress,
     /// The frame, whole, in one piece or two.
     pub frame: GatherBuffer,
@@ -114,7 +114,7 @@ impl Transmit {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Received {
-    /// From whom, on this medium.
+    /// The sender's address on this medium.
     pub from: MediumAddress,
     /// The frame, whole.
     pub frame: Bytes,
@@ -249,9 +249,9 @@ pub enum ConnectionTrust {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Adopt {
-    /// Which connection, a [`MediumAddress::Connection`].
+    /// The connection, a [`MediumAddress::Connection`].
     pub connection: MediumAddress,
-    /// Whose it is.
+    /// The address of the peer that it belongs to.
     pub peer: MediumAddress,
 }
 

@@ -125,7 +125,7 @@ pub enum DeliveryError {
     /// idempotent.
     #[error("it is not known whether the request took effect: {reason}")]
     OutcomeUnknown {
-        /// What became of the way.
+        /// Why the path to the answer is lost.
         reason: String,
     },
     /// What became of the variable's value when its owner's incarnation ended awaits a decision.
@@ -154,7 +154,7 @@ pub enum DeliveryError {
     Held {
         /// The name of the actuator.
         actuator: String,
-        /// Who does, and in which incarnation.
+        /// The commander that holds it, with its incarnation.
         by: String,
     },
     /// The commander has not claimed the actuator, or its lease has ended. Claim it, again.

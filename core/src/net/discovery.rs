@@ -74,7 +74,7 @@ impl DiscoveryConfig {
 pub enum DiscoveryOutput {
     /// Make a link.
     Connect {
-        /// On which network, by its place.
+        /// The network, by its place.
         domain: usize,
         /// The node at the link's other end.
         node: NodeName,
@@ -83,7 +83,7 @@ pub enum DiscoveryOutput {
     },
     /// Give a link up that was made.
     Disconnect {
-        /// On which network.
+        /// The network, by its place.
         domain: usize,
         /// The node at the link's other end.
         node: NodeName,

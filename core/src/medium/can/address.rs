@@ -66,7 +66,7 @@ impl Default for Addressing {
 pub struct AddressInfo {
     /// The address of the sender.
     pub source: BusAddress,
-    /// To whom, or [`BusAddress::ALL`].
+    /// The address of the receiver, or [`BusAddress::ALL`].
     pub target: BusAddress,
 }
 

@@ -26,11 +26,11 @@ pub struct SessionEpoch(pub u64);
 /// What an object wants sent to one of another node.
 #[derive(Debug)]
 pub struct Call {
-    /// To which node.
+    /// The node of the receiver.
     pub node: NodeName,
-    /// To which object there.
+    /// The object that receives it there.
     pub object: ObjectName,
-    /// By which contract.
+    /// The contract of the message.
     pub contract: ContractIdentity,
     /// By which identity a repeated message is known.
     pub id: Option<MessageId>,
@@ -90,7 +90,7 @@ pub enum PeerProtocolOutput {
     Send {
         /// The node that it is for.
         peer: NodeId,
-        /// In which stream.
+        /// The ordered stream that carries it.
         stream: TrafficClass,
         /// With what it stays in order there.
         strand: OrderingKey,
@@ -103,7 +103,7 @@ pub enum PeerProtocolOutput {
     SendNewest {
         /// The node that it is for.
         peer: NodeId,
-        /// On which channel.
+        /// The channel on which the newest message counts.
         channel: u32,
         /// The encoded message.
         message: GatherBuffer,
@@ -115,9 +115,9 @@ pub enum PeerProtocolOutput {
     Bind {
         /// The node that asks.
         peer: NodeId,
-        /// In which session.
+        /// The session in which it asks.
         epoch: SessionEpoch,
-        /// Under which number.
+        /// The number of the binding, chosen by the peer.
         binding: u32,
         /// The object that is asked for.
         object: ObjectName,
@@ -129,7 +129,7 @@ pub enum PeerProtocolOutput {
     Serve {
         /// The node that sent it.
         peer: NodeId,
-        /// In which session.
+        /// The session in which it was sent.
         epoch: SessionEpoch,
         /// Through which binding.
         binding: u32,
@@ -153,9 +153,9 @@ pub enum PeerProtocolOutput {
     },
     /// A message that wanted no reply did not arrive, or perhaps not.
     Lost {
-        /// For which node.
+        /// The node that it was for.
         peer: NodeId,
-        /// For whom there.
+        /// The receiver at that node.
         to: MessageTarget,
         /// Why it was not delivered.
         why: DeliveryError,
@@ -178,15 +178,15 @@ pub enum PeerProtocolOutput {
     Differs {
         /// The node of the peer.
         peer: NodeId,
-        /// Which contract, and what differs.
+        /// The contract, and what differs.
         difference: String,
     },
     /// Send what is published here to this peer, unless the contract differs; then tell with
     /// [`PeerProtocol::handle_subscribe_refused`](super::PeerProtocol::handle_subscribe_refused).
     Subscribe {
-        /// Who wants it.
+        /// The node that listens.
         peer: NodeId,
-        /// Under which number.
+        /// The number of the subscription, chosen by the peer.
         subscription: u32,
         /// The topic that the peer listens to.
         topic: TopicContract,
@@ -196,19 +196,19 @@ pub enum PeerProtocolOutput {
     },
     /// A peer was refused what it may not do, and told so where it waits for an answer.
     AccessDenied {
-        /// Who, and what.
+        /// The peer, and the right that it lacks.
         denied: Box<AccessDenied>,
     },
     /// A peer refuses a subscription of this node, by its policy.
     SubscriptionForbidden {
-        /// Who refuses it.
+        /// The node that refuses it.
         peer: NodeId,
-        /// What it says.
+        /// The reason that it gives.
         why: DeliveryError,
     },
     /// The peer refuses no subscription of this node any more.
     SubscriptionsAllowed {
-        /// Who refused one.
+        /// The node that has refused one.
         peer: NodeId,
     },
     /// Send no more of this.

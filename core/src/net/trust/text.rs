@@ -83,7 +83,7 @@ pub enum TrustProblem {
     NumberTaken {
         /// The number that both names give.
         number: crate::net::NodeId,
-        /// Who has it.
+        /// The node that has the number already.
         other: NodeName,
     },
     /// The name of a node is the word that ends the peers of a policy line.

@@ -118,9 +118,9 @@ pub struct RoutingFragment {
 /// A link's sign of life.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hello {
-    /// Who says it.
+    /// The node that sends it.
     pub node: NodeName,
-    /// In which incarnation.
+    /// The incarnation of that node.
     pub incarnation: Incarnation,
     /// The number of the interval in which it was sent, counted from the link's start.
     pub sequence: u32,

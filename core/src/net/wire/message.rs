@@ -67,7 +67,7 @@ pub enum PeerMessage {
     Request {
         /// The number of the binding.
         binding: u32,
-        /// By which number to reply.
+        /// The number that the reply names.
         call: u64,
         /// When it was sent, in ticks.
         timestamp: u64,
@@ -80,7 +80,7 @@ pub enum PeerMessage {
     },
     /// The reply to a request.
     Reply {
-        /// To which request.
+        /// The number of the request.
         call: u64,
         /// The encoded reply, or why there is none.
         result: Result<GatherBuffer, DeliveryError>,
@@ -133,7 +133,7 @@ pub enum PeerMessage {
     },
     /// Something was published.
     Event {
-        /// For which subscription.
+        /// The number of the subscription.
         subscription: u32,
         /// When it was published.
         timestamp_us: u64,

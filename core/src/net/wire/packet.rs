@@ -52,9 +52,9 @@ pub struct Packet {
     pub class: PacketPriority,
     /// How many more nodes may pass it on.
     pub hops: u8,
-    /// Whom it is for.
+    /// The node that it is for.
     pub destination: NodeId,
-    /// Whom it is from.
+    /// The node that it is from.
     pub source: NodeId,
     /// Who has passed it on so far, at most [`HOPS_MAX`].
     pub passed: Vec<NodeId>,

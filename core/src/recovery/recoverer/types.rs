@@ -69,7 +69,7 @@ pub enum RecovererOutput {
     },
     /// Not even safe stop could be carried out: the whole node enters the safe state.
     LastResort {
-        /// What could not be contained.
+        /// The fault that could not be contained.
         fault: Fault,
         /// What safe stop said.
         reason: String,

@@ -75,7 +75,7 @@ pub enum ChildState {
 pub struct ChildStatus {
     /// The child's name.
     pub name: ObjectName,
-    /// Which incarnation; 0 before the first.
+    /// The child's present incarnation; 0 before the first.
     pub incarnation: Incarnation,
     /// Where it stands.
     pub state: ChildState,

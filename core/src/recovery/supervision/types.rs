@@ -48,7 +48,7 @@ pub enum GiveUpReason {
     /// The child needs more restarts than the intensity allows; its siblings continue.
     #[error("it is not restarted any more: {reason}")]
     IntensityExceeded {
-        /// Which limit was exceeded.
+        /// The limit that was exceeded.
         reason: String,
     },
     /// More restarts than the intensity allows, up to the root.
@@ -111,14 +111,14 @@ pub enum SupervisorOutput {
     Start {
         /// The child to start.
         child: ObjectName,
-        /// Which incarnation it is.
+        /// The incarnation that begins.
         incarnation: Incarnation,
     },
     /// Have the child carry this out.
     Order {
         /// The child that carries it out.
         child: ObjectName,
-        /// What it does.
+        /// The order that it carries out.
         order: ChildOrder,
     },
     /// The request is fulfilled: the child is at work, or let go.

@@ -86,7 +86,7 @@ pub enum IsoTpOutput {
     },
     /// A message is not out.
     NotSent {
-        /// To whom it should have gone.
+        /// The address that it was for.
         to: BusAddress,
         /// Why it was not sent.
         error: TransmissionError,
