@@ -19,7 +19,7 @@ pub enum FaultKind {
     Silence,
     /// A component reported that it is in error.
     ErrorState,
-    /// `on_initialize` failed.
+    /// A component's `on_initialize` failed.
     InitializationFailed,
     /// A component, or its supervisor, declared that this incarnation cannot go on.
     Fatal,

@@ -50,9 +50,9 @@ pub enum ValueState {
 /// A variable as it stands.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ValueReport {
-    /// The value.
+    /// The encoded value.
     pub value: Bytes,
-    /// Of which change; rises.
+    /// The number of the change that gave the value; rises.
     pub revision: u64,
     /// How far it can be relied on.
     pub state: ValueState,
@@ -66,7 +66,7 @@ pub type VariableKey = (ObjectName, String);
 /// One value to be written.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ValueWrite {
-    /// Where to.
+    /// The variable to write.
     pub variable: VariableKey,
     /// What; `None` leaves the value that was there before a decision on it was awaited.
     pub value: Option<Bytes>,
@@ -88,11 +88,11 @@ pub struct VariableDeclaration<F> {
 /// A value as it is kept for the node's next process.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PersistedValue {
-    /// Whose, and which.
+    /// The variable that had the value.
     pub variable: VariableKey,
     /// Of the contract under which it was written: under another, its bytes mean something else.
     pub fingerprint: u64,
-    /// The value.
+    /// The encoded value.
     pub value: Vec<u8>,
 }
 

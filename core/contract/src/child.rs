@@ -43,19 +43,19 @@ pub trait Child: Send {
     fn explain_isolation(&mut self, _reason: &str) {}
 }
 
-/// What became of a supervisor's call.
+/// The outcome of a supervisor's call.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct ChildReport {
-    /// The child.
+    /// The child that the report is about.
     pub object: ObjectName,
-    /// Which incarnation.
+    /// The incarnation that the report is about.
     pub incarnation: Incarnation,
-    /// What became of it.
+    /// The event, such as the outcome of a call.
     pub event: ChildEvent,
 }
 
-/// See [`Child`].
+/// The event that a [`ChildReport`] carries.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ChildEvent {
     /// The new incarnation is active, or, after [`Unavailable`](ChildEvent::Unavailable), it is at
@@ -87,7 +87,7 @@ pub enum ChildEvent {
     /// Its incarnation ended although its supervisor had not asked for it; the guard has told the
     /// monitor the same in [`Exited`](crate::reports::Exited).
     Died {
-        /// How.
+        /// How it ended.
         exit: ExitReason,
         /// The guard has carried out its standing order: this incarnation has begun in the old
         /// one's place.
@@ -96,13 +96,13 @@ pub enum ChildEvent {
     /// It is the root, whose children failed more often than it allows; it ends them all from now
     /// on, and then has [escalated](ChildEvent::Escalated).
     GivesUp {
-        /// Which limit was exceeded, by whom.
+        /// The limit that was exceeded, and the child that exceeded it.
         reason: String,
     },
     /// It is a supervisor whose children failed more often than it allows; it has ended them all
     /// and leaves the decision to whom it reports.
     Escalated {
-        /// Which limit was exceeded, by whom.
+        /// The limit that was exceeded, and the child that exceeded it.
         reason: String,
     },
 }

@@ -29,9 +29,9 @@ pub enum LinkPayload {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct TransmitOnLink {
-    /// Which link.
+    /// The link to send it on.
     pub link: LinkId,
-    /// What.
+    /// The payload to send.
     pub load: LinkPayload,
 }
 
@@ -39,9 +39,9 @@ pub struct TransmitOnLink {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct ReceivedOnLink {
-    /// Which link.
+    /// The link on which it arrived.
     pub link: LinkId,
-    /// What.
+    /// The payload as received.
     pub load: LinkPayload,
 }
 
@@ -49,9 +49,9 @@ pub struct ReceivedOnLink {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct LinkChanged {
-    /// Which.
+    /// The link that has changed.
     pub link: LinkId,
-    /// How.
+    /// The link's present status.
     pub status: LinkStatus,
     /// Where it leads, for display.
     pub remote: Arc<str>,
@@ -74,7 +74,7 @@ pub struct CarrierChanged {
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "()")]
 pub struct AddLinks {
-    /// Which.
+    /// The links, each by its number on this node.
     pub links: Vec<LinkId>,
     /// Takes what they are to carry.
     pub carry: Recipient<TransmitOnLink>,
@@ -96,7 +96,7 @@ pub struct LinkRow {
     pub network: Arc<str>,
     /// The link's name there.
     pub link: Arc<str>,
-    /// Its state.
+    /// The link's present state.
     pub state: LinkState,
     /// Who is, or was last, at its other end.
     pub neighbour: Option<Neighbour>,

@@ -14,11 +14,11 @@ use bytes::Bytes;
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct SendSegment {
-    /// Whom.
+    /// The node that it is for.
     pub peer: NodeId,
     /// How urgent it is.
     pub class: PacketPriority,
-    /// What.
+    /// The encoded segment.
     pub segment: GatherBuffer,
     /// A copy is to go over every direct link and over the alternate path.
     pub everywhere: bool,
@@ -28,9 +28,9 @@ pub struct SendSegment {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct SegmentArrived {
-    /// Which node.
+    /// The node that sent it.
     pub source: NodeId,
-    /// What.
+    /// The encoded segment.
     pub segment: Bytes,
     /// No other node can have made it: it came over a link with that node itself, or that node has
     /// sealed it.
@@ -41,7 +41,7 @@ pub struct SegmentArrived {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct SetIsolation {
-    /// Which.
+    /// The node that is isolated or admitted.
     pub node: NodeName,
     /// Whether it is isolated.
     pub isolated: bool,
@@ -53,30 +53,30 @@ pub struct SetIsolation {
 pub enum PathReported {
     /// It can be reached, or has a new incarnation.
     Reachable {
-        /// Which.
+        /// The node that can be reached.
         node: NodeName,
-        /// In which incarnation.
+        /// The node's incarnation.
         incarnation: Incarnation,
         /// The largest segment on the way, in bytes.
         mtu: usize,
     },
     /// What is sent to it takes another way: repeat what is not acknowledged.
     Changed {
-        /// Which.
+        /// The node that is reached over another path.
         node: NodeId,
         /// The largest segment on the way, in bytes.
         mtu: usize,
     },
     /// Something that was sent to it went no further, somewhere on its way.
     Undelivered {
-        /// Which.
+        /// The node for which it was meant.
         node: NodeId,
-        /// Why.
+        /// Why it went no further.
         reason: UndeliveredReason,
     },
     /// No path leads there any more.
     Lost {
-        /// Which.
+        /// The node that no path leads to.
         node: NodeName,
     },
 }

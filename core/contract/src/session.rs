@@ -17,15 +17,15 @@ use std::collections::BTreeMap;
 #[derive(Debug, Message)]
 #[rtype(result = "()")]
 pub struct SendReliable {
-    /// Whom.
+    /// The node that it is for.
     pub peer: NodeId,
     /// In which session: what was meant for one is never said in the next.
     pub session: u32,
-    /// In which stream.
+    /// The ordered stream that carries it.
     pub stream: TrafficClass,
     /// With what it stays in order there.
     pub strand: OrderingKey,
-    /// What.
+    /// The encoded message.
     pub message: GatherBuffer,
     /// The credit that it holds until the peer has acknowledged it.
     pub credit: Option<Credit>,
@@ -35,13 +35,13 @@ pub struct SendReliable {
 #[derive(Debug, Message)]
 #[rtype(result = "()")]
 pub struct SendLatest {
-    /// Whom.
+    /// The node that it is for.
     pub peer: NodeId,
-    /// In which session.
+    /// The number of the session on this node.
     pub session: u32,
-    /// On which channel.
+    /// The channel on which the newest message counts.
     pub channel: u32,
-    /// What.
+    /// The encoded message.
     pub message: GatherBuffer,
     /// The credit that it holds until the session has it.
     pub credit: Option<Credit>,
@@ -53,48 +53,48 @@ pub struct SendLatest {
 pub enum SessionReported {
     /// A node can be reached; a session will begin.
     Reachable {
-        /// Which.
+        /// The node that can be reached.
         node: NodeName,
-        /// In which incarnation.
+        /// The node's incarnation.
         incarnation: Incarnation,
     },
     /// No path leads to it any more; its session waits for one for a while.
     Unreachable {
-        /// Which.
+        /// The node that no path leads to.
         node: NodeName,
     },
     /// A session has begun.
     Opened {
-        /// With whom.
+        /// The node at the other end.
         node: NodeName,
-        /// In which incarnation.
+        /// The incarnation of that node.
         incarnation: Incarnation,
         /// The session's number on this node.
         session: u32,
     },
     /// A message has arrived.
     Message {
-        /// From whom.
+        /// The node that sent it.
         peer: NodeId,
-        /// What.
+        /// The encoded message.
         message: Bytes,
     },
     /// A message was not delivered, or perhaps not.
     Returned {
-        /// To whom.
+        /// The node that it was for.
         peer: NodeId,
-        /// What.
+        /// The encoded message.
         message: Bytes,
-        /// Why.
+        /// Why it was not delivered.
         why: DeliveryError,
         /// Some of it was sent, so that it may have arrived; otherwise it has not.
         sent: bool,
     },
     /// A session is over; what was unacknowledged has been returned.
     Ended {
-        /// With whom.
+        /// The node at the other end.
         peer: NodeId,
-        /// Why.
+        /// Why the session ended.
         why: DeliveryError,
     },
 }
@@ -109,7 +109,7 @@ pub struct AddGateway(pub Recipient<SessionReported>);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct ResetSession {
-    /// With whom; `None` for all.
+    /// The node at the other end; `None` for all sessions.
     pub peer: Option<NodeId>,
 }
 
@@ -126,7 +126,7 @@ pub struct ReadSessions;
 /// One session, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SessionRow {
-    /// With whom.
+    /// The node at the other end.
     pub node: NodeName,
     /// How it stands.
     pub status: SessionStatus,
@@ -143,19 +143,19 @@ pub struct SessionRow {
 pub enum PeerStatusChanged {
     /// A session with it has begun: it can be talked to.
     Opened {
-        /// Which.
+        /// The node at the other end.
         node: NodeName,
-        /// In which incarnation.
+        /// The incarnation of that node.
         incarnation: Incarnation,
     },
     /// The session has ended, or nothing that it says counts.
     Ended {
-        /// Which.
+        /// The node at the other end.
         node: NodeName,
     },
     /// It says that it ends in order.
     Left {
-        /// Which.
+        /// The node that ends.
         node: NodeName,
     },
 }

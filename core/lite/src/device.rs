@@ -62,7 +62,6 @@ struct Head {
     message: u8,
 }
 
-/// One object.
 #[derive(Clone, Copy, Debug)]
 struct Object {
     state: DeviceState,

@@ -6,9 +6,9 @@ use crate::sorted::SortedMap;
 /// How many bytes went each way, in a second.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ByteRate {
-    /// Bytes sent.
+    /// The bytes sent per second.
     pub sent: u64,
-    /// Bytes received.
+    /// The bytes received per second.
     pub received: u64,
 }
 

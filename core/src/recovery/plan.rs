@@ -76,7 +76,7 @@ pub enum PlanError {
     BadStep {
         /// What it answers.
         what: String,
-        /// With what.
+        /// The action of the step.
         action: RecoveryAction,
         /// What is wrong, and what to write.
         why: &'static str,
@@ -84,7 +84,7 @@ pub enum PlanError {
     /// A fault of the application's own has no code, or that of a built-in kind.
     #[error("a fault of your own cannot have the code {code:?}: {why}")]
     Code {
-        /// The code.
+        /// The code that was given.
         code: String,
         /// What is wrong, and what to write.
         why: &'static str,

@@ -51,7 +51,7 @@ mod here {
         Charging(u8, u8),
     }
 
-    /// Contains itself.
+    /// A structure that contains itself.
     #[derive(Clone, Structure)]
     #[contract(crate = "crate::facade")]
     pub(crate) struct Step {

@@ -11,7 +11,7 @@ pub(crate) enum PortDirection {
     Input,
     /// The node writes it.
     Output,
-    /// Both.
+    /// The node reads and writes it.
     InOut,
 }
 
@@ -60,7 +60,7 @@ impl Port {
         Port::new(name, PortDirection::InOut, T::TYPE)
     }
 
-    /// The name.
+    /// Returns the port's name.
     pub const fn name(&self) -> &'static str {
         self.name
     }
@@ -106,7 +106,6 @@ impl Port {
 pub(crate) enum PortRole {
     /// A value, or in braces the entry that holds it.
     Value,
-    /// A script.
     Script,
     /// The name of an entry, or in braces the entry that holds its name.
     Name,

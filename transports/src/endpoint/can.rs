@@ -56,7 +56,7 @@ pub struct CanConfig {
     /// The bus's bit rate, in bits a second. It sets nothing: it is what hellos are paced by, for
     /// an interface of the system does not say how fast it is.
     pub bitrate: u32,
-    /// Who we are there.
+    /// This node's address and limits on the bus.
     pub node: CanNodeConfig,
 }
 
@@ -97,7 +97,7 @@ pub struct SlcanConfig {
     pub data_bitrate: u32,
     /// The serial line's speed, in bits a second. Adapters on USB do not mind it.
     pub baud: u32,
-    /// Who we are on the bus.
+    /// This node's address and limits on the bus.
     pub node: CanNodeConfig,
 }
 

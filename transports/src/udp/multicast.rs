@@ -50,7 +50,7 @@ pub(crate) fn speak(own: &UdpSocket, config: &UdpConfig) -> io::Result<()> {
 }
 
 /// A socket that hears the group where `own` is.
-pub(crate) fn hear(group: SocketAddr, own: IpAddr, config: &UdpConfig) -> io::Result<UdpSocket> {
+pub(crate) fn listen(group: SocketAddr, own: IpAddr, config: &UdpConfig) -> io::Result<UdpSocket> {
     let socket = Socket::new(Domain::for_address(group), Type::DGRAM, Some(Protocol::UDP))?;
     socket.set_nonblocking(true)?;
     // Others of this machine hear the same group at the same port.

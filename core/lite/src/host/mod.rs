@@ -172,7 +172,7 @@ impl<P: AsRef<[Port]>> Host<P> {
         }
     }
 
-    /// The configuration.
+    /// Returns the configuration that the host was made with.
     pub fn config(&self) -> &HostConfig<P> {
         &self.config
     }

@@ -64,9 +64,9 @@ impl Default for Addressing {
 /// What an identifier says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AddressInfo {
-    /// Who speaks.
+    /// The address of the sender.
     pub source: BusAddress,
-    /// To whom, or [`BusAddress::ALL`].
+    /// The address of the receiver, or [`BusAddress::ALL`].
     pub target: BusAddress,
 }
 

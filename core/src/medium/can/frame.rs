@@ -16,9 +16,9 @@ const EXTENDED_MAX: u32 = 0x1fff_ffff;
 /// first.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum CanId {
-    /// 11 bits.
+    /// An identifier of 11 bits.
     Standard(StandardId),
-    /// 29 bits.
+    /// An identifier of 29 bits.
     Extended(ExtendedId),
 }
 

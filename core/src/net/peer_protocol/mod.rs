@@ -89,7 +89,7 @@ struct PeerRecord {
 }
 
 impl PeerProtocol {
-    /// An exchange in the place of one that failed. No number of the old one's is used again; what
+    /// A protocol in the place of one that failed. No number of the old one's is used again; what
     /// waited in it is lost for this reason, and what comes back of its sessions is known. Callers
     /// have been told.
     pub fn restarted(&self, why: &DeliveryError) -> Self {
@@ -217,7 +217,7 @@ impl PeerProtocol {
         let pending = reply_as.map(|reply_as| PendingCall { reply_as, until, again });
         let waiting = QueuedMessage { id, sent, payload, pending, credit };
         if let Some(binding @ Binding { waiting: None, .. }) = session.bindings.get(&key) {
-            let bound = binding.way();
+            let bound = binding.route();
             let sent = session.send(peer, bound, waiting, &mut self.next_call);
             return self.outputs.push_back(sent);
         }
@@ -381,8 +381,8 @@ impl PeerProtocol {
         if let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) {
             let timestamp_us = session.timestamp_us(sent);
             let message = PeerMessage::Event { subscription, timestamp_us, payload };
-            let way = (subscription << 1, stream, OrderingKey::Subscription(subscription));
-            self.outputs.push_back(carry(peer, way, &message, credit));
+            let route = (subscription << 1, stream, OrderingKey::Subscription(subscription));
+            self.outputs.push_back(carry(peer, route, &message, credit));
         }
     }
 
@@ -448,7 +448,7 @@ impl PeerProtocol {
             // It was made, and the session does not take it: the caller that waits for it is told
             // so.
             PeerMessage::Reply { call, result } => {
-                let told = match (why, result) {
+                let error = match (why, result) {
                     (DeliveryError::TooLargeForSession { limit }, _) => {
                         DeliveryError::ReplyTooLarge { limit }
                     }
@@ -456,10 +456,10 @@ impl PeerProtocol {
                         let reason = "too many replies wait on the way to the caller".to_owned();
                         DeliveryError::OutcomeUnknown { reason }
                     }
-                    (DeliveryError::WayFull { .. }, Err(told)) => told,
+                    (DeliveryError::WayFull { .. }, Err(error)) => error,
                     _ => return,
                 };
-                self.tell(peer, &PeerMessage::Reply { call, result: Err(told) });
+                self.tell(peer, &PeerMessage::Reply { call, result: Err(error) });
             }
             // What belongs to the session itself ends with it.
             _ => {}

@@ -61,7 +61,7 @@ pub(super) struct Binding {
 }
 
 impl Binding {
-    pub(super) fn way(&self) -> BindingRoute {
+    pub(super) fn route(&self) -> BindingRoute {
         (self.number, self.stream(), self.strand)
     }
 
@@ -190,8 +190,8 @@ impl PeerSession {
     ) -> Option<Vec<PeerProtocolOutput>> {
         let key = self.numbers.get(&number)?;
         let binding = self.bindings.get_mut(key)?;
-        let (waiting, way) = (binding.waiting.take()?, binding.way());
-        Some(waiting.into_iter().map(|waiting| self.send(peer, way, waiting, next_call)).collect())
+        let (waiting, route) = (binding.waiting.take()?, binding.route());
+        Some(waiting.into_iter().map(|one| self.send(peer, route, one, next_call)).collect())
     }
 }
 

@@ -1,4 +1,4 @@
-//! Two exchanges that hear each other.
+//! Two peer protocols, each the peer of the other.
 
 use super::*;
 use crate::CreditPool;
@@ -54,7 +54,7 @@ fn at(millis: u64) -> Instant {
     Instant::from_millis(millis)
 }
 
-/// Two exchanges; what one sends, the other gets.
+/// Two peer protocols; what one sends, the other receives.
 struct Pair {
     ends: [PeerProtocol; 2],
     ids: [NodeId; 2],
@@ -534,12 +534,12 @@ fn a_reply_that_finds_no_capacity_is_told_as_lost_and_an_error_goes_as_it_is() {
         pair.run();
 
         let outputs = pair.take(0);
-        let [PeerProtocolOutput::Resolve { reply_as: 10, result: Err(told) }] = &outputs[..] else {
+        let [PeerProtocolOutput::Resolve { reply_as: 10, result: Err(why) }] = &outputs[..] else {
             panic!("{outputs:?}");
         };
         match reply {
-            Ok(_) => assert!(matches!(told, DeliveryError::OutcomeUnknown { .. }), "{told}"),
-            Err(error) => assert_eq!(*told, error),
+            Ok(_) => assert!(matches!(why, DeliveryError::OutcomeUnknown { .. }), "{why}"),
+            Err(error) => assert_eq!(*why, error),
         }
     }
 }

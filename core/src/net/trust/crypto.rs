@@ -114,7 +114,7 @@ impl fmt::Debug for PublicKey {
 }
 
 impl PublicKey {
-    /// Its bytes.
+    /// Returns the key's bytes.
     pub fn bytes(&self) -> &[u8; KEY_BYTES] {
         &self.0
     }
@@ -133,7 +133,7 @@ impl PublicKey {
 /// The public keys of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PublicKeys {
-    /// For handshakes.
+    /// The X25519 key, for handshakes.
     pub x25519: PublicKey,
     /// Checks what the node has signed.
     pub ed25519: PublicKey,

@@ -80,7 +80,7 @@ pub enum Frame {
 /// The node that has a name, as its neighbour tells another one of that name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NameHolder {
-    /// Its incarnation.
+    /// The incarnation of that node.
     pub incarnation: Incarnation,
     /// Where the neighbour reaches it, in [`ADDRESS_MAX`](NameHolder::ADDRESS_MAX) bytes, or
     /// [`NOWHERE`](NameHolder::NOWHERE).
@@ -111,16 +111,16 @@ pub struct RoutingFragment {
     pub index: u8,
     /// It is the last.
     pub last: bool,
-    /// The bytes.
+    /// The fragment's bytes.
     pub bytes: Bytes,
 }
 
 /// A link's sign of life.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hello {
-    /// Who says it.
+    /// The node that sends it.
     pub node: NodeName,
-    /// In which incarnation.
+    /// The incarnation of that node.
     pub incarnation: Incarnation,
     /// The number of the interval in which it was sent, counted from the link's start.
     pub sequence: u32,

@@ -45,16 +45,16 @@ pub enum PacketPriority {
     Data,
 }
 
-/// One packet.
+/// What routers pass on, with its header.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Packet {
     /// How urgent it is.
     pub class: PacketPriority,
     /// How many more nodes may pass it on.
     pub hops: u8,
-    /// Whom it is for.
+    /// The node that it is for.
     pub destination: NodeId,
-    /// Whom it is from.
+    /// The node that it is from.
     pub source: NodeId,
     /// Who has passed it on so far, at most [`HOPS_MAX`].
     pub passed: Vec<NodeId>,

@@ -67,7 +67,7 @@ pub enum Segment {
         tag: u32,
         /// For each stream, in the order of [`TrafficClass::ALL`].
         streams: [Option<Ack>; TrafficClass::COUNT],
-        /// For datagrams.
+        /// For datagrams; `None` if none is acknowledged.
         datagrams: Option<DatagramAck>,
     },
     /// All that I had to say is said and acknowledged.
@@ -87,7 +87,7 @@ pub enum Segment {
     },
 }
 
-/// The handshake.
+/// The handshake: one side opens a session, or answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OpenSegment {
     /// The version of the session's protocol.
@@ -118,7 +118,7 @@ pub struct SessionReceipt {
 pub struct Data {
     /// The receiver's tag.
     pub tag: u32,
-    /// Which stream.
+    /// The stream that it belongs to.
     pub stream: TrafficClass,
     /// Its place there.
     pub sequence: u64,
@@ -132,7 +132,7 @@ pub struct Data {
     pub piece: Option<Fragment>,
     /// What has arrived in the other direction.
     pub ack: Option<Ack>,
-    /// The bytes.
+    /// The bytes of the part, or of its piece.
     pub payload: GatherBuffer,
 }
 
@@ -149,7 +149,7 @@ pub struct Datagram {
     pub number: Option<u64>,
     /// This is not the whole message.
     pub piece: Option<Fragment>,
-    /// The bytes.
+    /// The bytes of the message, or of its piece.
     pub payload: GatherBuffer,
 }
 
@@ -251,8 +251,8 @@ impl Segment {
             Segment::Data(data) => data.parcel(),
             Segment::Datagram(datagram) => datagram.parcel(),
             Segment::Acknowledge { tag, streams, datagrams } => {
-                let told = streams.iter().map(Option::is_some).chain([datagrams.is_some()]);
-                let flags = (0..).zip(told).map(|(bit, told)| u8::from(told) << bit).sum();
+                let present = streams.iter().map(Option::is_some).chain([datagrams.is_some()]);
+                let flags = (0..).zip(present).map(|(bit, present)| u8::from(present) << bit).sum();
                 let mut bytes = begin(ACKNOWLEDGE, 0, 32);
                 bytes.put_u32(*tag);
                 bytes.put_u8(flags);
@@ -542,7 +542,7 @@ mod tests {
             payload: Bytes::from_static(b"x").into(),
         };
         let numbered = Datagram { number: Some(300), ..datagram.clone() };
-        let told = DatagramAck { next: 301, received: 299, arrived };
+        let acks = DatagramAck { next: 301, received: 299, arrived };
         vec![
             (
                 Segment::Open(open),
@@ -564,7 +564,7 @@ mod tests {
             (Segment::Datagram(datagram), b"\x40\0\0\0\x01\x04\x09x"),
             (Segment::Datagram(numbered), b"\x41\0\0\0\x01\x04\x09\xac\x02x"),
             (
-                Segment::Acknowledge { tag: 1, streams: [const { None }; 6], datagrams: Some(told) },
+                Segment::Acknowledge { tag: 1, streams: [const { None }; 6], datagrams: Some(acks) },
                 b"\x60\0\0\0\x01\x40\xad\x02\xab\x02\x12\x34",
             ),
             (

@@ -36,7 +36,7 @@ pub struct RecoveryDone {
 /// An action has not worked.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecoveryFailed {
-    /// Why.
+    /// Why the action failed, for display.
     pub reason: String,
     /// Another attempt cannot help either: the next step of the ladder follows at once.
     pub is_final: bool,
@@ -64,12 +64,12 @@ pub enum RecovererOutput {
     /// still behind the one that does: have it given up, so that no component that stops waits for
     /// it.
     AbandonIncarnation {
-        /// Its hang.
+        /// The hang of that incarnation.
         fault: Fault,
     },
     /// Not even safe stop could be carried out: the whole node enters the safe state.
     LastResort {
-        /// What could not be contained.
+        /// The fault that could not be contained.
         fault: Fault,
         /// What safe stop said.
         reason: String,

@@ -68,7 +68,7 @@ struct Pending {
     call: CallId,
     key: ChildKey,
     child: ObjectName,
-    wish: ChildTarget,
+    goal: ChildTarget,
 }
 
 /// One supervisor. See the [module](self).
@@ -227,7 +227,7 @@ impl Supervisor {
     pub fn handle_retired(&mut self) {
         let (work, others) = std::mem::take(&mut self.pending)
             .into_iter()
-            .partition(|pending: &Pending| pending.wish == ChildTarget::Run);
+            .partition(|pending: &Pending| pending.goal == ChildTarget::Run);
         self.pending = others;
         let work: Vec<Pending> = work;
         for Pending { call, child, .. } in work {

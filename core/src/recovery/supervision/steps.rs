@@ -73,9 +73,9 @@ impl Supervisor {
             return;
         }
         let pending = std::mem::take(&mut self.pending);
-        for Pending { call, key, child, wish } in pending {
-            match self.outcome(key, wish) {
-                None => self.pending.push(Pending { call, key, child, wish }),
+        for Pending { call, key, child, goal } in pending {
+            match self.outcome(key, goal) {
+                None => self.pending.push(Pending { call, key, child, goal }),
                 Some(Ok(Some(incarnation))) if self.is_unavailable(key) => {
                     self.outputs.push_back(SupervisorOutput::Waits { call, child, incarnation });
                 }
@@ -95,10 +95,10 @@ impl Supervisor {
     fn outcome(
         &self,
         key: ChildKey,
-        wish: ChildTarget,
+        goal: ChildTarget,
     ) -> Option<Result<Option<Incarnation>, GiveUpReason>> {
         let Some(child) = self.children.get(&key) else { return Some(Ok(None)) };
-        match wish {
+        match goal {
             ChildTarget::Leave => None,
             ChildTarget::Rest if child.goal == ChildTarget::Leave => None,
             ChildTarget::Rest if child.goal != ChildTarget::Rest => {
@@ -380,7 +380,7 @@ impl Supervisor {
     fn answer_undone(&mut self, undone: ChildKey, failed: Option<String>) {
         let reason = failed.unwrap_or_else(|| "it was stopped before it was at work".to_owned());
         let waits =
-            |pending: &mut Pending| pending.key == undone && pending.wish == ChildTarget::Run;
+            |pending: &mut Pending| pending.key == undone && pending.goal == ChildTarget::Run;
         for Pending { call, child, .. } in self.pending.extract_if(.., waits).collect::<Vec<_>>() {
             let reason = reason.clone();
             self.answer_gave_up(call, child, GiveUpReason::StartFailed { reason });
@@ -616,7 +616,7 @@ impl Supervisor {
         &mut self,
         name: &ObjectName,
         call: CallId,
-        wish: ChildTarget,
+        goal: ChildTarget,
     ) -> Option<ChildKey> {
         let child = name.clone();
         let Some(&key) = self.index.get(name) else {
@@ -627,7 +627,7 @@ impl Supervisor {
             self.answer_gave_up(call, child, GiveUpReason::Full { limit: PENDING_LIMIT });
             return None;
         }
-        self.pending.push(Pending { call, key, child, wish });
+        self.pending.push(Pending { call, key, child, goal });
         Some(key)
     }
 

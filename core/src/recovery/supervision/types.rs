@@ -48,7 +48,7 @@ pub enum GiveUpReason {
     /// The child needs more restarts than the intensity allows; its siblings continue.
     #[error("it is not restarted any more: {reason}")]
     IntensityExceeded {
-        /// Which limit was exceeded.
+        /// The limit that was exceeded.
         reason: String,
     },
     /// More restarts than the intensity allows, up to the root.
@@ -63,7 +63,7 @@ pub enum GiveUpReason {
     /// The supervisor can take no more children or requests.
     #[error("its supervisor is full: it takes no more than {limit}")]
     Full {
-        /// The bound.
+        /// The most children or requests.
         limit: usize,
     },
     /// A user has ordered the child to start while it was put into the safe state.
@@ -109,23 +109,23 @@ pub enum ChildOrder {
 pub enum SupervisorOutput {
     /// Begin the child's next incarnation.
     Start {
-        /// The child.
+        /// The child to start.
         child: ObjectName,
-        /// Which incarnation it is.
+        /// The incarnation that begins.
         incarnation: Incarnation,
     },
     /// Have the child carry this out.
     Order {
-        /// The child.
+        /// The child that carries it out.
         child: ObjectName,
-        /// What it does.
+        /// The order that it carries out.
         order: ChildOrder,
     },
     /// The request is fulfilled: the child is at work, or let go.
     Recovered {
-        /// The request.
+        /// The number of the request.
         call: CallId,
-        /// The child.
+        /// The child that the request is about.
         child: ObjectName,
         /// The incarnation at work; `None` where no incarnation is wanted.
         incarnation: Option<Incarnation>,
@@ -133,26 +133,26 @@ pub enum SupervisorOutput {
     /// The request is fulfilled as far as it can be: the new incarnation waits for something that
     /// is not there yet, and tries again by itself.
     Waits {
-        /// The request.
+        /// The number of the request.
         call: CallId,
-        /// The child.
+        /// The child that the request is about.
         child: ObjectName,
         /// The incarnation that waits.
         incarnation: Incarnation,
     },
     /// The request is not going to be fulfilled.
     GaveUp {
-        /// The request.
+        /// The number of the request.
         call: CallId,
-        /// The child.
+        /// The child that the request is about.
         child: ObjectName,
-        /// Why.
+        /// Why it is not fulfilled.
         why: GiveUpReason,
     },
     /// A child that is a supervisor has escalated, and is not worth restarting any more; it has
     /// ended. The recoverer decides about it.
     Refused {
-        /// The child.
+        /// The child that has ended.
         child: ObjectName,
         /// The incarnation that escalated.
         incarnation: Incarnation,
@@ -165,11 +165,11 @@ pub enum SupervisorOutput {
     /// A start took too long, and its guard does not say so: give the incarnation up, and report
     /// it.
     Overdue {
-        /// The child.
+        /// The child that does not start.
         child: ObjectName,
         /// The incarnation that did not come to be.
         incarnation: Incarnation,
-        /// The deadline.
+        /// The deadline of its rules.
         limit: Duration,
     },
     /// The child has ended and is forgotten.

@@ -137,7 +137,6 @@ impl<'a> Parser<'a> {
         Ok(left)
     }
 
-    /// An operand.
     fn operand(&mut self) -> Result<Expr, ParseError> {
         let at = self.next;
         let operand = match self.take() {

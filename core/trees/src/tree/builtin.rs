@@ -460,7 +460,6 @@ impl Tree {
     }
 }
 
-/// The leaves.
 impl Tree {
     /// Copies a value, or the literal text, into an entry whose name a port gives.
     pub(super) fn set_blackboard(&mut self, id: TreeNodeId) -> NodeAnswer {

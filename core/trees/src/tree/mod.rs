@@ -30,7 +30,7 @@ use std::time::Duration;
 pub struct TreeNodeId(pub(crate) u32);
 
 impl TreeNodeId {
-    /// The number.
+    /// Returns the number as an index.
     pub const fn index(self) -> usize {
         self.0 as usize
     }
@@ -80,7 +80,6 @@ struct ChangeLog {
     lost: u32,
 }
 
-/// A node.
 #[derive(Debug, Default)]
 pub(crate) struct TreeNode {
     pub(crate) kind: Kind,
@@ -142,7 +141,7 @@ pub(crate) struct LoopQueue {
 /// A change of a node's answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StatusChange {
-    /// The node.
+    /// The node whose answer changed.
     pub node: TreeNodeId,
     /// The answer before.
     pub from: Status,
@@ -154,7 +153,7 @@ pub struct StatusChange {
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub struct NodeView<'a> {
-    /// Its number.
+    /// The node's number in its tree.
     pub id: TreeNodeId,
     /// Its path: the names of the subtrees around it, then its own name, or its type and number.
     pub path: &'a str,
@@ -162,7 +161,7 @@ pub struct NodeView<'a> {
     pub type_name: &'a str,
     /// The number of nodes above it.
     pub depth: u32,
-    /// Its status.
+    /// The node's present status.
     pub status: Status,
     /// The answer of its last tick; `Idle` if it has been halted since.
     pub answer: Status,

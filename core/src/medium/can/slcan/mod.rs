@@ -17,9 +17,9 @@
 //! that says nothing is thrown away up to its end, so that after garbage the next line is
 //! understood again; no line is longer than [`LINE_MAX`].
 
-mod dialogue;
+mod adapter_control;
 
-pub use dialogue::{AdapterControl, AdapterError};
+pub use adapter_control::{AdapterControl, AdapterError};
 
 use super::frame::{CanFrame, CanId, FD_LENGTHS, FD_MAX, Format};
 
@@ -61,9 +61,9 @@ impl BitRate {
 /// A data rate of CAN FD that adapters know, after the CANable's extension.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DataRate {
-    /// 2 Mbit/s.
+    /// A data rate of 2 Mbit/s.
     TwoMegabit,
-    /// 5 Mbit/s.
+    /// A data rate of 5 Mbit/s.
     FiveMegabit,
 }
 
@@ -80,7 +80,7 @@ pub enum AdapterCommand {
     DataRate(DataRate),
     /// How are you?
     Status,
-    /// Send this.
+    /// Sends this frame on the bus.
     Send(CanFrame),
 }
 
