@@ -33,7 +33,7 @@ impl Handle<Search> for Map {
     }
 }
 
-/// Counts.
+/// Adds one to the count, and is answered with the count.
 #[derive(Debug, Request)]
 #[contract(name = "counter/count", reply = u32)]
 struct Count;

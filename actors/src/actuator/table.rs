@@ -66,7 +66,7 @@ pub(crate) struct DeclaredActuator {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ActuatorRow {
-    /// The component.
+    /// The name of the component that declares the actuator.
     pub object: ObjectName,
     /// The contract of its commands.
     pub contract: &'static str,
@@ -109,7 +109,7 @@ pub(crate) struct ActuatorTable {
     /// As many as its components declare.
     actuators: Arc<Mutex<Actuators>>,
     timekeeper: Arc<Timekeeper>,
-    /// Calls cut-offs.
+    /// Runs the cut-off functions.
     callbacks: Callbacks,
     /// The node is in the safe state, in which no lease is granted.
     rests: Arc<AtomicBool>,

@@ -43,7 +43,6 @@ struct ConditionTable {
     ended: bool,
 }
 
-/// One condition.
 struct Entry {
     name: Arc<str>,
     needs: Connected,

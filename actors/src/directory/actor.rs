@@ -58,7 +58,6 @@ struct Own {
     unattended: bool,
 }
 
-/// The body.
 pub(crate) struct DirectoryActor {
     setup: DirectorySetup,
     machine: Directory,

@@ -31,7 +31,6 @@ type RecoveryResult = Result<Recovered, GaveUp>;
 
 /// What a supervisor is made of.
 pub(crate) struct SupervisorSetup {
-    /// Its name.
     pub(crate) name: ObjectName,
     /// How it decides.
     pub(crate) rules: SupervisorRules,

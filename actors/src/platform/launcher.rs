@@ -52,7 +52,7 @@ pub(crate) struct LaunchOrder {
     pub(crate) stop_within: Duration,
     /// How far apart two `WATCHDOG=1` may be.
     pub(crate) watchdog: Option<Duration>,
-    /// In bytes.
+    /// In bytes; `None` for no limit.
     pub(crate) memory_limit: Option<u64>,
     /// It does not say `READY=1`.
     pub(crate) ready_at_start: bool,
@@ -65,7 +65,7 @@ pub(crate) struct ProcessStatus {
     pub(crate) process: Option<i32>,
     /// It has said `READY=1`, or was started and is not to say it.
     pub(crate) is_ready: bool,
-    /// Its `STATUS=`.
+    /// The text of its last `STATUS=`.
     pub(crate) status: String,
     /// It has said `STOPPING=1`.
     pub(crate) is_stopping: bool,

@@ -76,7 +76,6 @@ struct NeverWatched;
 
 impl crate::messaging::death_watch::Watchable for NeverWatched {}
 
-/// The actor.
 pub(crate) struct ReplicaActor {
     carried: Carried,
     machine: Replica,

@@ -56,7 +56,7 @@ pub(crate) enum Deed {
     Check(f64),
     /// Watches another object.
     Watch(String),
-    /// Publishes this.
+    /// Publishes this number.
     Publish(u32),
     /// Publishes this, a little later.
     PublishSoon(u32),
