@@ -236,8 +236,8 @@ fn who_may_not_look_is_told_who_may() {
 /// Shows this to one who comes, and ends.
 async fn shows(socket: &Path, shown: &[u8]) {
     let listener = tokio::net::UnixListener::bind(socket).expect("a socket");
-    let (mut viewer, _) = listener.accept().await.expect("a client connects");
-    viewer.write_all(shown).await.expect("the client reads");
+    let (mut client, _) = listener.accept().await.expect("a client connects");
+    client.write_all(shown).await.expect("the client reads");
 }
 
 #[test]
@@ -327,7 +327,7 @@ fn who_takes_connections_and_says_nothing_is_not_waited_for_without_end() {
         let mut waiting = Vec::new();
         let full = loop {
             match tokio::net::UnixStream::connect(&socket).await {
-                Ok(viewer) => waiting.push(viewer),
+                Ok(client) => waiting.push(client),
                 Err(error) => break error,
             }
         };
