@@ -1,4 +1,4 @@
-//! The recoverer's body: it carries out its machine's orders, or has a strategy do so.
+//! The recoverer's actor: it carries out its machine's orders, or has a strategy do so.
 
 use super::strategy::{EngagedStrategy, StrategyContext, StrategyTable};
 use crate::platform;
