@@ -136,7 +136,7 @@ pub enum SpecError {
     /// A setting makes no sense.
     #[error("{setting} of {name} is {value}: {cure}")]
     Setting {
-        /// The component that has the setting.
+        /// The component or supervisor that has the setting.
         name: String,
         /// The name of the setting, such as `max_block`.
         setting: &'static str,

@@ -65,7 +65,7 @@ pub struct JournalEntry {
     pub location: String,
     /// Which incarnation of the place it struck last.
     pub incarnation: u64,
-    /// What was observed, as text.
+    /// The particulars: a panic's text and source line, a check's value and limit.
     pub detail: String,
     /// How often it was seen while it stood.
     pub count: u64,

@@ -102,7 +102,7 @@ pub enum RestartError {
     ChildGaveUp {
         /// The component that was to be restarted.
         name: ObjectName,
-        /// Why its supervisor gave up the restart.
+        /// Why there is no next incarnation.
         reason: GiveUpReason,
     },
 }

@@ -80,7 +80,7 @@ impl<V: Variable> fmt::Debug for VariableSpec<V> {
 /// A value, and how it stands.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reading<V> {
-    /// The value that the owner set last, or the default.
+    /// The value at the time of the reading.
     pub value: V,
     /// Of which change. It rises with every change, also over restarts of the owner and its node.
     pub revision: u64,
@@ -98,7 +98,7 @@ pub enum RestoreDecision<V> {
     Restore,
     /// The default of the variable.
     Default,
-    /// A value that the person gives.
+    /// The given value, in place of both.
     Value(V),
 }
 
