@@ -104,7 +104,7 @@ pub(crate) struct ContractPort {
     pub(crate) identity: ContractIdentity,
     /// Its type, for display.
     named: &'static str,
-    /// A `Sender<M>`.
+    /// A `Sender<M>` for messages `M` of this contract.
     sender: Box<dyn Any + Send + Sync>,
     skeleton: Arc<dyn Skeleton>,
 }
@@ -140,7 +140,7 @@ impl ContractPort {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the name {name} is taken by {by} of this node: names are given once")]
 pub struct NameTaken {
-    /// The name.
+    /// The name that was to be registered.
     pub name: ObjectName,
     /// The kind of its holder: a component, a service, a supervisor, or an object of the
     /// middleware.

@@ -23,7 +23,7 @@ use std::str::FromStr;
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
-/// A millisecond.
+/// One millisecond: tests write a time as `20 * MS`.
 pub const MS: Duration = Duration::from_millis(1);
 /// How long real nodes may take for what they do, on a computer that is busy with other tests.
 pub const PATIENCE: Duration = Duration::from_secs(120);

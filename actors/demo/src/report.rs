@@ -41,7 +41,6 @@ pub(crate) struct FaultRow {
     /// The injected fault, with its story.
     #[serde(flatten)]
     pub(crate) fault: &'static DemoFault,
-    /// Where.
     #[serde(rename = "where")]
     pub(crate) location: String,
     /// The fault as reported by the middleware.
@@ -70,10 +69,8 @@ pub(crate) struct ReportedFault {
     pub(crate) code: String,
     /// The kind as text.
     pub(crate) text: String,
-    /// Where.
     #[serde(rename = "where")]
     pub(crate) location: String,
-    /// The particulars.
     pub(crate) detail: String,
 }
 
@@ -95,7 +92,7 @@ pub(crate) struct LatencyRow {
     pub(crate) what: &'static str,
     /// The networks between the modules.
     pub(crate) over: &'static str,
-    /// How many.
+    /// The number of measured messages.
     pub(crate) count: usize,
     /// The mean, the median, what 99 of 100 did not exceed, and the longest.
     #[serde(rename = "mean_median_p99_worst_ms", serialize_with = "all_as_millis")]

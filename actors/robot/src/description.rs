@@ -32,9 +32,9 @@ pub struct RobotDescription {
     pub keys: Option<PathBuf>,
     /// The answers to faults on every node.
     pub plan: Vec<AnswerDescription>,
-    /// The networks.
+    /// The networks that join its nodes.
     pub networks: Vec<RobotNetwork>,
-    /// The nodes.
+    /// The nodes, one process each.
     pub nodes: Vec<NodeDescription>,
     /// The connections between ports.
     pub connections: Vec<ConnectionDescription>,
@@ -45,9 +45,9 @@ pub struct RobotDescription {
 /// What is done about one kind of fault.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnswerDescription {
-    /// The kind.
+    /// The kind of fault that is answered.
     pub fault: FaultKind,
-    /// The actions.
+    /// The recovery actions, tried in this order.
     pub ladder: Ladder,
     #[doc(hidden)]
     pub origin: ElementOrigin,
@@ -56,7 +56,7 @@ pub struct AnswerDescription {
 /// A network that joins nodes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RobotNetwork {
-    /// Its name.
+    /// The network's name, which no other network of the robot has.
     pub name: String,
     /// See [`Network::insecure`](blastema::Network::insecure).
     pub insecure: bool,
@@ -73,7 +73,7 @@ pub struct RobotNetwork {
 /// A node's end of a network.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct EndpointDescription {
-    /// The network.
+    /// The name of a [`RobotNetwork`].
     pub network: String,
     /// The medium and the own address, as in [`Network::new`](blastema::Network::new).
     pub at: String,
@@ -88,7 +88,7 @@ pub struct EndpointDescription {
 /// One process of the robot.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NodeDescription {
-    /// Its name.
+    /// The node's name, which no other node of the robot has.
     pub name: String,
     /// The root supervisor. It has no name of its own.
     pub root: SupervisorDescription,
@@ -130,7 +130,7 @@ pub struct SupervisorDescription {
     pub strategy: Strategy,
     /// The restarts that are allowed in one period.
     pub intensity: Option<u32>,
-    /// The period.
+    /// The period in which the restarts of `intensity` are counted.
     pub period: Option<Duration>,
     /// What happens when restarts exceed the intensity.
     pub when_exceeded: WhenExceeded,
@@ -147,14 +147,14 @@ pub struct SupervisorDescription {
 pub enum ChildDescription {
     /// A component.
     Component(Box<ComponentDescription>),
-    /// A supervisor.
+    /// A supervisor below this one, with its own children.
     Supervisor(SupervisorDescription),
 }
 
-/// A component.
+/// A component of a node, and the settings of its [`ChildSpec`](blastema::ChildSpec).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ComponentDescription {
-    /// Its name.
+    /// The component's name, which no other object of its node has.
     pub name: String,
     /// The name of its type, as the program has registered it; empty for a tree.
     pub type_name: String,
@@ -265,7 +265,7 @@ pub enum NeedChannel {
 /// A channel that must be connected, and how well: see [`Connected`](blastema::Connected).
 #[derive(Clone, Debug, PartialEq)]
 pub struct NeedDescription {
-    /// The channel.
+    /// What is connected: a topic, a node, a session or a link.
     pub channel: NeedChannel,
     /// How long it may be silent.
     pub timeout: Option<Duration>,

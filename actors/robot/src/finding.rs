@@ -21,7 +21,7 @@ const BESIDE_MAX: usize = 80;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct FilePlace {
     pub(crate) file: usize,
-    /// In bytes.
+    /// In bytes from the start of the file.
     pub(crate) range: Range<usize>,
 }
 

@@ -87,7 +87,7 @@ enum RobotCommand {
     Graph {
         #[command(flatten)]
         file: FileArguments,
-        /// The format
+        /// The format of the graph
         #[arg(long, value_enum, default_value = "text")]
         format: GraphFormat,
     },

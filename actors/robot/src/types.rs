@@ -102,7 +102,7 @@ impl fmt::Debug for Types {
 }
 
 impl Types {
-    /// No types.
+    /// Creates a table without types.
     pub fn new() -> Self {
         Types::default()
     }

@@ -66,7 +66,7 @@ pub(crate) struct DeclaredActuator {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ActuatorRow {
-    /// The component.
+    /// The name of the component that declares the actuator.
     pub object: ObjectName,
     /// The contract of its commands.
     pub contract: &'static str,
@@ -109,7 +109,7 @@ pub(crate) struct ActuatorTable {
     /// As many as its components declare.
     actuators: Arc<Mutex<Actuators>>,
     timekeeper: Arc<Timekeeper>,
-    /// Calls cut-offs.
+    /// Runs the cut-off functions.
     callbacks: Callbacks,
     /// The node is in the safe state, in which no lease is granted.
     rests: Arc<AtomicBool>,
@@ -629,10 +629,10 @@ mod tests {
         let wheels = ObjectName::new("wheels").expect("a name");
         let identity = ContractIdentity::of::<ActuatorCommand>().brief().encode();
         let peer = Some(NodeId::of(&NodeName::new(node).expect("a name")));
-        let (told, reply) = mpsc::channel();
-        let answer = Responder::called_back(Box::new(move |result| drop(told.send(result))), None);
+        let (sent, reply) = mpsc::channel();
+        let responder = Responder::called_back(Box::new(move |done| drop(sent.send(done))), None);
         let (order, access) = (ActuatorCommand { identity, wish }, AccessControl::default());
-        table.serve((&wheels, &access), order, MessageOrigin { peer }, answer);
+        table.serve((&wheels, &access), order, MessageOrigin { peer }, responder);
         let done = reply.try_recv().expect("it is answered at once")?;
         Ok(done.expect("it is the same contract").epoch)
     }
@@ -645,8 +645,8 @@ mod tests {
     fn a_lease_is_used_from_the_node_that_claimed_it_and_a_commander_has_its_nodes_name() {
         let (table, wheels) =
             (ActuatorTable::default(), ObjectName::new("wheels").expect("a name"));
-        let serve = |_, _, answer: Responder<ActuatorCommand>| {
-            answer.give(Ok(CommandDone::default()));
+        let serve = |_, _, responder: Responder<ActuatorCommand>| {
+            responder.give(Ok(CommandDone::default()));
         };
         let skeleton = Arc::new(ServiceFn::<ActuatorCommand>(Arc::new(serve)));
         let declared = DeclaredActuator {

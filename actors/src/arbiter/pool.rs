@@ -23,7 +23,7 @@ use std::{fmt, io};
 /// Which components may run on a thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ThreadKind {
-    /// Any component.
+    /// Any component that has no thread of its own.
     Shared,
     /// One component: it asked for a thread of its own, or its previous incarnation kept another
     /// thread.
@@ -61,7 +61,6 @@ const ANSWERS_WITHIN: Duration = Duration::from_millis(100);
 #[derive(Clone)]
 pub(crate) struct ArbiterSlot(Arc<ArbiterEntry>);
 
-/// One arbiter.
 pub(crate) struct ArbiterEntry {
     pub(crate) handle: ArbiterHandle,
     pub(crate) heartbeat: Arc<ArbiterHeartbeat>,

@@ -580,8 +580,8 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
         // The caller is in this process: its responder shows whether it still waits.
         _: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>> {
-        let (answer, reply) = Responder::awaited();
-        match self.post(message, Some(answer), id, enqueue_time::<M>()) {
+        let (responder, reply) = Responder::awaited();
+        match self.post(message, Some(responder), id, enqueue_time::<M>()) {
             Ok(()) => Ok(reply),
             Err(error) => Err(error.into()),
         }
@@ -619,7 +619,7 @@ impl<C: Component> ComponentCell<C> {
     pub(crate) fn post<M: Contract>(
         &self,
         message: M,
-        mut answer: Option<Responder<M>>,
+        mut responder: Option<Responder<M>>,
         id: Option<MessageId>,
         posted_at: Instant,
     ) -> Result<(), SendError<M>>
@@ -631,7 +631,7 @@ impl<C: Component> ComponentCell<C> {
         let posted = match heartbeat::send_refusal().or_else(|| self.record.refusal(id)) {
             None => {
                 let (port, times) = (self.port_of::<M>(), Times::from(posted_at));
-                self.push(port, message, |m| seal_message::<C, M>(m, answer.take(), id, times))
+                self.push(port, message, |m| seal_message::<C, M>(m, responder.take(), id, times))
             }
             Some(why) => Err((message, why)),
         };
@@ -640,8 +640,8 @@ impl<C: Component> ComponentCell<C> {
             if let DeliveryError::Quarantined { .. } = why {
                 self.record.record_dead_letter(M::NAME, &why);
             }
-            if let Some(answer) = answer {
-                answer.refuse(why.clone(), None);
+            if let Some(responder) = responder {
+                responder.refuse(why.clone(), None);
             }
             SendError::new(why, message)
         })
@@ -677,12 +677,12 @@ impl<C: Component> ComponentCell<C> {
 
     /// Puts a safe command before all that waits, whether there is room or not. It ends with the
     /// present incarnation. Commands of its contract that still wait are not begun any more.
-    pub(crate) fn post_first<M: Contract>(&self, command: M, answer: Responder<M>)
+    pub(crate) fn post_first<M: Contract>(&self, command: M, responder: Responder<M>)
     where
         C: Handle<M>,
     {
         let Some(owner) = self.queue.owner() else {
-            return answer.refuse(DeliveryError::Restarting, None);
+            return responder.refuse(DeliveryError::Restarting, None);
         };
         let is_command = |envelope: &BoxedEnvelope<C>| {
             (envelope.header().contract == TypeId::of::<M>()).then(|| envelope.revocable())
@@ -692,7 +692,7 @@ impl<C: Component> ComponentCell<C> {
         }
         // No name of an object contains a blank, and no safe command grows old.
         let (about, never) = (format!("command {}", M::NAME), Instant::from_nanos(u64::MAX));
-        let command = seal_message::<C, M>(command, Some(answer), None, never);
+        let command = seal_message::<C, M>(command, Some(responder), None, never);
         drop(self.queue.notify(owner, &about, command));
     }
 

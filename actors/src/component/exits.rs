@@ -21,7 +21,7 @@ struct Untold {
     exits: Vec<UntoldExit>,
     /// The ends of the incarnations up to this one were reported, or are no news: one that was
     /// abandoned may end later, while others report.
-    told: Incarnation,
+    reported_until: Incarnation,
 }
 
 /// An end that was not reported yet.
@@ -61,7 +61,7 @@ impl UntoldExits {
         let exited = UntoldExit { incarnation, exit, restarted_as, supervisor, is_settled };
         let mut untold = lock(&self.0);
         let is_known = untold.exits.iter().any(|known| known.incarnation == incarnation);
-        if !is_known && incarnation > untold.told {
+        if !is_known && incarnation > untold.reported_until {
             untold.exits.push(exited);
         }
     }
@@ -102,7 +102,7 @@ impl UntoldExits {
             DueExits::Until(until) => Some(until),
             DueExits::Settled => last,
         };
-        untold.told = untold.told.max(until.unwrap_or_default());
+        untold.reported_until = untold.reported_until.max(until.unwrap_or_default());
         drop(untold);
         for UntoldExit { incarnation, exit, restarted_as, supervisor, .. } in reported {
             let exit = Arc::unwrap_or_clone(exit);
@@ -141,8 +141,8 @@ mod tests {
             exits.tell(DueExits::Until(second), &object, &reports);
             exits.forget(first);
 
-            let told = [probe.expect().await.incarnation, probe.expect().await.incarnation];
-            assert_eq!(told, [first, second]);
+            let reported = [probe.expect().await.incarnation, probe.expect().await.incarnation];
+            assert_eq!(reported, [first, second]);
             probe.expect_none_for(Duration::from_secs(1)).await;
         });
     }

@@ -12,7 +12,7 @@ use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, OnceLock};
 use tokio::sync::watch;
 
-/// What is wanted of the body.
+/// A request of an object of this node to the directory's actor.
 #[derive(Message)]
 #[rtype(result = "()")]
 pub(crate) enum ClaimCommand {
@@ -53,7 +53,7 @@ struct Inner {
     known: Mutex<SortedMap<ObjectName, HolderRecord>>,
     nodes: Mutex<SortedMap<NodeName, NodeEntry>>,
     revision: watch::Sender<u64>,
-    body: OnceLock<Recipient<ClaimCommand>>,
+    actor: OnceLock<Recipient<ClaimCommand>>,
     next: AtomicU64,
 }
 
@@ -64,8 +64,8 @@ pub(crate) struct DirectoryTable(Arc<Inner>);
 impl Default for DirectoryTable {
     fn default() -> Self {
         let (revision, _) = watch::channel(0);
-        let (known, nodes, body) = Default::default();
-        DirectoryTable(Arc::new(Inner { known, nodes, revision, body, next: AtomicU64::new(1) }))
+        let (known, nodes, actor) = Default::default();
+        DirectoryTable(Arc::new(Inner { known, nodes, revision, actor, next: AtomicU64::new(1) }))
     }
 }
 
@@ -138,12 +138,12 @@ impl DirectoryTable {
     }
 
     /// Claims are made there from now on.
-    pub(crate) fn lead_to(&self, body: Recipient<ClaimCommand>) {
+    pub(crate) fn lead_to(&self, actor: Recipient<ClaimCommand>) {
         // Called once, when the node starts.
-        let _ = self.0.body.set(body);
+        let _ = self.0.actor.set(actor);
     }
 
-    /// The body knows of another holder, or of none any more.
+    /// The actor knows of another holder, or of none any more.
     pub(crate) fn note(&self, name: ObjectName, holder: Option<(Holder, Incarnation)>) {
         match holder {
             Some((holder, incarnation)) => {
@@ -190,16 +190,16 @@ impl DirectoryTable {
         unattended: bool,
     ) -> watch::Receiver<ClaimState> {
         let (state_sender, state) = watch::channel(ClaimState::Waiting);
-        if let Some(body) = self.0.body.get() {
-            body.do_send(ClaimCommand::Claim { wanted, number, state_sender, unattended });
+        if let Some(actor) = self.0.actor.get() {
+            actor.do_send(ClaimCommand::Claim { wanted, number, state_sender, unattended });
         }
         state
     }
 
     /// Gives it back.
     pub(crate) fn withdraw(&self, name: &ObjectName, number: u64) {
-        if let Some(body) = self.0.body.get() {
-            body.do_send(ClaimCommand::Withdraw { name: name.clone(), number });
+        if let Some(actor) = self.0.actor.get() {
+            actor.do_send(ClaimCommand::Withdraw { name: name.clone(), number });
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The supervisor's body: it holds the children, and does to them what its machine decides.
+//! The supervisor's actor: it holds the children and carries out what its machine decides.
 
 mod requests;
 mod tree;
@@ -31,7 +31,6 @@ type RecoveryResult = Result<Recovered, GaveUp>;
 
 /// What a supervisor is made of.
 pub(crate) struct SupervisorSetup {
-    /// Its name.
     pub(crate) name: ObjectName,
     /// How it decides.
     pub(crate) rules: SupervisorRules,
@@ -87,10 +86,10 @@ impl SupervisorActor {
         let name = setup.name.clone();
         // The guardian counts the incarnations of this actor, the parent those of the supervisor
         // that it plays: they must not be taken for each other.
-        let body = body_of(&name);
+        let actor = actor_of(&name);
         let watched = guardian.watched();
         let make = move |_: &mut Context<Self>| Self::new(setup, watched);
-        let address = guardian.start(body, arbiter, make);
+        let address = guardian.start(actor, arbiter, make);
         SupervisorChild { name, address }
     }
 
@@ -376,7 +375,7 @@ impl Handler<SupervisorOrder> for SupervisorActor {
             SupervisorOrder::Forget => {
                 self.neighbours.directory.forget(&self.name);
                 self.watched.forget(&self.name);
-                self.watched.forget(&body_of(&self.name));
+                self.watched.forget(&actor_of(&self.name));
                 return context.stop();
             }
         }
@@ -433,10 +432,10 @@ impl Handler<Exited> for SupervisorActor {
     }
 }
 
-/// Under which name the guardian counts the incarnations of a supervisor's actor.
-fn body_of(supervisor: &ObjectName) -> ObjectName {
-    let body = ObjectName::new(&format!("chain/supervisor/{supervisor}"));
-    body.unwrap_or_else(|_| supervisor.clone())
+/// The name under which the guardian counts the incarnations of a supervisor's actor.
+fn actor_of(supervisor: &ObjectName) -> ObjectName {
+    let actor = ObjectName::new(&format!("chain/supervisor/{supervisor}"));
+    actor.unwrap_or_else(|_| supervisor.clone())
 }
 
 fn in_order(exit: &ExitReason) -> bool {

@@ -137,7 +137,7 @@ pub(super) struct JournalRow {
     pub(super) given_up: Option<String>,
 }
 
-/// Who writes.
+/// The incarnation of a node that writes the journal.
 #[derive(Clone, Debug)]
 pub(super) struct Author {
     pub(super) node: NodeName,

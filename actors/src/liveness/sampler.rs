@@ -27,9 +27,9 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use std::{io, thread};
 
-/// How often heartbeats are looked at: as often as they beat.
+/// How often heartbeats are sampled: as often as they beat.
 const HEARTBEATS: Duration = crate::arbiter::heartbeat::HEARTBEAT_INTERVAL;
-/// Every so many looks activity records are looked at too. There are many of them: at every look it
+/// Activity records are sampled once in so many samples. There are many of them: in every sample it
 /// would cost six percent of a core for a hundred thousand.
 const STAMPS: u64 = 10;
 
@@ -87,7 +87,7 @@ struct Entries {
     last: Mutex<LastLook>,
 }
 
-/// What the last look found.
+/// What the last sample found.
 #[derive(Clone, Default)]
 struct LastLook {
     /// What was in service: slot, turn, and since when.
@@ -182,7 +182,7 @@ impl SampledComponents {
         residents
     }
 
-    /// What the last look found of the arbiters.
+    /// What the last sample found of the arbiters.
     pub(crate) fn seen(&self) -> SortedMap<u64, ArbiterStatus> {
         lock(&self.0.last).arbiters.clone()
     }
@@ -266,7 +266,7 @@ impl Drop for SamplerGuard {
     fn drop(&mut self) {
         self.ended.store(true, Relaxed);
         if let Some(thread) = self.thread.take() {
-            // The thread never blocks, so that it ends after the present look.
+            // The thread never blocks, so that it ends after the present sample.
             let _ = thread.join();
         }
     }
@@ -290,7 +290,7 @@ pub(crate) fn start(
         let thread = platform::start_thread("watch", move || {
             while !stop.load(Relaxed) {
                 thread::sleep(HEARTBEATS);
-                sampler.look(platform::now());
+                sampler.sample(platform::now());
             }
         })?;
         return Ok(SamplerGuard { ended, thread: Some(thread) });
@@ -298,17 +298,17 @@ pub(crate) fn start(
     actix_rt::spawn(async move {
         while !stop.load(Relaxed) {
             tokio::time::sleep(HEARTBEATS).await;
-            sampler.look(platform::now());
+            sampler.sample(platform::now());
         }
     });
     Ok(SamplerGuard { ended, thread: None })
 }
 
-/// What the watch knows between two looks.
+/// What the watch knows between two samples.
 struct Sampler {
     list: SampledComponents,
     scanner: HangDetector,
-    looks: u64,
+    samples: u64,
     activities: SampledActivities,
     /// Each with how many components live on it.
     heartbeats: SortedMap<u64, (Arc<ArbiterHeartbeat>, usize)>,
@@ -322,7 +322,7 @@ struct Sampler {
 #[derive(Default)]
 struct SampledActivities(SlotTable<Known>);
 
-/// A component, and its record beside it: most looks are at records alone.
+/// A component, and its record beside it: most samples read records alone.
 struct Known {
     activity: &'static ActivityRecord,
     component: Arc<SampledComponent>,
@@ -373,7 +373,7 @@ impl Sampler {
         Sampler {
             list,
             scanner: HangDetector::new(config),
-            looks: 0,
+            samples: 0,
             activities: SampledActivities::default(),
             heartbeats: SortedMap::new(),
             arbiters,
@@ -382,7 +382,7 @@ impl Sampler {
         }
     }
 
-    fn look(&mut self, now: Instant) {
+    fn sample(&mut self, now: Instant) {
         self.learn();
         self.scanner.handle_look(now);
         for (id, (heartbeat, _)) in &self.heartbeats {
@@ -409,7 +409,7 @@ impl Sampler {
             };
             self.scanner.handle_heartbeat(*id, reading);
         }
-        if self.looks.is_multiple_of(STAMPS) {
+        if self.samples.is_multiple_of(STAMPS) {
             let times = self.heartbeats.iter().filter_map(|(id, (heartbeat, _))| {
                 let time = heartbeat.thread().filter(|_| self.is_real)?.processor_time()?;
                 Some((*id, time))
@@ -421,7 +421,7 @@ impl Sampler {
             let arbiters = self.scanner.arbiters().collect();
             *lock(&self.list.0.last) = LastLook { busy, signs, arbiters };
         }
-        self.looks += 1;
+        self.samples += 1;
         self.arbiters.move_pending(now);
         while let Some(event) = self.scanner.poll_output() {
             // It may have come back just now; then its components stay.

@@ -142,7 +142,7 @@ impl<M: Contract + Clone> Repeatable<M> {
         asked.await.map_err(|error| not_answered(&**inlet, error, deadline))
     }
 
-    /// Its identity.
+    /// The identity of the message, the same each time that it is sent.
     pub fn id(&self) -> MessageId {
         self.id
     }

@@ -70,7 +70,7 @@ pub enum RemoveError {
     /// No supervisor of this node keeps an object of this name.
     #[error("no supervisor of this node keeps {name}{}", did_you_mean(nearest.as_ref()))]
     Unknown {
-        /// The name.
+        /// The name that was given.
         name: String,
         /// The child whose name is spelt most like it.
         nearest: Option<ObjectName>,

@@ -36,7 +36,7 @@ pub enum NodeState {
     /// outputs were applied and everything was stopped. [`Node::restart`](crate::Node::restart)
     /// brings it back.
     InSafeState {
-        /// Why.
+        /// What could not be contained, or which limit was exceeded.
         reason: String,
     },
     /// It was told to stop, and has, from work or from rest.
@@ -72,7 +72,7 @@ pub enum RestartError {
     /// Restart the process.
     #[error("{count} threads hang for good: only a new process helps")]
     ThreadsHang {
-        /// How many.
+        /// How many threads hang.
         count: usize,
     },
     /// The node entered the safe state again before all components were active. The record of
@@ -85,7 +85,7 @@ pub enum RestartError {
     /// No supervisor of this node keeps an object of this name.
     #[error("no supervisor of this node keeps {name}{}", did_you_mean(nearest.as_ref()))]
     Unknown {
-        /// The name.
+        /// The name that was given.
         name: String,
         /// The child whose name is spelt most like it.
         nearest: Option<ObjectName>,
@@ -94,15 +94,15 @@ pub enum RestartError {
     /// node, or the supervisor.
     #[error("the supervisor of {name} is not at work: restart the node, or that supervisor")]
     SupervisorRests {
-        /// The component.
+        /// The component that was to be restarted.
         name: ObjectName,
     },
     /// The component's next incarnation did not come to be.
     #[error("{name} did not come back: {reason}")]
     ChildGaveUp {
-        /// Which.
+        /// The component that was to be restarted.
         name: ObjectName,
-        /// Why.
+        /// Why there is no next incarnation.
         reason: GiveUpReason,
     },
 }
@@ -134,7 +134,7 @@ pub(super) struct NodeControllerSetup {
 pub(super) struct NodeController {
     setup: NodeControllerSetup,
     root: Option<Box<dyn Child>>,
-    /// The root's.
+    /// The incarnation of the root supervisor.
     incarnation: Incarnation,
     phase: Phase,
     /// The node is in the safe state, and restarts as soon as all children have ended.
@@ -156,7 +156,7 @@ pub(super) struct NodeController {
 /// What the root's children do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
-    /// None lives.
+    /// No child runs.
     Down,
     /// They are started, or at work.
     Up,

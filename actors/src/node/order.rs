@@ -81,7 +81,7 @@ impl OrderReply {
 #[contract(crate = "crate")]
 #[non_exhaustive]
 pub struct OrderRow {
-    /// Its name.
+    /// The name of the component, device or policy.
     pub name: String,
     /// The component's type, or `policy`.
     pub kind: String,

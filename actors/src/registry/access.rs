@@ -123,7 +123,7 @@ mod rights {
     #[derive(Clone, Debug, PartialEq, Eq)]
     #[non_exhaustive]
     pub struct AccessRefusal {
-        /// The node.
+        /// The node that was refused.
         pub node: NodeName,
         /// What it wanted: a verb of the policy, such as `lease`.
         pub verb: &'static str,

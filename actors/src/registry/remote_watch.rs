@@ -210,8 +210,8 @@ async fn ask_on<O: Future<Output = ()>>(
 pub(crate) fn serve(registry: &Registry) -> DeathWatchService {
     let service = DeathWatchService::new(registry);
     let service_fn = service.clone();
-    let serve = move |AwaitEnd { object, after }, by, answer| {
-        service_fn.serve(object, after, (by, answer));
+    let serve = move |AwaitEnd { object, after }, by, responder| {
+        service_fn.serve(object, after, (by, responder));
     };
     let object = ObjectName::new(OBJECT).expect("a name of letters");
     registry.register_hidden(
@@ -247,7 +247,7 @@ struct Waiting {
     by: MessageOrigin,
     /// Ends with a higher number count.
     after: u64,
-    answer: Responder<AwaitEnd>,
+    responder: Responder<AwaitEnd>,
 }
 
 impl DeathWatchService {
@@ -273,7 +273,7 @@ impl DeathWatchService {
         &self,
         object: ObjectName,
         after: EndsAfter,
-        (by, answer): (MessageOrigin, Responder<AwaitEnd>),
+        (by, responder): (MessageOrigin, Responder<AwaitEnd>),
     ) {
         let questions = lock(&self.questions);
         let opening = questions.openings.get(&by).copied();
@@ -288,14 +288,14 @@ impl DeathWatchService {
         let ended = match last.filter(|last| last.number > after && questions.is_told(last)) {
             Some(last) => Some(last.down.into()),
             None if questions.last.is_some() => {
-                return self.wait(questions, object, Waiting { by, after, answer });
+                return self.wait(questions, object, Waiting { by, after, responder });
             }
             None if absent.as_ref().is_some_and(|end| end.ending == DownReason::Unknown) => absent,
             None if !waits => absent,
-            None => return self.wait(questions, object, Waiting { by, after, answer }),
+            None => return self.wait(questions, object, Waiting { by, after, responder }),
         };
         drop(questions);
-        answer.give(self.watched(number, ended));
+        responder.give(self.watched(number, ended));
     }
 
     fn wait(
@@ -306,7 +306,7 @@ impl DeathWatchService {
     ) {
         let (mut waiting, mut of_asker) = (0, 0);
         questions.waiting.retain(|_, others| {
-            others.retain(|other| other.answer.is_wanted());
+            others.retain(|other| other.responder.is_wanted());
             waiting += others.len();
             of_asker += others.iter().filter(|other| other.by == question.by).count();
             !others.is_empty()
@@ -316,7 +316,7 @@ impl DeathWatchService {
         }
         questions.count_refused(question.by, of_asker);
         drop(questions);
-        question.answer.refuse(DeliveryError::Full, None);
+        question.responder.refuse(DeliveryError::Full, None);
     }
 
     fn watched(&self, number: u64, ended: Option<LastEnd>) -> Watched {
@@ -359,7 +359,7 @@ impl DeathWatchService {
         }
         drop(questions);
         let watched = self.watched(last.number, Some(last.down.into()));
-        due.into_iter().for_each(|waiting| waiting.answer.give(watched.clone()));
+        due.into_iter().for_each(|waiting| waiting.responder.give(watched.clone()));
     }
 }
 
@@ -404,13 +404,13 @@ mod tests {
     ) -> Arc<Mutex<Option<Result<Watched, DeliveryError>>>> {
         let answered = Arc::new(Mutex::new(None));
         let keep = answered.clone();
-        let answer = Responder::called_back(
+        let responder = Responder::called_back(
             Box::new(move |result| *keep.lock().unwrap() = Some(result)),
             None,
         );
         let by = MessageOrigin { peer: Some(NodeId::of(&NodeName::new(by).unwrap())) };
         let arm = ObjectName::new("arm").unwrap();
-        service.serve(arm, after, (by, answer));
+        service.serve(arm, after, (by, responder));
         answered
     }
 
@@ -425,23 +425,22 @@ mod tests {
     fn an_object_that_no_node_has_is_not_lost_with_its_node() {
         paused(async {
             let count = Arc::new(Mutex::new(0));
-            let serve = move |_: AwaitEnd, _, answer: Responder<AwaitEnd>| {
+            let serve = move |_: AwaitEnd, _, responder: Responder<AwaitEnd>| {
                 let mut count = count.lock().unwrap();
                 *count += 1;
                 let reason = "the session ended".to_owned();
                 let node = "module2".to_owned();
                 match *count {
-                    2 => answer.refuse(DeliveryError::OutcomeUnknown { reason }, None),
-                    3 => answer.refuse(DeliveryError::Unreachable { node }, None),
-                    5 => {
-                        answer.refuse(DeliveryError::PeerDied { incarnation: Incarnation(1) }, None)
-                    }
+                    2 => responder.refuse(DeliveryError::OutcomeUnknown { reason }, None),
+                    3 => responder.refuse(DeliveryError::Unreachable { node }, None),
+                    5 => responder
+                        .refuse(DeliveryError::PeerDied { incarnation: Incarnation(1) }, None),
                     _ => {
                         let (incarnation, ending) = (Incarnation(0), DownReason::Unknown);
                         let ended = Some(LastEnd { incarnation, ending });
                         // Its node has started again meanwhile.
                         let seen = SeenEnd { service: *count, number: 0 };
-                        answer.give(Watched { seen, ended });
+                        responder.give(Watched { seen, ended });
                     }
                 }
             };
@@ -470,16 +469,16 @@ mod tests {
             {
                 let asked = Arc::new(Mutex::new(Vec::new()));
                 let questions = asked.clone();
-                let serve = move |AwaitEnd { after, .. }, _, answer: Responder<AwaitEnd>| {
+                let serve = move |AwaitEnd { after, .. }, _, responder: Responder<AwaitEnd>| {
                     let mut asked = questions.lock().unwrap();
                     asked.push(after);
                     let watched =
                         |service| Watched { seen: SeenEnd { service, number: 0 }, ended: None };
                     match asked.len() {
-                        1 => answer.give(watched(7)),
-                        2 => answer.refuse(why.clone(), None),
-                        3 => answer.give(watched(8)),
-                        _ => std::mem::forget(answer),
+                        1 => responder.give(watched(7)),
+                        2 => responder.refuse(why.clone(), None),
+                        3 => responder.give(watched(8)),
+                        _ => std::mem::forget(responder),
                     }
                 };
                 let sender = Sender(Arc::new(ServiceFn::<AwaitEnd>(Arc::new(serve))));

@@ -102,7 +102,7 @@ pub(super) enum Runs {
     /// The condition of the entry that has its turn, while the component was serving something or
     /// not.
     Condition { beside: bool },
-    /// Its handler.
+    /// The component's handler of the event.
     Handler,
     /// What the publisher wrote of the event, or the middleware.
     Other,

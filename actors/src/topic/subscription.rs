@@ -23,7 +23,7 @@ pub(crate) struct TopicSubscription<E: Event> {
     at: &'static Location<'static>,
     /// The number of the entry that is served now; 0 for none.
     present: Arc<AtomicU64>,
-    /// Its hub.
+    /// The hub that serves the attached incarnation; `None` while none is attached.
     hub: Mutex<Option<At<E>>>,
 }
 

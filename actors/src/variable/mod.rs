@@ -80,7 +80,7 @@ impl<V: Variable> fmt::Debug for VariableSpec<V> {
 /// A value, and how it stands.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reading<V> {
-    /// The value.
+    /// The value at the time of the reading.
     pub value: V,
     /// Of which change. It rises with every change, also over restarts of the owner and its node.
     pub revision: u64,
@@ -96,9 +96,9 @@ pub struct Reading<V> {
 pub enum RestoreDecision<V> {
     /// The value from before.
     Restore,
-    /// The default.
+    /// The default of the variable.
     Default,
-    /// This one.
+    /// The given value, in place of both.
     Value(V),
 }
 

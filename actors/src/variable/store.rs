@@ -1,4 +1,4 @@
-//! The node's variables: the body of the machine in the core.
+//! The variables of a node: drives the machine in the core.
 
 use super::RestoreDecision;
 use super::access::{VariableAnswer, VariableRequest, VariableSelector, WriteEntry};

@@ -126,12 +126,12 @@ impl RecoveryStrategy for Oil {
     async fn carry_out(
         &self,
         order: &RecoveryOrder,
-        tools: &StrategyContext,
+        context: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
         if order.fault.location.to_string().ends_with("joint1") {
             self.0.block();
         }
-        tools.restart(&order.fault).await
+        context.restart(&order.fault).await
     }
 }
 
@@ -179,10 +179,10 @@ impl RecoveryStrategy for Rusty {
     async fn carry_out(
         &self,
         order: &RecoveryOrder,
-        tools: &StrategyContext,
+        context: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
         let _ = self.0.lock().unwrap_or_else(PoisonError::into_inner).recv();
-        tools.restart(&order.fault).await
+        context.restart(&order.fault).await
     }
 }
 

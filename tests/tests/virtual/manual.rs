@@ -98,7 +98,7 @@ fn the_limits_are_those_of_the_code() {
     );
 }
 
-/// Ends itself.
+/// Has the receiver end itself.
 #[derive(Debug, Request)]
 #[contract(reply = ())]
 struct End;

@@ -43,7 +43,7 @@ impl Chain {
             "there" => Ok(RecoveryDone::default()),
             _ => Err(cause.into()),
         });
-        let tools = StrategyContext::new(StrategyTargets {
+        let context = StrategyContext::new(StrategyTargets {
             node: here.clone(),
             directory: bench.directory.clone(),
             registry: Registry::default(),
@@ -58,7 +58,7 @@ impl Chain {
         let setup = RecovererSetup {
             machine: recovery::Recoverer::new(here, plan, RecovererLimits::default(), 7),
             strategies,
-            tools,
+            context,
             detector: outcomes.recipient(),
             callbacks: Callbacks::default(),
         };
@@ -108,14 +108,14 @@ impl RecoveryStrategy for Homing {
     async fn carry_out(
         &self,
         order: &RecoveryOrder,
-        tools: &StrategyContext,
+        context: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
         assert!(self.made.load(SeqCst) > 0);
         match order.attempt {
             1 => panic!("the gripper is open"),
             2 => std::future::pending().await,
             3 => Err("still not there".into()),
-            _ => tools.reset(&order.fault.location).await,
+            _ => context.reset(&order.fault.location).await,
         }
     }
 }

@@ -204,7 +204,7 @@ pub(super) fn make_chain(
     let (directory, registry) = (SupervisorDirectory::default(), Registry::default());
     registry.watch_in(guardian.watched());
     let router = Arc::<OnceLock<_>>::default();
-    let tools = StrategyContext::new(StrategyTargets {
+    let context = StrategyContext::new(StrategyTargets {
         node: node.clone(),
         directory: directory.clone(),
         registry: registry.clone(),
@@ -217,7 +217,7 @@ pub(super) fn make_chain(
     let setup = RecovererSetup {
         machine: recovery::Recoverer::new(node.clone(), plan, RecovererLimits::default(), spec),
         strategies: builder.strategies.clone(),
-        tools,
+        context,
         detector: monitor.clone().recipient(),
         callbacks: callbacks.clone(),
     };

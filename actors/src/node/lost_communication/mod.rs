@@ -58,7 +58,7 @@ pub enum AcknowledgeError {
     /// Communication is not back, or was not lost for as long as the first rung takes.
     #[error("the policy {name:?} holds no rung that can end: wait until communication is back")]
     NotBack {
-        /// The policy.
+        /// The name of the policy.
         name: String,
     },
 }

@@ -15,14 +15,14 @@ pub enum IsolateError {
     /// The node is this node. To take it out of service, shut it down.
     #[error("{node} is this node itself: shut it down instead")]
     Oneself {
-        /// The node.
+        /// The name of this node.
         node: NodeName,
     },
     /// No node of this name was ever reached or is described. Correct the name, or describe the
     /// node, for example as a neighbour.
     #[error("no node is known here as {node}: {}", known_here(nearest.as_ref(), known))]
     Unknown {
-        /// The node.
+        /// The name that was given.
         node: NodeName,
         /// What may have been meant.
         nearest: Option<NodeName>,

@@ -16,7 +16,7 @@ const SECOND: Duration = Duration::from_secs(1);
 #[contract(name = "timeouts/drive", reply = ())]
 struct Drive(f32);
 
-/// Never returns.
+/// The handler of this command never returns.
 const JAM: Drive = Drive(-1.0);
 const FAIL: Drive = Drive(-2.0);
 const PANIC: Drive = Drive(-3.0);

@@ -56,7 +56,7 @@ pub(crate) enum Deed {
     Check(f64),
     /// Watches another object.
     Watch(String),
-    /// Publishes this.
+    /// Publishes this number.
     Publish(u32),
     /// Publishes this, a little later.
     PublishSoon(u32),
@@ -289,7 +289,7 @@ impl Handle<Down> for Puppet {
         let Down { object, node, incarnation, ending } = down;
         let (me, own) = (self.name, cx.incarnation());
         let node = node.map(|node| format!("{node}:")).unwrap_or_default();
-        self.strings.write(format!("{me}{own} mourns {node}{object}{incarnation}: {ending:?}"));
+        self.strings.write(format!("{me}{own} watched {node}{object}{incarnation}: {ending:?}"));
     }
 }
 

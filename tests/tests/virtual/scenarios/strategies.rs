@@ -35,13 +35,13 @@ impl RecoveryStrategy for Useless {
     async fn carry_out(
         &self,
         order: &RecoveryOrder,
-        tools: &StrategyContext,
+        context: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
         match self {
             Useless::Fails => Err("the can is empty".into()),
             Useless::Panics => panic!("the can explodes"),
             Useless::NeverEnds => std::future::pending().await,
-            Useless::PanicsInDrop => tools.restart(&order.fault).await,
+            Useless::PanicsInDrop => context.restart(&order.fault).await,
         }
     }
 }
