@@ -174,7 +174,6 @@ impl Monitor {
         entry.end = Some(if died { LastExit::Died } else { LastExit::Stopped });
         entry.state = Some(if died { Lifecycle::Fatal } else { Lifecycle::Finalized });
         entry.note(NoteCause::End, describe(&exit));
-        entry.suspect = false;
         self.observe_object(object, incarnation, Finding::Exited { exit, restarted_as }, now);
         if let Some(next) = restarted_as {
             self.admit(object, next);
@@ -201,7 +200,7 @@ impl Monitor {
         let Some(entry) = self.admit(object, incarnation) else { return };
         entry.guarded = true;
         entry.state = Some(state);
-        entry.last_sign = Some(now);
+        entry.signs.last = Some(now);
         match &reason {
             Some(reason) => entry.note(NoteCause::State, reason.clone()),
             None => entry.erase(&NoteCause::State),
@@ -232,7 +231,7 @@ impl Monitor {
         let is_held = self.holds.contains_key(&key);
         let Some(entry) = self.admit(object, incarnation) else { return };
         if entry.end.is_none() {
-            entry.last_sign = Some(now);
+            entry.signs.last = Some(now);
         }
         // One that stands without a hold keeps standing.
         let is_latched = entry.noted(&cause).is_some() && !is_held;
@@ -254,7 +253,7 @@ impl Monitor {
     ) {
         let Some(entry) = self.admit(object, incarnation) else { return };
         if entry.end.is_none() {
-            entry.last_sign = Some(now);
+            entry.signs.last = Some(now);
         }
         entry.erase(&NoteCause::Declared(kind.clone()));
         self.holds.remove(&(object.clone(), kind.clone()));
