@@ -45,6 +45,7 @@ use std::task::{self, Poll, Waker};
 
 /// Messages per poll while they are quick; then neighbours and the control queue have their turn.
 const BUDGET: usize = 64;
+
 /// How far one step came.
 enum Progress {
     /// Something is done; there may be more.
