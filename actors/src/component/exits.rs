@@ -76,11 +76,11 @@ impl UntoldExits {
     pub(crate) fn settle(
         &self,
         incarnation: Incarnation,
-        supervisor: Option<&Arc<Recipient<ChildReport>>>,
+        supervisor: Option<Arc<Recipient<ChildReport>>>,
         is_next: bool,
     ) {
         self.change(incarnation, |exited| {
-            (exited.supervisor, exited.is_settled) = (supervisor.cloned(), is_next);
+            (exited.supervisor, exited.is_settled) = (supervisor, is_next);
         });
     }
 

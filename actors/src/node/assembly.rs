@@ -26,7 +26,7 @@ use super::network::hosts::Hosts;
 use super::safety::{EndCause, OutputState, SignalWait, is_waited_for};
 use super::tree::{ComponentFacts, PreparedTree, SupervisorSpec};
 use super::watchdogs::ProcessWatchdogs;
-use super::{Node, Shared};
+use super::{Node, Shared, order};
 use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::{ArbiterPool, CULPRITS_LIMIT};
 use crate::component::environment::ComponentEnvironment;
@@ -250,7 +250,7 @@ async fn start(
         shown.map_err(StartError::Shown)?;
     }
     if builder.handles_signals {
-        node.apply_safe_outputs_on_signals()?;
+        node.0.apply_safe_outputs_on_signals()?;
     }
     start_root(node, root, end).await
 }
@@ -531,7 +531,7 @@ impl NodeAssembly {
         node.0.policies.iter().for_each(|policy| policy.attach(&node));
         #[cfg(feature = "network")]
         {
-            node.serve_operators();
+            order::serve_operators(&node);
             node.stop_if_displaced();
         }
         node

@@ -57,17 +57,22 @@ pub use snapshot::NetworkSnapshot;
 pub use snapshot::NodeSnapshot;
 pub use tree::{Subtree, SupervisorSpec};
 
-use crate::actuator;
-use crate::actuator::{ActuatorRow, Commander};
+use crate::actuator::{self, ActuatorRow, Commander};
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
+use crate::component::spec_error::SpecError;
+use crate::condition::{
+    Condition, ConditionError, ConditionStatus, Connected, Heartbeat, heartbeat,
+};
 use crate::host::reference::ActorRef;
+use crate::host::spec::ChildSpec;
 use crate::liveness::sampler::Running;
 use crate::liveness::threads;
 use crate::liveness::threads::ThreadRow;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::messaging::injection::Injection;
 use crate::messaging::sender::Sender;
+use crate::platform;
 use crate::platform::file_lock::released_here;
 use crate::platform::systemd::Systemd;
 use crate::topic::{Publisher, TopicRow};
@@ -78,22 +83,29 @@ use assembly::Networks;
 use blastema_contract::detector::ReadRecord;
 use blastema_contract::monitor::ReadTable;
 use blastema_contract::supervisor::{ReadTree, SupervisionTree};
+use blastema_core::connection::ConditionState;
 use blastema_core::detection::{FaultRecord, MonitorRow};
 use blastema_core::port::{ConnectError, PortConnection};
 use blastema_core::{Contract, DeliveryError, Event, Incarnation, NodeName, ObjectName, Variable};
+use conditions::keep_while;
 use controller::Shutdown;
 use lost_communication::KeptPolicy;
+use safety::{EndCause, SignalWait};
 use std::any::type_name;
-use std::fmt;
+use std::future::{Future, pending};
 use std::path::PathBuf;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
+use std::{fmt, io};
 use to_the_end::ToTheEnd;
-use tracing::warn;
+use tracing::{info, warn};
 
 /// How long the end of a node waits until another one may have its files and its socket.
 const RELEASE_TIMEOUT: Duration = Duration::from_secs(2);
+/// The exit status of a process whose node has stopped because another process has its name.
+#[cfg(feature = "network")]
+const NAME_TAKEN: i32 = 3;
 
 /// A running node. Clones refer to the same one; it runs until [`shutdown`](Node::shutdown), or
 /// until it enters the safe state, from where [`restart`](Node::restart) brings it back.
@@ -388,6 +400,102 @@ impl Node {
         threads::rows(&self.0.environment.arbiters, &self.0.environment.watch_list)
     }
 
+    /// Returns the condition of this name, which needs this; declares it if it is new. It is looked
+    /// at until the node ends. Its changes are faults of `conditions/NAME`:
+    /// [`ConnectionLost`](crate::FaultKind::ConnectionLost), and
+    /// [`CheckFailed`](crate::FaultKind::CheckFailed) while it is degraded.
+    ///
+    /// # Errors
+    /// [`ConditionError`] says what to write instead.
+    pub fn condition(&self, name: &str, needs: Connected) -> Result<Condition, ConditionError> {
+        self.0.environment.conditions().declare(name, &needs, platform::now(), None)
+    }
+
+    /// Publishes a [`Heartbeat`] on this topic every `interval`, 10 ms to an hour, for as long as
+    /// this thread turns and what is returned exists. A component does so by
+    /// [`Context::heartbeat`](crate::Context::heartbeat), as long as it lives itself.
+    ///
+    /// # Errors
+    /// As [`publisher`](Self::publisher), and [`DeliveryError::CheckFailed`] for an interval out of
+    /// range.
+    #[track_caller]
+    pub fn heartbeat(&self, topic: &str, interval: Duration) -> Result<Heartbeats, DeliveryError> {
+        let publisher = self.publisher::<Heartbeat>(topic)?;
+        Ok(Heartbeats(actix_rt::spawn(heartbeat::publish(publisher, interval)?)))
+    }
+
+    /// Runs a component under the root supervisor only while the condition is
+    /// [acceptable](Condition::is_acceptable): it is [added](Self::add_child) whenever the condition
+    /// becomes so, and [removed](Self::remove_child) in order when it is no longer. Returns once it
+    /// runs for the first time, or cannot be added at all; await it in a task of its own where the
+    /// condition may take long. Connections of its ports are made again whenever it is added.
+    ///
+    /// # Errors
+    /// As [`add_child`](Self::add_child), for the first time. A later one is logged, and it is
+    /// tried again every second while the condition holds.
+    pub async fn add_child_while<C: Component>(
+        &self,
+        condition: &Condition,
+        spec: impl Fn() -> ChildSpec<C> + 'static,
+    ) -> Result<(), SpecError> {
+        condition.acceptable().await;
+        let name = self.add_child(spec()).await?.name().to_string();
+        self.0.environment.registry.keep_connections(&name);
+        let (node, status) =
+            (Arc::new(OnceLock::from(Arc::downgrade(&self.0))), condition.status.clone());
+        let holds = |status: &ConditionStatus| status.state == ConditionState::Connected;
+        actix_rt::spawn(keep_while(node, status, holds, (Some(name), spec)));
+        Ok(())
+    }
+
+    /// Returns the policies for lost communication, with the rungs that are carried out.
+    pub fn lost_communication(&self) -> Vec<LostCommunicationRow> {
+        self.0.policies.iter().map(|policy| policy.row()).collect()
+    }
+
+    /// Lets others command again after communication was lost and is back, for a person who has
+    /// looked at the robot.
+    ///
+    /// # Errors
+    /// [`AcknowledgeError`] where there is no such policy, and while communication is lost.
+    pub async fn acknowledge(&self, policy: &str) -> Result<(), AcknowledgeError> {
+        let name = policy.to_owned();
+        let Some(policy) = self.0.policies.iter().find(|known| known.name == name) else {
+            let known: Vec<_> = self.0.policies.iter().map(|known| &*known.name).collect();
+            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+            return Err(AcknowledgeError::Unknown { name, known });
+        };
+        if !policy.lock().handle_acknowledged() {
+            return Err(AcknowledgeError::NotBack { name });
+        }
+        self.0.environment.conditions().look_soon();
+        Ok(())
+    }
+
+    /// Carries out the order of a person, and answers within four seconds. What takes longer goes
+    /// on.
+    ///
+    /// ```
+    /// use blastema::prelude::*;
+    /// use blastema::{ComponentOrder, OrderVerb};
+    ///
+    /// struct Lamp;
+    /// impl Component for Lamp {}
+    ///
+    /// blastema::run(async {
+    ///     let node = Node::builder("module1").child(ChildSpec::new("lamp", || Lamp)).start().await?;
+    ///     let order = ComponentOrder { verb: OrderVerb::Deactivate, name: Some("lamp".to_owned()) };
+    ///     let reply = node.order(&order).await;
+    ///     assert_eq!((reply.refused, &*reply.rows[0].state), (None, "initialized"));
+    ///     node.shutdown().await;
+    ///     Ok::<(), StartError>(())
+    /// })?;
+    /// # Ok::<(), StartError>(())
+    /// ```
+    pub async fn order(&self, order: &ComponentOrder) -> OrderReply {
+        order.carry_out(self).await
+    }
+
     /// Stops all components in the reverse of their start order, and then the rest of the node.
     /// Messages accepted for other nodes until the last component has ended are delivered. Then the
     /// node reports to its peers that it leaves, and senders return [`DeliveryError::Stopped`] at
@@ -400,6 +508,78 @@ impl Node {
     /// `actix_rt::spawn`.
     pub async fn shutdown(&self) {
         self.shut_down_because("the program shut it down").await;
+    }
+
+    /// Waits for SIGTERM, SIGINT (Ctrl-C) or SIGHUP (the terminal is closed), and
+    /// [shuts down](Node::shutdown) in order. A second signal during that applies the safe outputs
+    /// and ends the process at once. Where not every hook of a stop has run, because a component
+    /// hangs, the safe outputs are applied, and the process ends here with the status 128 + signal,
+    /// at the latest a second after the longest [`shutdown_within`](crate::ChildSpec::shutdown_within).
+    /// Where another process with this node's name is reached by a neighbour, and answers, this
+    /// node stops in order, and the process ends here with the status 3. Returns too when the node
+    /// was shut down otherwise and has left its peers; a node in the safe state waits on, so that a
+    /// person can look at it.
+    ///
+    /// ```no_run
+    /// use blastema::prelude::*;
+    /// # struct Lamp;
+    /// # impl Component for Lamp {}
+    ///
+    /// #[blastema::main]
+    /// async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    ///     let node = Node::builder("module1").child(ChildSpec::new("lamp", ||
+    /// Lamp)).start().await?;
+    ///     node.run_until_signal().await?;
+    ///     Ok(())
+    /// }
+    /// ```
+    ///
+    /// # Errors
+    /// The operating system does not tell of signals.
+    pub async fn run_until_signal(&self) -> io::Result<()> {
+        let mut wait = SignalWait::begin()?;
+        self.run_to(wait.cause(pending())).await;
+        Ok(())
+    }
+
+    /// Shuts down for the first of these causes, unless the node has been shut down before.
+    async fn run_to(&self, cause: impl Future<Output = EndCause>) {
+        let mut state = self.0.chain.state.clone();
+        let cause = tokio::select! {
+            cause = cause => Some(cause),
+            // Also if the sender of the state was dropped.
+            _ = state.wait_for(|state| *state == NodeState::Stopped) => None,
+        };
+        match cause {
+            Some(cause) => self.end_for(cause).await,
+            // Its components have ended, and it may not have left its peers.
+            None => {
+                self.end_if_displaced().await;
+                self.shutdown().await;
+            }
+        }
+    }
+
+    /// Ends the process if its node has stopped for that reason.
+    async fn end_if_displaced(&self) {
+        #[cfg(feature = "network")]
+        if let Some(networks) = &self.0.networks
+            && let Some(why) = networks.handle.own_name().taken()
+        {
+            self.shut_down_because(&why).await;
+            platform::end_process(NAME_TAKEN);
+        }
+    }
+
+    /// Shuts down in order. Where that was not possible after a signal, the process ends.
+    async fn end_for(&self, cause: EndCause) {
+        info!(node = %self.0.name, %cause, "the node is shut down");
+        self.shut_down_because(&format!("{cause} shut it down")).await;
+        if let Some(status) = cause.exit_code()
+            && self.0.is_safe()
+        {
+            platform::end_process(status);
+        }
     }
 
     async fn shut_down_because(&self, cause: &str) {

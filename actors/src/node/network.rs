@@ -2,20 +2,16 @@
 
 mod beacons;
 pub(in crate::node) mod checks;
-mod claims;
-mod connections;
 pub(in crate::node) mod description;
 mod exposure;
 pub(in crate::node) mod file;
 pub(in crate::node) mod hosts;
-mod isolation;
-mod operation;
-mod ready;
+mod node;
 pub(in crate::node) mod services;
 pub(in crate::node) mod signs;
 pub(crate) mod start;
 
-pub use self::ready::NotReady;
+pub use self::node::{IsolateError, NotReady};
 
 use crate::net::Interface;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
@@ -34,7 +30,6 @@ use std::time::Duration;
 pub use blastema_contract::transport::Direction;
 pub use blastema_core::medium::impairment::Impairment;
 pub use blastema_transports::MemoryMedium;
-pub use isolation::IsolateError;
 
 /// A network of a node: a medium, and the neighbours reached over it.
 ///

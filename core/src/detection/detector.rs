@@ -56,7 +56,7 @@ pub struct DetectorLimits {
     pub next_incarnation: Duration,
     /// So many offences of another node within `offences_period` are a fault. More forgives more.
     pub offences: u32,
-    /// See `offences`.
+    /// The period in which `offences` are counted.
     pub offences_period: Duration,
     /// This many restarts of another node within `crash_loop_period` are a crash loop.
     pub crash_loop_restarts: u32,
@@ -114,7 +114,7 @@ pub enum DetectorOutput {
         fault: Fault,
         /// When it was so.
         at: Instant,
-        /// What happened.
+        /// The step in the fault's history.
         turn: FaultTransition,
     },
 }
@@ -166,7 +166,7 @@ enum Cause {
     Itself,
     /// Whatever is down that it depends on.
     Above,
-    /// This one.
+    /// The fault with this number.
     Known(FaultId),
     /// This one, on the same thread: reported, and handed over only if it is still open afterwards.
     Behind(FaultId),

@@ -79,7 +79,7 @@ impl FaultLog {
         })
     }
 
-    /// One fault.
+    /// The entry of one fault; `None` where the log has none with this number.
     pub fn entry(&self, id: FaultId) -> Option<&FaultEntry> {
         self.entries.get(&id)
     }

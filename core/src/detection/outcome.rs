@@ -16,7 +16,7 @@ pub enum RecoveryOutcome {
     Failed {
         /// Which, as in `Decided`.
         action: String,
-        /// Why.
+        /// Why the action has not helped.
         reason: String,
     },
     /// Service is restored.
@@ -26,7 +26,7 @@ pub enum RecoveryOutcome {
     Waits,
     /// Nothing more will be tried; what is left is safe state.
     GaveUp {
-        /// Why.
+        /// Why recovery ends.
         reason: String,
     },
 }
@@ -60,7 +60,7 @@ pub enum FaultTransition {
     Recovered,
     /// Nothing more will be tried.
     GaveUp {
-        /// Why.
+        /// Why recovery ends.
         reason: String,
     },
     /// Its cause is away: it went by itself, or the part was repaired.
@@ -74,7 +74,7 @@ pub enum FaultNotice {
     Found(Fault),
     /// It went away by itself: what is not yet under way for it need not begin.
     Cleared {
-        /// Which.
+        /// The number of the fault.
         id: FaultId,
         /// Where it was.
         location: FaultLocation,

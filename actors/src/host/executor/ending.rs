@@ -1,7 +1,9 @@
 //! How hooks and incarnations end, and what follows: the next state of the life cycle, a
-//! replacement on the spot, or rest; and the reports of all this, kept until the poll is over.
+//! replacement on the spot, or rest.
 
-use super::{ComponentExecutor, Service};
+use super::ComponentExecutor;
+use super::reports::DeferredReport;
+use super::service::Service;
 use crate::component::cell::Blame;
 use crate::component::incarnation::{DeferredCommands, IncarnationState};
 use crate::component::{Component, Failure};
@@ -11,21 +13,13 @@ use crate::liveness::label;
 use crate::messaging::death_watch::DownReason;
 use crate::platform;
 use crate::platform::panics;
-use blastema_contract::child::{ChildEvent, ChildReport, RestartGrant};
+use blastema_contract::child::{ChildEvent, RestartGrant};
 use blastema_contract::reports::{ExitReason, FaultDeclared, StateReported};
 use blastema_core::{DeliveryError, FaultKind, Incarnation, Lifecycle, SlidingWindow};
 use std::any::Any;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
-
-/// Reported when the poll is over, so that the replacement's first message does not wait for it.
-pub(super) enum DeferredReport {
-    Exited(Incarnation),
-    State(StateReported),
-    Declared(FaultDeclared),
-    Child(ChildEvent, Incarnation),
-}
 
 impl<C: Component> ComponentExecutor<C> {
     /// What the component's own runs outside of the executor's polls has panicked: a handler or a
@@ -42,15 +36,13 @@ impl<C: Component> ComponentExecutor<C> {
         self.died(payload, during);
         // The hub's turn may be long: what follows in it is another's.
         self.flush();
-        if let Some(waker) = &self.waker {
-            waker.wake_by_ref(); // The replacement begins in the executor's own poll.
-        }
+        self.control.wake(); // The replacement begins in the executor's own poll.
         None
     }
 
     /// The name of what is in service, or was last.
     pub(crate) fn in_service(&self) -> &'static str {
-        label::name(self.slot.activity.read().during)
+        self.service.name()
     }
 
     /// This incarnation has ended by a panic. Begins the next one where a standing order says so.
@@ -58,8 +50,8 @@ impl<C: Component> ComponentExecutor<C> {
     pub(super) fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
         let panics::PanicRecord { text, at } = panics::read(payload);
         let exit = Arc::new(ExitReason::Panicked { text, at, during });
-        if self.slot.activity.is_busy() {
-            self.slot.activity.step();
+        if self.service.slot.activity.is_busy() {
+            self.service.slot.activity.step();
         }
         if self.lifecycle.is_ending() {
             self.cell.record.environment.cut_short.fetch_add(1, Relaxed);
@@ -82,7 +74,7 @@ impl<C: Component> ComponentExecutor<C> {
         match restarted_as {
             Some(next) => {
                 self.cell.record.cold().exits.set_restarted(incarnation, next);
-                self.state = Rc::new(IncarnationState::new(next, self.slot.activity));
+                self.state = Rc::new(IncarnationState::new(next, self.service.slot.activity));
                 self.lifecycle = IncarnationLifecycle::new();
                 self.begin_incarnation();
                 self.cell.attach(false);
@@ -95,7 +87,7 @@ impl<C: Component> ComponentExecutor<C> {
     /// What is being served ends with the incarnation: its sender is notified, and it is a dead
     /// letter.
     pub(super) fn lose_message(&mut self) {
-        let Service::Message(_) = self.service else { return };
+        let Service::Message { .. } = self.service.current else { return };
         let (record, incarnation) = (&self.cell.record, self.state.incarnation);
         let contract = self.in_service();
         record.record_fatal_message(incarnation);
@@ -129,7 +121,6 @@ impl<C: Component> ComponentExecutor<C> {
             None => listener.deactivated(),
         });
         record.tell_watchers(incarnation, DownReason::from(exit));
-        let mut supervisor = None;
         let starting = self.lifecycle.is_starting() && restarted_as.is_none();
         let event = match (exit, self.lifecycle.take_start_failure()) {
             // One that has not come to work does not die in addition.
@@ -142,22 +133,15 @@ impl<C: Component> ComponentExecutor<C> {
             (ExitReason::Panicked { text, at, .. }, None) if starting => {
                 Some(ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") })
             }
-            _ => {
-                supervisor = Some(&self.supervisor);
-                None
-            }
+            _ => None,
         };
-        let exited = DeferredReport::Exited(incarnation);
-        // A replacement's own reports come after the end of the incarnation that it replaces.
-        let position = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
-        let position = position.unwrap_or(self.outbox.len());
         // It is reported when the turn is over: the replacement's first reply does not wait for
         // that. Where the replacement keeps its thread, the sampler reports it meanwhile, unless
         // something is to be reported before it, such as why the component could not go on.
-        record.cold().exits.settle(incarnation, supervisor, position == 0);
+        let supervisor = event.is_none().then(|| self.outbox.supervisor.clone());
+        let is_next = self.outbox.insert_exit(incarnation, event);
+        record.cold().exits.settle(incarnation, supervisor, is_next);
         self.arbiter.heartbeat.owe_exits(true);
-        let child = event.map(|event| DeferredReport::Child(event, incarnation));
-        self.outbox.splice(position..position, [exited].into_iter().chain(child));
     }
 
     /// The incarnation ends without a panic, its hooks done.
@@ -190,8 +174,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Drops what is the user's: its `Drop` may panic, but not while unwinding and not into actix.
     pub(super) fn dispose_of_all(&mut self, blame: Blame) {
-        self.followed = false;
-        self.dispose_service(blame);
+        self.service.dispose(&self.cell.record, blame);
         let record = &self.cell.record;
         let DeferredCommands { tasks, .. } = self.state.take_wishes();
         tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
@@ -199,18 +182,6 @@ impl<C: Component> ComponentExecutor<C> {
         timers.into_iter().for_each(|action| record.dispose(label::TIMER.name, action, blame));
         tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
         record.dispose("the component", self.component.take(), blame);
-    }
-
-    /// Drops what was in service, and what it was kept in.
-    pub(super) fn dispose_service(&mut self, blame: Blame) {
-        let service = std::mem::replace(&mut self.service, Service::Idle);
-        let slots_in_use = std::mem::take(&mut self.slots_in_use);
-        let record = &self.cell.record;
-        record.dispose("what it was serving", service, blame);
-        // One by one: a second panic while unwinding from the first would end the process.
-        slots_in_use
-            .into_iter()
-            .for_each(|in_use| record.dispose("what it was serving", in_use, blame));
     }
 
     /// This incarnation was abandoned, and the next one begins or has begun.
@@ -223,8 +194,7 @@ impl<C: Component> ComponentExecutor<C> {
     pub(super) fn leave(&mut self) {
         self.over = true;
         self.dispose_of_all(Blame::Log);
-        let present = self.state.incarnation;
-        self.outbox.retain(|notice| notice.is_death_before(present));
+        self.outbox.retain_deaths_before(self.state.incarnation);
         self.flush();
         self.arbiter.heartbeat.owe_exits(false);
         if self.arbiter.heartbeat.is_lost() {
@@ -261,7 +231,7 @@ impl<C: Component> ComponentExecutor<C> {
         if hook == Hook::Execute && result.is_ok() {
             // It is a sign of life, unless a test keeps that back.
             if !self.cell.record.is_silent() {
-                self.slot.activity.give_sign();
+                self.service.slot.activity.give_sign();
             }
         }
         if hook == Hook::Deactivated || result.is_err() {
@@ -352,68 +322,19 @@ impl<C: Component> ComponentExecutor<C> {
         if matches!(state, Lifecycle::Error | Lifecycle::Fatal) {
             self.cell.record.announce(|listener| listener.left_work(false));
         }
-        self.slot.activity.expect_signs(state == Lifecycle::Active);
+        self.service.slot.activity.expect_signs(state == Lifecycle::Active);
         self.schedule.set_active(state == Lifecycle::Active);
         if state == Lifecycle::Active && !self.lifecycle.is_ending() {
             self.cell.record.announce(|listener| listener.activated());
         }
-        let incarnation = self.state.incarnation;
-        // States that were passed through within one poll are not reported one by one.
-        if let Some(DeferredReport::State(last)) = self.outbox.last_mut()
-            && last.incarnation == incarnation
-            && last.reason.is_none()
-            && reason.is_none()
-        {
-            last.state = state;
-            return;
-        }
-        let object = self.cell.record.name.clone();
-        self.outbox.push(DeferredReport::State(StateReported {
-            object,
-            incarnation,
-            state,
-            reason,
-        }));
+        let (object, incarnation) = (self.cell.record.name.clone(), self.state.incarnation);
+        self.outbox.push_state(StateReported { object, incarnation, state, reason });
     }
 
     pub(super) fn flush(&mut self) {
-        if self.outbox.is_empty() {
-            return;
+        if !self.outbox.is_empty() {
+            self.arbiter.heartbeat.owe_exits(false);
+            self.outbox.send(&self.cell.record);
         }
-        self.arbiter.heartbeat.owe_exits(false);
-        let record = &self.cell.record;
-        let reports = &record.environment.reports;
-        // Taken, not drained: one that has nothing to tell keeps no room for it.
-        for notice in std::mem::take(&mut self.outbox) {
-            match notice {
-                DeferredReport::Exited(incarnation) => record.tell_exits(incarnation),
-                DeferredReport::State(state) => {
-                    reports.states.iter().for_each(|to| to.do_send(state.clone()));
-                }
-                DeferredReport::Declared(declared) => {
-                    reports.faults.iter().for_each(|to| to.do_send(declared.clone()));
-                }
-                DeferredReport::Child(event, incarnation) => {
-                    let object = record.name.clone();
-                    self.supervisor.do_send(ChildReport { object, incarnation, event });
-                }
-            }
-        }
-    }
-}
-
-impl DeferredReport {
-    pub(super) fn is_of_after(&self, incarnation: Incarnation) -> bool {
-        match self {
-            DeferredReport::Exited(of) => *of > incarnation,
-            DeferredReport::State(state) => state.incarnation > incarnation,
-            DeferredReport::Declared(declared) => declared.incarnation > incarnation,
-            DeferredReport::Child(_, of) => *of > incarnation,
-        }
-    }
-
-    /// An incarnation before this one ended by itself.
-    pub(super) fn is_death_before(&self, incarnation: Incarnation) -> bool {
-        matches!(self, DeferredReport::Exited(of) if *of < incarnation)
     }
 }

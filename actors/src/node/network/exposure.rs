@@ -2,7 +2,6 @@
 
 use super::{Medium, Network};
 use crate::net::keys::SealTerms;
-use crate::node::Node;
 use crate::node::error::StartError;
 use crate::node::network_rows::NetworkRow;
 use blastema_core::net::seal::SealProfile;
@@ -113,13 +112,5 @@ impl Network {
         }
         let (network, medium) = (self.name.clone(), self.medium.place());
         Err(StartError::Insecure { network, medium })
-    }
-}
-
-/// Which networks a node has; with the feature `network`.
-impl Node {
-    /// All networks, in the order in which they were described.
-    pub fn networks(&self) -> &[NetworkRow] {
-        self.0.networks.as_ref().map_or(&[], |networks| &networks.rows)
     }
 }
