@@ -335,7 +335,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if peer == self.config.node {
             return Err(PeerKeyError::Ourselves(peer));
         }
-        if self.peers.get(&peer).is_some_and(|known| known.public == *public) {
+        if self.peers.get(&peer).is_some_and(|known| known.keys.public == *public) {
             return Ok(());
         }
         self.remove_peer(peer);
@@ -385,7 +385,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     /// Stops asking the peer for a channel. One that is open stays so.
     pub fn stop_asking(&mut self, peer: NodeId) {
         if let Some(known) = self.peers.get_mut(&peer) {
-            known.stop();
+            known.attempt = None;
             self.index(peer);
             self.rearm();
         }
@@ -404,7 +404,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if frame.is_none() && known.channels.present.is_some() {
             self.drop_keys(peer, now);
             self.rearm();
-        } else if known.is_idle() && known.channels.is_worn(&self.config.limits) {
+        } else if known.attempt.is_none() && known.channels.is_worn(&self.config.limits) {
             self.begin(peer, now);
             self.rearm();
         }
