@@ -58,7 +58,7 @@ impl LinkSet {
         self.pace();
     }
 
-    /// A link.
+    /// Returns a link; `None` for an unknown number.
     pub fn get(&self, number: LinkId) -> Option<&Link> {
         self.machines.get(number)
     }

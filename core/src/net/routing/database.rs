@@ -38,7 +38,6 @@ impl AdvertisementDatabase {
         AdvertisementDatabase { own, announced_at: now, has_news: false, known }
     }
 
-    /// This node.
     pub(super) fn id(&self) -> NodeId {
         self.own.id.origin
     }

@@ -18,7 +18,7 @@ use std::time::Duration;
 /// The way to one node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Route {
-    /// Whereto.
+    /// The destination of the route.
     pub node: NodeName,
     /// In which incarnation.
     pub incarnation: Incarnation,

@@ -34,7 +34,7 @@ pub(super) struct SealedPeer<C: SealCrypto, A> {
 /// What protects the frames of handshakes with one peer.
 pub(super) struct PairKeys {
     pub(super) public: [u8; PUBLIC_KEY],
-    /// For `mac1`.
+    /// The key of `mac1` in the frames of handshakes.
     filter: MacKey,
     pub(super) cookie_cipher: CookieCipher,
     /// The peer's last cookie, and when it was received.

@@ -41,7 +41,6 @@ pub(crate) struct SentPart {
 pub(crate) struct AckResult {
     /// How many parts it acknowledged for the first time.
     pub(crate) parts: usize,
-    /// Their bytes.
     pub(crate) bytes: usize,
     /// The latest transmission among them.
     pub(crate) latest: Option<SentPart>,
