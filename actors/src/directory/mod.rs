@@ -96,7 +96,7 @@ impl Claim {
         }
     }
 
-    /// The name that is claimed.
+    /// Returns the global name that is claimed.
     pub fn name(&self) -> &ObjectName {
         &self.name
     }
@@ -187,7 +187,7 @@ pub struct NodeRow {
 /// A global name and its holder, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClaimRow {
-    /// The claimed name, without its node.
+    /// The global name.
     pub name: ObjectName,
     /// The holder, and the epoch of its claim.
     pub holder: Holder,

@@ -28,10 +28,7 @@ pub(crate) struct ArrivalEstimator {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum HelloArrival {
     /// The newest so far; so many before it have not come.
-    New {
-        /// How many.
-        missed: u32,
-    },
+    New { missed: u32 },
     /// Late or doubled: it says nothing about now.
     Old,
 }

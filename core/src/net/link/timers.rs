@@ -31,11 +31,11 @@ impl Timers for Link {
 
     fn due(&self, timer: LinkTimer) -> Option<Instant> {
         match timer {
-            LinkTimer::HelloTransmit => Some(self.next_hello),
+            LinkTimer::HelloTransmit => Some(self.hellos.due),
             LinkTimer::PeerMissing => {
                 let by = self.expected_by.filter(|_| self.state == LinkState::Connecting)?;
                 // A slow medium needs its time.
-                Some(by + self.hello_interval.saturating_mul(Self::ABSENT_HELLOS))
+                Some(by + self.hellos.interval.saturating_mul(Self::ABSENT_HELLOS))
             }
             LinkTimer::DownDetection => {
                 let has_proof = |record: &NeighbourRecord| record.echoed.is_some();

@@ -24,10 +24,7 @@ pub(super) struct PeerSession {
     pub(super) epoch: SessionEpoch,
     /// With which incarnation of the peer.
     pub(super) incarnation: Incarnation,
-    /// Our timestamps count from here.
-    pub(super) began: Instant,
-    /// Known from the peer's first timestamp on.
-    pub(super) ages: Option<AgeEstimator>,
+    clock: SessionClock,
     pub(super) bindings: SortedMap<BindingKey, Binding>,
     pub(super) numbers: BindingTable,
     /// Our requests that are not answered, by their number on the wire.
@@ -45,6 +42,15 @@ pub(super) struct PeerSession {
     pub(super) reply_streams: SortedMap<u64, TrafficClass>,
     /// The peer's objects that have no room, and by which of our bindings it has said so.
     pub(super) full: SortedMap<ObjectName, SortedSet<u32>>,
+}
+
+/// The timestamps of both ends.
+#[derive(Debug)]
+struct SessionClock {
+    /// Our timestamps count from here.
+    began: Instant,
+    /// Known from the peer's first timestamp on.
+    ages: Option<AgeEstimator>,
 }
 
 /// Its number, its stream unless only the newest counts, and with what it stays in order.
@@ -95,8 +101,7 @@ impl PeerSession {
         PeerSession {
             epoch,
             incarnation,
-            began,
-            ages: None,
+            clock: SessionClock { began, ages: None },
             bindings: SortedMap::new(),
             numbers: SortedMap::new(),
             calls: SortedMap::new(),
@@ -148,13 +153,12 @@ impl PeerSession {
     }
 
     pub(super) fn timestamp_us(&self, sent: Instant) -> u64 {
-        u64::try_from((sent - self.began).as_micros()).unwrap_or(u64::MAX)
+        u64::try_from((sent - self.clock.began).as_micros()).unwrap_or(u64::MAX)
     }
 
     pub(super) fn age(&mut self, timestamp_us: u64, now: Instant) -> Duration {
-        self.ages
-            .get_or_insert_with(|| AgeEstimator::new(timestamp_us, now))
-            .handle(timestamp_us, now)
+        let ages = self.clock.ages.get_or_insert_with(|| AgeEstimator::new(timestamp_us, now));
+        ages.handle(timestamp_us, now)
     }
 
     pub(super) fn send(

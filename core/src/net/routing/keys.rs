@@ -153,15 +153,15 @@ impl Router {
     pub fn handle_roster(&mut self, roster: &NodeRoster, now: Instant) {
         self.now = now;
         let Some(keys) = &mut self.keys else { return };
-        let before = std::mem::replace(&mut keys.listed, listed(roster, self.id));
+        let before = std::mem::replace(&mut keys.listed, listed(roster, self.database.id()));
         for (node, had) in before {
             if keys.listed.get(&node) == Some(&had) {
                 continue;
             }
             keys.sealer.remove_peer(node);
-            self.known.remove(&node);
+            self.database.known.remove(&node);
         }
-        for node in self.routes.keys().copied() {
+        for node in self.table.routes.keys().copied() {
             if keys.know(node) && keys.sealer.channel(node).is_none() {
                 keys.sealer.connect(node, node, now);
             }
@@ -172,7 +172,7 @@ impl Router {
 
     /// Signs this node's own advertisement.
     pub(super) fn sign(&mut self) {
-        self.own.signature = self.keys.as_ref().map(|keys| keys.sign(&self.own));
+        self.database.own.signature = self.keys.as_ref().map(|keys| keys.sign(&self.database.own));
     }
 
     /// Whether an advertisement is its origin's; without keys nothing says that it is not.
@@ -187,7 +187,7 @@ impl Router {
             return SignatureCheck::Refused;
         }
         let Some(keys) = &self.keys else { return SignatureCheck::ByOrigin };
-        let Some((signature, key)) = keys.signed(self.id, advertisement) else {
+        let Some((signature, key)) = keys.signed(self.database.id(), advertisement) else {
             self.refusals.unexpected += 1;
             return SignatureCheck::Refused;
         };
@@ -215,7 +215,7 @@ impl Router {
 
     /// Asks a node for keys to which there is a route now.
     pub(super) fn ask_for_keys(&mut self, node: NodeId) {
-        let (now, route) = (self.now, self.routes.get(&node));
+        let (now, route) = (self.now, self.table.routes.get(&node));
         let (Some(keys), Some(route)) = (&mut self.keys, route) else { return };
         let agreed = keys.sealer.channel(node).map(|channel| channel.incarnation);
         if agreed != Some(route.incarnation) && keys.know(node) {
@@ -267,7 +267,7 @@ impl Router {
             let opened = keys.sealer.handle_frame(segment, &source, now);
             self.collect_seals();
             let Ok(Some(OpenedFrame { peer, plain, .. })) = opened else { return };
-            if self.isolated.contains(&peer) {
+            if self.isolation.nodes.contains(&peer) {
                 self.refusals.isolated += 1;
                 return;
             }
@@ -306,7 +306,7 @@ impl Router {
                 }
                 // What was sent before had no seal, and was not sent.
                 SealerOutput::PeerOpen { peer, renewed: false, .. } => {
-                    if let Some(route) = self.routes.get(&peer)
+                    if let Some(route) = self.table.routes.get(&peer)
                         && !route.chosen.is_some_and(|link| self.leads_to(link, peer))
                     {
                         let mtu = route.segment_limit();

@@ -18,7 +18,7 @@ use std::time::Duration;
 /// The way to one node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Route {
-    /// Whereto.
+    /// The destination of the route.
     pub node: NodeName,
     /// In which incarnation.
     pub incarnation: Incarnation,
@@ -37,6 +37,34 @@ pub struct Route {
     /// The bytes of a seal for the destination. They are kept free also where the next node is the
     /// destination, so that a detour changes no size.
     pub overhead: u8,
+}
+
+/// The routes to all nodes, and when they are computed again.
+#[derive(Debug, Default)]
+pub(crate) struct RouteTable {
+    pub(crate) routes: SortedMap<NodeId, Route>,
+    /// `None` while the routes are current.
+    pub(crate) compute_at: Option<Instant>,
+    computed_at: Instant,
+}
+
+impl RouteTable {
+    /// The topology has changed. Returns when the routes are computed.
+    pub(crate) fn outdate(&mut self, now: Instant) -> Instant {
+        // A change is a burst of floods: the first is acted on at once, the others together.
+        const TOGETHER: Duration = Duration::from_millis(5);
+        *self.compute_at.get_or_insert(now.max(self.computed_at + TOGETHER))
+    }
+
+    /// Takes computed routes. Returns those before.
+    pub(crate) fn replace(
+        &mut self,
+        routes: SortedMap<NodeId, Route>,
+        now: Instant,
+    ) -> SortedMap<NodeId, Route> {
+        let table = RouteTable { routes, compute_at: None, computed_at: now };
+        std::mem::replace(self, table).routes
+    }
 }
 
 /// A link that carries, and what its neighbour still has to be told.

@@ -45,7 +45,7 @@ impl CipherSuite {
 /// What both ends of a handshake must agree on.
 #[derive(Clone, Copy)]
 pub struct HandshakeTerms<'a> {
-    /// The AEAD.
+    /// The AEAD of the handshake and of its channel.
     pub suite: CipherSuite,
     /// What else both ends know: use of the channel, robot, initiator and responder.
     pub prologue: &'a [u8],

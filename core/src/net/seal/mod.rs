@@ -101,7 +101,7 @@ const EXCHANGE_BYTES: u64 = 89 + 76 + 16;
 /// How a sealer behaves.
 #[derive(Clone, Debug)]
 pub struct SealerConfig {
-    /// This node.
+    /// The number of this node.
     pub node: NodeId,
     /// This node's incarnation.
     pub incarnation: Incarnation,
@@ -181,19 +181,19 @@ pub struct OpenedFrame {
 pub enum SealerOutput<A> {
     /// Give this frame to the transport.
     Transmit {
-        /// Where to.
+        /// The address of the receiver.
         to: A,
-        /// The frame.
+        /// The frame, sealed or of a handshake.
         frame: Bytes,
     },
     /// The peer has a channel with this node: it holds its key, and is there now. Frames of its
     /// earlier incarnations are not opened any more.
     PeerOpen {
-        /// Which.
+        /// The peer that the channel is with.
         peer: NodeId,
         /// Where its first frame came from, which may be forged.
         address: A,
-        /// Its incarnation.
+        /// The incarnation that the peer's key has proved.
         incarnation: Incarnation,
         /// It had a channel in the same incarnation: these are new keys.
         renewed: bool,
@@ -202,7 +202,7 @@ pub enum SealerOutput<A> {
     /// peer was restarted within some tenths of a second, or two nodes have one key. The other one
     /// reads what is [sealed for it](Sealer::seal_for_other).
     KeyInUse {
-        /// The peer.
+        /// The peer whose key another node has.
         peer: NodeId,
         /// Where the other one is.
         address: A,
@@ -214,7 +214,7 @@ pub enum SealerOutput<A> {
     /// No new keys could be agreed on until the old ones must not be used any more. The channel is
     /// closed; the sealer goes on asking for another.
     KeyWornOut {
-        /// The peer.
+        /// The peer whose channel is closed.
         peer: NodeId,
     },
 }
@@ -335,7 +335,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if peer == self.config.node {
             return Err(PeerKeyError::Ourselves(peer));
         }
-        if self.peers.get(&peer).is_some_and(|known| known.public == *public) {
+        if self.peers.get(&peer).is_some_and(|known| known.keys.public == *public) {
             return Ok(());
         }
         self.remove_peer(peer);
@@ -385,7 +385,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
     /// Stops asking the peer for a channel. One that is open stays so.
     pub fn stop_asking(&mut self, peer: NodeId) {
         if let Some(known) = self.peers.get_mut(&peer) {
-            known.stop();
+            known.attempt = None;
             self.index(peer);
             self.rearm();
         }
@@ -404,7 +404,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if frame.is_none() && known.channels.present.is_some() {
             self.drop_keys(peer, now);
             self.rearm();
-        } else if known.is_idle() && known.channels.is_worn(&self.config.limits) {
+        } else if known.attempt.is_none() && known.channels.is_worn(&self.config.limits) {
             self.begin(peer, now);
             self.rearm();
         }

@@ -52,7 +52,7 @@ pub struct SessionConfig {
     pub ack_delay: Duration,
     /// The shortest time after which silence is taken for loss.
     pub retransmit_min: Duration,
-    /// The longest.
+    /// The longest time after which silence is taken for loss.
     pub retransmit_max: Duration,
     /// The most best-effort channels of the peer that are remembered: those that were used last.
     pub channels_max: usize,

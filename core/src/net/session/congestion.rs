@@ -82,9 +82,7 @@ pub(super) struct DelaySample {
 /// Which frames a part stands in queues with: those of one lane overtake those of the other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum DelayLane {
-    /// Control.
     Urgent,
-    /// Everything else.
     Usual,
 }
 

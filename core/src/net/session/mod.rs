@@ -29,9 +29,11 @@
 //! at once; the caller decides what to do when the receiver is busy.
 
 mod best_effort;
+mod chunker;
 mod config;
 mod congestion;
 mod duplicates;
+mod flight;
 mod handshake;
 mod inbound;
 mod outbound;
@@ -226,7 +228,7 @@ impl Session {
         self.identity.number
     }
 
-    /// Sends a message, exactly once and in the order of its strand. Its credit is given back when
+    /// Sends a message, exactly once and in the order of its key. Its credit is given back when
     /// the peer has acknowledged it, or when it comes back.
     ///
     /// # Errors
@@ -236,7 +238,7 @@ impl Session {
     /// [`handle_close`](Session::handle_close). The message comes back.
     pub fn handle_send_along(
         &mut self,
-        (stream, strand): (TrafficClass, OrderingKey),
+        (stream, key): (TrafficClass, OrderingKey),
         message: impl Into<GatherBuffer>,
         credit: Option<Credit>,
         now: Instant,
@@ -253,7 +255,7 @@ impl Session {
             }
             return Err((self.way_full(stream), bytes.into_bytes()));
         }
-        outbound.push(strand, OutboundMessage { bytes, credit });
+        outbound.push(key, OutboundMessage { bytes, credit });
         self.path.waiting_since.get_or_insert(now);
         Ok(())
     }

@@ -2,7 +2,7 @@
 
 use super::best_effort::DatagramProgress;
 use super::congestion::{CongestionControl, CongestionSignal, DelayLane, DelaySample};
-use super::outbound::{Chunk, SentPart};
+use super::flight::{Chunk, SentPart};
 use super::reassembly::pieces_of;
 use super::round_trip::RttEstimator;
 use super::{Session, State};

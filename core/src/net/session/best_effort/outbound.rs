@@ -1,6 +1,6 @@
 //! The sending half of best-effort channels: what waits gives way to what is newer.
 
-use crate::net::session::outbound::SentPart;
+use crate::net::session::flight::SentPart;
 use crate::net::session::reassembly::pieces_of;
 use crate::net::wire::WireError;
 use crate::net::wire::segment::{Datagram, DatagramAck, PIECES_MAX};
