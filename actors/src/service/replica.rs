@@ -123,17 +123,7 @@ impl ReplicaActor {
             }
         };
         let actor = guardian.start(carried.actor.clone(), arbiter, make);
-        let mut ports = SortedMap::new();
-        ports.insert(ReplicaMessage::NAME, port(&actor, Self::handle_replica_message));
-        ports.insert(CompareConfiguration::NAME, port(&actor, Self::handle_comparison));
-        ports.insert(AskService::NAME, port(&actor, Self::handle_ask));
-        ports.insert(
-            WhoServes::NAME,
-            port(&actor, |replica, question, _, responder| {
-                replica.answer_question(question, responder);
-            }),
-        );
-        registry.register(&carried.name, ports, Arc::new(NeverWatched))?;
+        registry.register(&carried.name, ports(&actor), Arc::new(NeverWatched))?;
         let replica = actor.clone();
         let report = move |down: Down| {
             if !matches!(down.ending, DownReason::NotAlive | DownReason::Unknown) {
@@ -442,8 +432,7 @@ impl ReplicaActor {
                     actor.machine.handle_no_service(&with)
                 }
                 Err(DeliveryError::Left { .. }) => actor.machine.handle_left(&with),
-                // The machine asks again.
-                Err(_) => {}
+                Err(_) => actor.machine.handle_no_answer(&with),
             }
             actor.drive(context);
         }));
@@ -456,36 +445,31 @@ impl ReplicaActor {
     /// Handles a message of another replica.
     fn handle_replica_message(
         &mut self,
-        ReplicaMessage { from, message }: ReplicaMessage,
-        origin: MessageOrigin,
+        from: NodeName,
+        ReplicaMessage { message, .. }: ReplicaMessage,
         responder: Responder<ReplicaMessage>,
     ) {
         responder.give(());
-        match sender(&from, origin) {
-            Some(from) => self.machine.handle_message(&from, &message, platform::now()),
-            None => self.machine.handle_forged(),
-        }
+        self.machine.handle_message(&from, &message, platform::now());
     }
 
     /// Handles a question of another replica, with its configuration.
     fn handle_comparison(
         &mut self,
-        CompareConfiguration { from, configuration }: CompareConfiguration,
-        origin: MessageOrigin,
+        from: NodeName,
+        CompareConfiguration { configuration, .. }: CompareConfiguration,
         responder: Responder<CompareConfiguration>,
     ) {
-        match sender(&from, origin).filter(|from| self.may_claim(from)) {
-            Some(from) => {
-                self.machine.handle_configuration(&from, &configuration, platform::now());
-            }
-            None => self.machine.handle_forged(),
+        match self.may_claim(&from) {
+            true => self.machine.handle_configuration(&from, &configuration, platform::now()),
+            false => self.machine.handle_refused(),
         }
         // The answer says whether this replica serves now.
         responder.give(self.machine.configuration().into());
     }
 
     /// Handles a caller's request.
-    fn handle_ask(&mut self, ask: AskService, _: MessageOrigin, responder: Responder<AskService>) {
+    fn handle_ask(&mut self, (): (), ask: AskService, responder: Responder<AskService>) {
         let AskService { sender, sequence, settled, since, task } = ask;
         if matches!(self.machine.role(), Role::Primary { epoch } if epoch < since) {
             // This process has not met the nodes that know of the later epoch.
@@ -610,15 +594,48 @@ impl Handler<ReplicaStep> for ReplicaActor {
     }
 }
 
-/// Returns the port for the messages of one contract.
-fn port<M: Contract>(
+/// Returns the ports of a replica, by their contracts.
+fn ports(actor: &Addr<ReplicaActor>) -> SortedMap<&'static str, ContractPort> {
+    let messages = port(
+        actor,
+        |message: &ReplicaMessage, origin| sender(&message.from, origin),
+        ReplicaActor::handle_replica_message,
+    );
+    let comparisons = port(
+        actor,
+        |question: &CompareConfiguration, origin| sender(&question.from, origin),
+        ReplicaActor::handle_comparison,
+    );
+    let requests = port(actor, |_: &_, _| Some(()), ReplicaActor::handle_ask);
+    let questions = port(
+        actor,
+        |_: &_, _| Some(()),
+        |replica, (), question, responder| {
+            replica.answer_question(question, responder);
+        },
+    );
+    let ports = [
+        (ReplicaMessage::NAME, messages),
+        (CompareConfiguration::NAME, comparisons),
+        (AskService::NAME, requests),
+        (WhoServes::NAME, questions),
+    ];
+    ports.into_iter().collect()
+}
+
+/// Returns the port for the messages of one contract. A message without a sender is refused.
+fn port<M: Contract, S: 'static>(
     actor: &Addr<ReplicaActor>,
-    handle: fn(&mut ReplicaActor, M, MessageOrigin, Responder<M>),
+    sender: fn(&M, MessageOrigin) -> Option<S>,
+    handle: fn(&mut ReplicaActor, S, M, Responder<M>),
 ) -> ContractPort {
     let actor = actor.clone();
     ContractPort::of_service_fn(ServiceFn::<M>(Arc::new(move |message, origin, responder| {
-        let step = move |replica: &mut ReplicaActor, _: &mut Context<ReplicaActor>| {
-            handle(replica, message, origin, responder);
+        let step = move |replica: &mut ReplicaActor, _: &mut Context<ReplicaActor>| match sender(
+            &message, origin,
+        ) {
+            Some(sender) => handle(replica, sender, message, responder),
+            None => replica.machine.handle_refused(),
         };
         actor.do_send(ReplicaStep(Box::new(step)));
     })))
@@ -643,19 +660,101 @@ fn reply_of<M: Request>(reply: Result<Bytes, DeliveryError>) -> Result<M::Reply,
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::directory::DirectoryTable;
+    use blastema_core::Machine;
+    use blastema_core::service::OnPartition;
+    use blastema_doubles::{paused, settle};
+    use std::sync::atomic::AtomicU64;
+    use std::sync::atomic::Ordering::SeqCst;
+
+    fn node(name: &str) -> NodeName {
+        NodeName::new(name).unwrap()
+    }
+
+    fn config(own: &str) -> ReplicaConfig {
+        ReplicaConfig {
+            own: node(own),
+            members: vec![node("n1"), node("n2")],
+            kind: StandbyKind::Warm,
+            on_partition: OnPartition::Stop,
+            depends: false,
+            heartbeat_interval: Duration::from_millis(50),
+        }
+    }
+
+    /// Starts the replica of n1.
+    fn started() -> Addr<ReplicaActor> {
+        let name = |text| ObjectName::new(text).unwrap();
+        let carried = Carried {
+            name: name("counter"),
+            component: name("counter/replica"),
+            actor: name("counter/replica/body"),
+            config: config("n1"),
+            initial: Bytes::new(),
+            depends_on: Vec::new(),
+        };
+        Guardian::default().start(carried.actor.clone(), None, |_| ReplicaActor {
+            machine: Replica::new(config("n1"), Bytes::new(), platform::now()),
+            carried,
+            wake: WakeTimer::default(),
+            registry: Registry::default(),
+            roster: Roster::new(DirectoryTable::default()),
+            reports: FaultReports::default(),
+            callers: SortedMap::new(),
+            questions: VecDeque::new(),
+            inquiry: None,
+            next_caller: 0,
+            polls_component: false,
+            others: SortedMap::new(),
+        })
+    }
+
+    /// Delivers a message from another node, or from this one, and returns whether it was refused.
+    async fn is_refused<M: Contract>(message: &M, by: Option<&str>) -> bool {
+        let actor = started();
+        let mut bytes = Vec::new();
+        codec::encode(message, &mut bytes).unwrap();
+        let from = by.map(|name| NodeId::of(&node(name)));
+        let metadata = MessageMetadata { from, ..MessageMetadata::default() };
+        let port = ports(&actor).remove(M::NAME).unwrap().into_skeleton();
+        port.deliver(&bytes.into(), metadata, None).unwrap();
+        let refused = Arc::new(AtomicU64::new(u64::MAX));
+        let count = refused.clone();
+        actor.do_send(ReplicaStep(Box::new(move |replica, _| {
+            count.store(replica.machine.refused(), SeqCst);
+        })));
+        settle().await;
+        let refused = refused.load(SeqCst);
+        assert!(refused <= 1, "the message was handled");
+        refused == 1
+    }
 
     #[test]
     fn a_message_that_names_another_sender_is_refused() {
-        let node = |name: &str| NodeName::new(name).unwrap();
-        let cases = [
-            ("n2", Some("n2"), Some(node("n2"))),
-            ("ghost", Some("n2"), None),
-            ("n2", None, None),
-            ("not a name!", Some("n2"), None),
-        ];
-        for (says, peer, expected) in cases {
-            let peer = peer.map(|name| NodeId::of(&node(name)));
-            assert_eq!(sender(says, MessageOrigin { peer }), expected, "{says:?} by {peer:?}");
-        }
+        paused(async {
+            let mut other = Replica::new(config("n2"), Bytes::new(), platform::now());
+            let configuration = Vec::from(other.configuration());
+            other.handle_timeout(platform::now() + Duration::from_secs(1));
+            let requests_vote = std::iter::from_fn(|| other.poll_output()).find_map(|output| {
+                let ReplicaOutput::Send { message, .. } = output else { return None };
+                Some(Vec::from(message))
+            });
+            let message = requests_vote.unwrap();
+
+            let cases = [
+                ("n2", Some("n2"), false),
+                ("n2", Some("n3"), true),
+                ("n2", None, true),
+                ("not a name!", Some("n2"), true),
+            ];
+            for (named, by, expected) in cases {
+                let from = named.to_owned();
+                let message = ReplicaMessage { from: from.clone(), message: message.clone() };
+                assert_eq!(is_refused(&message, by).await, expected, "{named:?} by {by:?}");
+                let configuration = configuration.clone();
+                let question = CompareConfiguration { from, configuration };
+                assert_eq!(is_refused(&question, by).await, expected, "{named:?} by {by:?}");
+            }
+        });
     }
 }

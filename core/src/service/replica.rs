@@ -205,8 +205,9 @@ impl Replica {
         self.refused
     }
 
-    /// Counts a message that names another sender than the node that it came from.
-    pub fn handle_forged(&mut self) {
+    /// Counts a message that names another sender than the node that it came from, or comes from a
+    /// node that may not claim the service.
+    pub fn handle_refused(&mut self) {
         self.refused += 1;
     }
 
@@ -485,7 +486,8 @@ impl Replica {
         };
         self.note_comparison(from, comparison);
         match other_goes_on {
-            Some(true) => self.resign(now),
+            // Its standbys keep their promises: a lease's time to meet that node as well.
+            Some(true) => self.step_down(None, now),
             // That node resigns when it learns that this one serves.
             Some(false) if matches!(self.role, RoleState::Primary(_)) => {
                 self.agreement.ask_again(from);
@@ -499,6 +501,11 @@ impl Replica {
         let before = self.agreement.known.get(of).map(|known| &known.comparison);
         let confirmed = matches!(before, Some(ConfigComparison::Absent { .. }));
         self.note_comparison(of, ConfigComparison::Absent { confirmed });
+    }
+
+    /// A node did not answer: it is asked again at the next poll of the directory.
+    pub fn handle_no_answer(&mut self, of: &NodeName) {
+        self.agreement.ask_again(of);
     }
 
     /// A node has ended in order.

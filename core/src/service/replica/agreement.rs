@@ -8,10 +8,12 @@
 //!
 //! Each message between replicas carries the fingerprint of the sender's configuration. A message
 //! with another fingerprint is refused, so no majority mixes configurations. Majorities of two
-//! lists could still each elect a primary. Two rules prevent that for nodes that have met:
+//! lists could still each elect a primary. Three rules prevent that for nodes that have met:
 //!
 //! * A replica that has met another configuration neither stands for election nor votes. A primary
 //!   goes on, and keeps the promises of its standbys.
+//! * A replica that needs no vote does not stand before it has had the time to meet others: until the
+//!   poll after its start and the answers of the nodes in sight then, or one poll longer.
 //! * If two primaries meet, the one whose configuration leads goes on. The other one resigns.
 //!
 //! Another configuration counts until the node that had it sends this replica's own, ends in order,
@@ -42,12 +44,18 @@ const ANSWER_BYTES_MAX: usize = CONFIGURATION_BYTES_MAX + 32;
 /// on other nodes receive the text in one small message.
 const NAMED_MAX: usize = 8;
 
+/// The poll of the directory after which a replica that needs no vote waits for no answer any more.
+/// The first poll is at the start, when no node is connected; the second one asks those in sight.
+const POLLS_MAX: u8 = 3;
+
 /// What a replica knows of the configurations of the other nodes that carry the service.
 #[derive(Clone, Debug)]
 pub(super) struct ConfigAgreement {
     configuration: ServiceConfiguration,
     pub(super) fingerprint: u64,
     pub(super) known: SortedMap<NodeName, KnownReplica>,
+    /// The polls of the directory since the start, up to [`POLLS_MAX`].
+    polls: u8,
 }
 
 /// What a replica knows of another node's configuration.
@@ -80,7 +88,7 @@ impl ConfigAgreement {
         let fingerprint = configuration.fingerprint();
         let others = config.members.iter().filter(|member| **member != config.own);
         let known = others.map(|member| (member.clone(), KnownReplica::default())).collect();
-        ConfigAgreement { configuration, fingerprint, known }
+        ConfigAgreement { configuration, fingerprint, known, polls: 0 }
     }
 
     pub(super) fn encode(&self, serves: bool) -> Bytes {
@@ -108,6 +116,7 @@ impl ConfigAgreement {
 
     /// Sets the carriers of the service in sight, and forgets those that do not count any more.
     pub(super) fn see(&mut self, found: &[NodeName], may_claim: impl Fn(&NodeName) -> bool) {
+        self.polls = POLLS_MAX.min(self.polls + 1);
         self.known.retain(|node, known| {
             let seen = found.contains(node);
             // A node that agreed may have restarted when it comes back.
@@ -171,6 +180,14 @@ impl ConfigAgreement {
     /// Returns whether this replica has met another configuration.
     pub(super) fn is_disputed(&self) -> bool {
         self.known.values().any(|known| known.differs())
+    }
+
+    /// Returns whether a replica that needs no vote may stand for election: it has polled the
+    /// directory after its start, and the nodes in sight have had the time to answer.
+    pub(super) fn has_asked(&self) -> bool {
+        let waits =
+            |known: &KnownReplica| known.seen && known.comparison == ConfigComparison::Unknown;
+        self.polls == POLLS_MAX || self.polls > 1 && !self.known.values().any(waits)
     }
 
     /// Returns how the configurations differ: first those of members, which certainly belong to the

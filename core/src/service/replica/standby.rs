@@ -144,7 +144,9 @@ impl Replica {
         let RoleState::Standby(standby) = &mut self.role else { return };
         standby.election_at = now + again;
         standby.primary = None;
-        if self.agreement.is_disputed() {
+        let needs_no_vote =
+            self.config.majority() == 1 || self.config.on_partition == OnPartition::Continue;
+        if self.agreement.is_disputed() || needs_no_vote && !self.agreement.has_asked() {
             standby.checking_dependencies = false;
             return self.report_role();
         }
@@ -171,7 +173,7 @@ impl Replica {
         let RoleState::Standby(standby) = &mut self.role else { return };
         let votes = SortedMap::new();
         standby.candidacy = Some(Candidacy { epoch, requested_at: now, position, votes });
-        if self.config.majority() == 1 || self.config.on_partition == OnPartition::Continue {
+        if needs_no_vote {
             return self.take_over(epoch, now, [], now);
         }
         self.send_to_others(&Message::VoteRequest(VoteRequest { epoch, position }));

@@ -128,6 +128,10 @@ impl Robot {
             unloadable: None,
         };
         (0..size).for_each(|member| robot.start(member));
+        if size == 1 || on_partition == OnPartition::Continue {
+            // Members that need no vote begin after the second poll.
+            (0..2).for_each(|_| robot.poll_directories(0));
+        }
         robot
     }
 

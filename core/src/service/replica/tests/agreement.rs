@@ -17,6 +17,16 @@ impl Robot {
         robot
     }
 
+    /// Returns members of which the first one and the others meet after a second.
+    fn apart(lists: &[&[usize]]) -> Self {
+        let mut robot = Robot::configured(lists);
+        robot.sides[0] = 1;
+        robot.poll_directories(SECOND);
+        robot.advance_ms(200);
+        robot.sides[0] = 0;
+        robot
+    }
+
     /// Restarts this member with another configuration.
     pub(super) fn reconfigure(&mut self, member: usize, change: impl FnOnce(&mut ReplicaConfig)) {
         let mut config = self.config(member);
@@ -136,7 +146,13 @@ fn whatever_differs_on_a_node_that_starts_the_primary_goes_on_and_no_further_nod
         robot.ask_some(2);
         let epochs = robot.epochs.clone();
         robot.reconfigure(2, change);
-        robot.meet();
+        // At its first poll no other node is connected.
+        let own = robot.members[2].as_mut().unwrap();
+        own.replica.handle_carriers(&[], |_| true, robot.now);
+        for _ in 0..49 {
+            robot.advance_ms(10);
+            assert_eq!(robot.primaries(), [0], "{what}");
+        }
         for _ in 0..30 {
             robot.poll_directories(100);
             assert_eq!(robot.primaries(), [0], "{what}");
@@ -170,12 +186,11 @@ fn of_two_primaries_that_meet_the_one_with_the_longer_list_goes_on() {
         (&[&[0], &[1]], &[0, 1]),
     ];
     for (lists, who) in cases {
-        let mut robot = Robot::configured(lists);
-        robot.advance_ms(200);
+        let mut robot = Robot::apart(lists);
         assert_eq!(robot.primaries().len(), 2, "{lists:?}: they have not met");
-        robot.poll_directories(2 * SECOND);
+        robot.meet();
         robot.overlaps = 0;
-        robot.poll_directories(SECOND);
+        robot.poll_directories(3 * SECOND);
 
         let primaries = robot.primaries();
         assert_eq!(primaries.len(), 1, "{lists:?}: {primaries:?}");
@@ -188,9 +203,25 @@ fn of_two_primaries_that_meet_the_one_with_the_longer_list_goes_on() {
 }
 
 #[test]
-fn a_primary_that_leads_asks_again_the_one_that_took_it_for_a_standby() {
-    let mut robot = Robot::configured(&[&[0], &[0, 1, 2], &[0, 1, 2]]);
+fn the_primary_that_resigns_hands_the_service_to_no_standby_that_has_not_met_the_other_one() {
+    let (short, long): (&[usize], &[usize]) = (&[0, 1, 2], &[3, 4, 5, 6]);
+    let mut robot = Robot::configured(&[short, short, short, long, long, long, long]);
     robot.advance_ms(200);
+    assert_eq!(robot.primaries(), [0, 3]);
+    robot.compare(0, 3);
+    robot.drain(0);
+    robot.overlaps = 0;
+    // Less than a lease later the standbys meet it as well.
+    robot.advance_ms(10);
+    robot.meet();
+    robot.poll_directories(SECOND);
+
+    assert_eq!((robot.primaries(), robot.overlaps), (vec![3], 0));
+}
+
+#[test]
+fn a_primary_that_leads_asks_again_the_one_that_took_it_for_a_standby() {
+    let mut robot = Robot::apart(&[&[0], &[0, 1, 2], &[0, 1, 2]]);
     let [0, leader] = robot.primaries()[..] else { panic!("{:?}", robot.primaries()) };
     // Its answer came to a question that was sent before the leader served.
     let theirs = robot.members[0].as_ref().unwrap().replica.configuration();

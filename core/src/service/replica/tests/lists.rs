@@ -36,8 +36,8 @@ fn however_lists_differ_and_whichever_nodes_are_cut_off_or_die_there_are_never_t
             // All meet.
             robot.sides = vec![0; size];
             robot.poll_directories(500);
-            robot.advance_ms(200);
             robot.overlaps = 0;
+            robot.advance_ms(200);
             for _ in 0..4 {
                 served += robot.primaries().len();
                 let member = (chance.unit() * size as f64) as usize;

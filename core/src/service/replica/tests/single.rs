@@ -90,3 +90,45 @@ fn a_promise_that_answers_no_heartbeat_extends_no_lease_beyond_its_receipt() {
     own.handle_timeout(at(70));
     assert_eq!(own.role(), Role::Standby { primary: None, in_step: false });
 }
+
+#[test]
+fn a_replica_that_needs_no_vote_waits_for_answers_after_its_second_poll_but_not_for_ever() {
+    let stop = listing(0, &[0]);
+    let goes_on = ReplicaConfig { on_partition: OnPartition::Continue, ..listing(0, &[0, 1, 2]) };
+    for config in [stop, goes_on] {
+        let mut own = started(config);
+        let serves = |own: &mut Replica, millis: u64| {
+            (0..100).for_each(|more| own.handle_timeout(at(millis + more)));
+            matches!(own.role(), Role::Primary { .. })
+        };
+        own.handle_carriers(&[], |_| true, at(0));
+        assert!(!serves(&mut own, 400), "no node was connected at the first poll");
+        own.handle_carriers(&[node(1)], |_| true, at(500));
+        assert!(!serves(&mut own, 900), "its answer is missing");
+
+        let mut answered = own.restarted(at(600));
+        let configuration = answered.configuration();
+        answered.handle_configuration(&node(1), &configuration, at(600));
+        assert!(serves(&mut answered, 600));
+        own.handle_carriers(&[node(1)], |_| true, at(1000));
+        assert!(serves(&mut own, 1000), "it does not answer");
+    }
+}
+
+#[test]
+fn a_node_whose_configuration_differs_is_asked_again_at_the_next_poll_if_it_does_not_answer() {
+    let mut own = started(listing(0, &[0, 1, 2]));
+    let wrong = started(listing(1, &[1]));
+    own.handle_configuration(&node(1), &wrong.configuration(), at(1));
+    let asks = |own: &mut Replica, millis: u64| {
+        own.handle_carriers(&[node(1)], |_| true, at(millis));
+        let outputs: Vec<_> = std::iter::from_fn(|| own.poll_output()).collect();
+        outputs.contains(&ReplicaOutput::Compare { with: node(1) })
+    };
+    assert!(asks(&mut own, 2));
+    assert!(!asks(&mut own, 502));
+
+    own.handle_no_answer(&node(1));
+
+    assert!(asks(&mut own, 1002));
+}

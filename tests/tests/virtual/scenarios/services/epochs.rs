@@ -26,6 +26,10 @@ async fn a_caller_does_not_accept_a_restarted_node_with_another_configuration_an
         let own = MEMBERS[robot.primary()];
         // The node ends without leaving.
         drop(robot.members.remove(robot.primary()));
+        // The nodes that know the epoch are out of sight for a moment.
+        for other in &robot.members {
+            other.cable("ethernet").expect("a cable").cut(Direction::Both, false);
+        }
         let list = if rule == OnPartition::Stop { vec![own] } else { MEMBERS.to_vec() };
         let wrong = ServiceSpec::new("counter", list, Counter::default).on_partition(rule);
         let wrong = node(own, &robot.medium).service(wrong.heartbeat_every(10 * MS));
@@ -35,10 +39,6 @@ async fn a_caller_does_not_accept_a_restarted_node_with_another_configuration_an
             robot.asker.advance(MS).await;
         }
 
-        // The nodes that know the epoch are out of sight for a moment.
-        for other in &robot.members {
-            other.cable("ethernet").expect("a cable").cut(Direction::Both, false);
-        }
         let clone = counter.clone();
         let meanwhile = async {
             robot.asker.advance(300 * MS).await;
