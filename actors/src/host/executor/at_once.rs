@@ -1,7 +1,7 @@
 //! Events straight from the arbiter's hub to the handler, without the queue.
 
 use super::ComponentExecutor;
-use super::service::{Service, ServiceState, SlotInUse};
+use super::service::{CurrentService, Service, SlotInUse};
 use crate::component::cell::ComponentCell;
 use crate::component::envelope::{self, EventFutureSlot, Times};
 use crate::component::incarnation::IncarnationState;
@@ -79,7 +79,7 @@ impl<C: Component> ComponentExecutor<C> {
             return None;
         }
         let at = self.service.slot_for(TypeId::of::<M>(), M::NAME, envelope::future_slot::<C, M>);
-        let ServiceState { current, slots_in_use, slot } = &mut self.service;
+        let CurrentService { current, slots_in_use, slot } = &mut self.service;
         let SlotInUse { label, future_slot, .. } = &mut slots_in_use[at];
         Some(EventService {
             cell: &self.cell,

@@ -15,7 +15,7 @@ mod shared;
 pub(crate) use shared::{SharedExecutor, executor_here};
 
 use reports::ReportOutbox;
-use service::{Service, ServiceState};
+use service::{CurrentService, Service};
 
 use super::lifecycle::{Hook, IncarnationLifecycle, LifecycleStep, StopOrder};
 use super::schedule::{DueWork, ScheduledWork};
@@ -61,7 +61,7 @@ pub(crate) struct ComponentExecutor<C: Component> {
     state: Rc<IncarnationState<C>>,
     lifecycle: IncarnationLifecycle,
     component: Option<Rc<ComponentSlot<C>>>,
-    service: ServiceState<C>,
+    service: CurrentService<C>,
     schedule: ScheduledWork<C>,
     /// Shared with the component's tasks.
     budget: Rc<TurnBudget>,
@@ -107,7 +107,7 @@ impl<C: Component> ComponentExecutor<C> {
         supervisor: Arc<Recipient<ChildReport>>,
         commands: Arc<CommandQueue>,
     ) -> Self {
-        let service = ServiceState::new();
+        let service = CurrentService::new();
         let state = Rc::new(IncarnationState::new(incarnation, service.slot.activity));
         let mut executor = ComponentExecutor {
             cell,

@@ -35,17 +35,17 @@ pub(super) struct SlotInUse<C: Component> {
 
 /// What is in service, the slots that hold the futures of messages, and the record that shows the
 /// sampler what the component does.
-pub(super) struct ServiceState<C: Component> {
+pub(super) struct CurrentService<C: Component> {
     pub(super) current: Service,
     pub(super) slots_in_use: Vec<SlotInUse<C>>,
     pub(super) slot: ActivitySlot,
 }
 
-impl<C: Component> ServiceState<C> {
+impl<C: Component> CurrentService<C> {
     /// Nothing is in service, and a slot for the sampler is claimed.
     pub(super) fn new() -> Self {
         let slot = ActivitySlot::claim();
-        ServiceState { current: Service::Idle, slots_in_use: Vec::new(), slot }
+        CurrentService { current: Service::Idle, slots_in_use: Vec::new(), slot }
     }
 
     #[inline]
