@@ -1,6 +1,7 @@
 //! Messages of other nodes to objects of this node: their delivery, and the backlog of full queues.
 
-use super::GatewayActor;
+use super::ObjectGateway;
+use crate::net::stack::NetworkStack;
 use crate::platform;
 use crate::registry::{CapacityFuture, MessageMetadata, ReplyTo, Skeleton};
 use actix::prelude::*;
@@ -13,11 +14,8 @@ use blastema_core::{Delivery, DeliveryError, FaultKind, Instant, ObjectName, Pee
 use bytes::Bytes;
 use std::sync::Arc;
 use std::task::{Context as Waiting, Waker};
-use std::time::Duration;
 use tracing::{debug, error, info, warn};
 
-/// How often it is looked at who does not stop.
-pub(super) const REFUSAL_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// So many that waited are handed over in one turn; then the network has its own.
 const AT_ONCE: usize = 64;
 
@@ -59,12 +57,12 @@ impl Drop for Watch {
 /// An object may have room for what waits.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(super) struct CapacityAvailable {
-    peer: NodeId,
-    object: ObjectName,
+pub(in crate::net) struct CapacityAvailable {
+    pub(in crate::net) peer: NodeId,
+    pub(in crate::net) object: ObjectName,
 }
 
-impl GatewayActor {
+impl ObjectGateway {
     pub(super) fn bind(
         &mut self,
         peer: NodeId,
@@ -110,7 +108,7 @@ impl GatewayActor {
         payload: &Bytes,
         metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
-        context: &mut Context<Self>,
+        context: &mut Context<NetworkStack>,
     ) {
         let Some(bound) = self.skeletons.get(&(peer, binding)) else {
             match reply_to {
@@ -148,7 +146,7 @@ impl GatewayActor {
         (peer, binding): (NodeId, u32),
         (payload, metadata): (&Bytes, MessageMetadata),
         why: &DeliveryError,
-        context: &mut Context<Self>,
+        context: &mut Context<NetworkStack>,
     ) {
         let Some(bound) = self.skeletons.get(&(peer, binding)).cloned() else { return };
         let PeerBinding { object, skeleton, newest } = bound;
@@ -175,7 +173,7 @@ impl GatewayActor {
         peer: NodeId,
         object: ObjectName,
         space: CapacityFuture,
-        context: &mut Context<Self>,
+        context: &mut Context<NetworkStack>,
     ) {
         let (gateway, found) =
             (context.address(), CapacityAvailable { peer, object: object.clone() });
@@ -187,7 +185,12 @@ impl GatewayActor {
     }
 
     /// Hands over what has waited, in order, as far as there is room.
-    fn hand_over(&mut self, peer: NodeId, object: ObjectName, context: &mut Context<Self>) {
+    pub(in crate::net) fn hand_over(
+        &mut self,
+        peer: NodeId,
+        object: ObjectName,
+        context: &mut Context<NetworkStack>,
+    ) {
         for _ in 0..AT_ONCE {
             let Some(Held { binding, payload, metadata, arrived }) =
                 self.queues.backlog.first(peer, &object)
@@ -254,14 +257,5 @@ impl GatewayActor {
             self.offends(peer, "it did not stop sending to what has no room");
             self.wiring.faults.declare_passing(FaultKind::CheckFailed, detail);
         }
-    }
-}
-
-impl Handler<CapacityAvailable> for GatewayActor {
-    type Result = ();
-
-    fn handle(&mut self, message: CapacityAvailable, context: &mut Context<Self>) {
-        self.hand_over(message.peer, message.object, context);
-        self.drive(context);
     }
 }

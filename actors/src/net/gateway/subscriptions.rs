@@ -1,8 +1,9 @@
 //! Topics that peers listen to: their events are sent there.
 
-use super::GatewayActor;
+use super::ObjectGateway;
 use super::undelivered::UndeliveredEvents;
 use crate::net::credit::SenderCredit;
+use crate::net::stack::NetworkStack;
 use crate::net::stub::PeerSendState;
 use crate::topic::{EventForward, ForwardId, RemoteForward, Reservation, TopicKey, described};
 use actix::prelude::*;
@@ -30,7 +31,7 @@ pub(super) struct Forwarded {
 /// An event was published here that a peer listens to.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(super) struct LocalEvent {
+pub(in crate::net) struct LocalEvent {
     pub(super) peer: NodeId,
     pub(super) subscription: u32,
     /// Counts it where the subscription has ended meanwhile.
@@ -122,14 +123,14 @@ impl EventForward for PeerForward {
     }
 }
 
-impl GatewayActor {
+impl ObjectGateway {
     pub(super) fn subscribe(
         &mut self,
         peer: NodeId,
         subscription: u32,
         topic: &TopicContract,
         theirs: Vec<PeerIdentity>,
-        context: &mut Context<Self>,
+        context: &mut Context<NetworkStack>,
     ) {
         let key = match TopicKey::new(&topic.topic, &topic.contract) {
             Ok(key) => key,

@@ -7,8 +7,8 @@ fn a_panic_in_any_actor_of_the_network_is_survived_and_every_promise_resolved() 
     paused(async {
         let (_robot, left, right) = pair().await;
         let count = left.net.victims().len();
-        assert_eq!(count, 5);
-        for victim in 0..count {
+        assert_eq!(count, 3);
+        for victim in 0..=count {
             for module in [&left, &right] {
                 let asked: Vec<_> = (0..10)
                     .map(|_| {
@@ -16,7 +16,10 @@ fn a_panic_in_any_actor_of_the_network_is_survived_and_every_promise_resolved() 
                         actix_rt::spawn(async move { sender.ask_within(Add(1), 60_000 * MS).await })
                     })
                     .collect();
-                module.net.victims()[victim].do_send(InjectPanic);
+                match module.net.victims().get(victim) {
+                    Some(actor) => actor.do_send(InjectPanic),
+                    None => module.net.panic_sessions(),
+                }
                 let reported = platform::now();
                 for asked in asked {
                     // The reply, or why there is none: never nothing.
@@ -33,7 +36,7 @@ fn a_panic_in_any_actor_of_the_network_is_survived_and_every_promise_resolved() 
                 assert_eq!(right.log.take(), [7], "{victim}");
             }
         }
-        assert_eq!(left.exits.drain().len(), count);
+        assert_eq!(left.exits.drain().len(), count + 1);
         let lost = left.nodes.drain().into_iter().chain(right.nodes.drain());
         let lost = lost.filter(|report| matches!(report.condition, NodeCondition::Lost { .. }));
         assert_eq!(lost.count(), 0);
@@ -41,7 +44,7 @@ fn a_panic_in_any_actor_of_the_network_is_survived_and_every_promise_resolved() 
 }
 
 #[test]
-fn a_panic_in_the_sessions_gives_back_only_what_that_session_held() {
+fn a_panic_of_the_stack_gives_back_what_its_sessions_held() {
     paused(async {
         let (_robot, left, right) = pair().await;
         let sender = left.sender::<Note>("right:acc");
@@ -51,7 +54,7 @@ fn a_panic_in_the_sessions_gives_back_only_what_that_session_held() {
         for n in 1..50 {
             sender.tell(Note(n)).unwrap();
         }
-        left.net.victims()[1].do_send(InjectPanic);
+        left.net.panic_sessions();
         advance(1000 * MS).await;
 
         let arrived = right.log.take();
