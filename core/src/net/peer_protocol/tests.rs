@@ -345,6 +345,8 @@ fn a_peer_that_starts_is_announced_when_its_start_is_over_and_in_every_later_ses
 
     pair.announced = [None; 2];
     pair.ends[1].handle_ended(pair.ids[0], &DeliveryError::Restarting);
+    pair.run();
+    pair.take(1);
     open(&mut pair);
     assert_eq!(pair.announced, [Some(0), Some(0)]);
 }
