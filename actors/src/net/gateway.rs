@@ -14,7 +14,6 @@ use super::NetEnvironment;
 use super::fault_reporter::FaultReporter;
 use super::gateway_messages::{LocalReply, TopicInterestChanged};
 use super::sessions::{DiscardedSession, PeerSessions};
-use super::stack::NetworkStack;
 use super::stub::{PeerCondition, PeerSendState, PeerStubs};
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::registry::remote_watch::DeathWatchService;
@@ -38,12 +37,21 @@ use std::sync::Arc;
 use subscriptions::Forwarded;
 use tracing::{debug, error, info};
 
+/// Where messages to the stack go, from whichever thread.
+pub(super) struct StackRecipients {
+    pub(super) replies: Recipient<LocalReply>,
+    pub(super) interests: Recipient<TopicInterestChanged>,
+    pub(super) capacity: Recipient<CapacityAvailable>,
+    pub(super) events: Recipient<LocalEvent>,
+}
+
 /// What the gateway uses of its node.
 struct GatewaySetup {
     registry: Registry,
     topics: Topics,
     nodes: Option<Recipient<NodeReported>>,
     faults: FaultReporter,
+    stack: StackRecipients,
     stubs: Arc<PeerStubs>,
     deaths: DeathWatchService,
     dead_letters: DeadLetterLog,
@@ -80,7 +88,7 @@ impl ObjectGateway {
         environment: &NetEnvironment,
         stubs: Arc<PeerStubs>,
         deaths: DeathWatchService,
-        faults: FaultReporter,
+        (faults, stack): (FaultReporter, StackRecipients),
     ) -> Self {
         let NetEnvironment { registry, topics, nodes, dead_letters, observers, .. } =
             environment.clone();
@@ -94,6 +102,7 @@ impl ObjectGateway {
             topics,
             nodes,
             faults,
+            stack,
             stubs,
             deaths,
             dead_letters,
@@ -117,10 +126,10 @@ impl ObjectGateway {
     }
 
     /// Listens to the topics that this node's objects listen to.
-    pub(super) fn take_interest(&mut self, context: &mut Context<NetworkStack>) {
-        let gateway = context.address();
+    pub(super) fn take_interest(&mut self) {
+        let stack = self.wiring.stack.interests.clone();
         let interest = move |key: &TopicKey| {
-            gateway.do_send(TopicInterestChanged { key: key.clone() });
+            stack.do_send(TopicInterestChanged { key: key.clone() });
         };
         self.wiring.topics.on_interest(Arc::new(interest));
         for (key, identities) in self.wiring.topics.listened() {
@@ -134,38 +143,25 @@ impl ObjectGateway {
     }
 
     /// Carries out all that waits.
-    pub(super) fn drive(
-        &mut self,
-        sessions: &mut PeerSessions,
-        context: &mut Context<NetworkStack>,
-    ) {
+    pub(super) fn drive(&mut self, sessions: &mut PeerSessions) {
         while let Some(output) = self.exchange.poll_output() {
-            self.carry_out(output, sessions, context);
+            self.carry_out(output, sessions);
         }
         if self.leaving && !self.exchange.is_waiting() {
-            self.leave(sessions, context);
+            self.leave(sessions);
         }
     }
 
     /// The node ends: its peers are told, and the sessions end.
-    pub(super) fn leave(
-        &mut self,
-        sessions: &mut PeerSessions,
-        context: &mut Context<NetworkStack>,
-    ) {
+    pub(super) fn leave(&mut self, sessions: &mut PeerSessions) {
         if std::mem::take(&mut self.leaving) {
             self.exchange.handle_leave();
-            self.drive(sessions, context);
+            self.drive(sessions);
             sessions.close();
         }
     }
 
-    fn carry_out(
-        &mut self,
-        output: PeerProtocolOutput,
-        sessions: &mut PeerSessions,
-        context: &mut Context<NetworkStack>,
-    ) {
+    fn carry_out(&mut self, output: PeerProtocolOutput, sessions: &mut PeerSessions) {
         match output {
             PeerProtocolOutput::Send { peer, stream, strand, message, credit } => {
                 let session = (peer, self.peers.get(&peer).map_or(0, |peer| peer.session));
@@ -182,10 +178,10 @@ impl ObjectGateway {
             }
             PeerProtocolOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
                 let reply_to =
-                    call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
+                    call.map(|call| reply_to(peer, epoch, call, self.wiring.stack.replies.clone()));
                 let metadata =
                     MessageMetadata { id, age, is_first: false, until, from: Some(peer) };
-                self.serve((peer, binding), &payload, metadata, reply_to, context);
+                self.serve((peer, binding), &payload, metadata, reply_to);
             }
             PeerProtocolOutput::Resolve { reply_as, result } => {
                 if let Some((_, reply_to)) = self.replies.remove(&reply_as) {
@@ -203,7 +199,7 @@ impl ObjectGateway {
                 self.differs(peer, &difference);
             }
             PeerProtocolOutput::Subscribe { peer, subscription, topic, identities } => {
-                self.subscribe(peer, subscription, &topic, identities, context);
+                self.subscribe(peer, subscription, &topic, identities);
             }
             PeerProtocolOutput::AccessDenied { denied } => {
                 self.wiring.registry.access().record(*denied);

@@ -117,7 +117,7 @@ impl NodeRouter {
         self.answer_inquirers();
     }
 
-    pub(super) fn answer_inquirers(&mut self) {
+    fn answer_inquirers(&mut self) {
         for (node, inquirer) in std::mem::take(&mut self.inquirers) {
             // The caller may have stopped waiting.
             let _ = match self.machine.verdict(NodeId::of(&node), platform::now()) {

@@ -5,11 +5,11 @@
 //!  objects ◄─ gateway ◄─ sessions ◄─ router ◄─ links
 //! ```
 //!
-//! A panic of the router's machine costs only that machine: a new one is given what the links have
+//! A panic of the router costs only its machine: a new one is given what the links have
 //! reported, and the sessions retransmit. After any other panic every session is reset.
 
 use super::NetEnvironment;
-use super::gateway::{CapacityAvailable, LocalEvent, ObjectGateway};
+use super::gateway::{CapacityAvailable, LocalEvent, ObjectGateway, StackRecipients};
 use super::gateway_messages::{LocalReply, SendToPeer, StartCompleted, TopicInterestChanged};
 use super::isolation::{IsolationChanged, IsolationControl};
 use super::own_name::OwnName;
@@ -27,7 +27,7 @@ use blastema_contract::link::{AddLinks, LinkChanged, ReceivedOnLink};
 use blastema_contract::router::{InjectPanic, ReadRoutes, Routes};
 use blastema_contract::session::{CloseSessions, ReadSessions, SessionRow};
 use blastema_contract::strategy::{IsolateNode, Reroute};
-use blastema_core::net::{self, NodeId, RouterOutput, SessionOutput};
+use blastema_core::net::{NodeId, RouterOutput, SessionOutput};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
 use blastema_core::{FaultLocation, Instant, Machine};
 use std::sync::Arc;
@@ -54,7 +54,7 @@ pub(super) struct NetworkStack {
 pub(super) struct LowerFloors {
     pub(super) sessions: PeerSessions,
     router: NodeRouter,
-    /// The router's machine is being served.
+    /// The router is being served.
     in_router: bool,
     /// A change of a path that waits for what the sessions do about earlier segments.
     held: Option<RouterOutput>,
@@ -67,9 +67,10 @@ pub(super) enum StackOutput {
 }
 
 impl LowerFloors {
-    fn with_router<T>(&mut self, act: impl FnOnce(&mut net::Router) -> T) -> T {
+    /// A panic in here costs the router's machine, and no session.
+    fn with_router<T>(&mut self, act: impl FnOnce(&mut NodeRouter) -> T) -> T {
         self.in_router = true;
-        let result = act(&mut self.router.machine);
+        let result = act(&mut self.router);
         self.in_router = false;
         result
     }
@@ -82,7 +83,7 @@ impl Machine for LowerFloors {
     fn poll_output(&mut self) -> Option<StackOutput> {
         loop {
             let held = self.held.take();
-            let output = held.or_else(|| self.with_router(net::Router::poll_output));
+            let output = held.or_else(|| self.with_router(|router| router.machine.poll_output()));
             match output {
                 Some(RouterOutput::Segment { source, segment, authentic }) => {
                     self.sessions.handle_segment(source, segment, authentic);
@@ -105,8 +106,8 @@ impl Machine for LowerFloors {
                 return Some(StackOutput::Session(peer, of_session));
             };
             self.with_router(|router| match everywhere {
-                true => router.handle_copies(peer, class, &segment),
-                false => router.handle_segment(peer, class, segment),
+                true => router.machine.handle_copies(peer, class, &segment),
+                false => router.machine.handle_segment(peer, class, segment),
             });
         }
     }
@@ -118,7 +119,7 @@ impl Machine for LowerFloors {
 
     fn handle_timeout(&mut self, now: Instant) {
         self.sessions.machines.handle_timeout(now);
-        self.with_router(|router| router.handle_timeout(now));
+        self.with_router(|router| router.machine.handle_timeout(now));
     }
 }
 
@@ -135,7 +136,14 @@ impl NetworkStack {
                 monitor: environment.nodes.clone(),
             };
             let faults = environment.own_faults("stack");
-            let gateway = ObjectGateway::new(&environment, stubs, deaths, faults.clone());
+            let recipients = StackRecipients {
+                replies: context.address().recipient(),
+                interests: context.address().recipient(),
+                capacity: context.address().recipient(),
+                events: context.address().recipient(),
+            };
+            let told = (faults.clone(), recipients);
+            let gateway = ObjectGateway::new(&environment, stubs, deaths, told);
             let NetEnvironment { node, incarnation, nodes, keys, session_timeout, .. } =
                 environment;
             let (identity, told) = ((node, incarnation), (faults.clone(), nodes.clone()));
@@ -146,19 +154,19 @@ impl NetworkStack {
         }
     }
 
-    fn drive_gateway(&mut self, context: &mut Context<Self>) {
-        self.gateway.drive(&mut self.lower.sessions, context);
+    fn drive_gateway(&mut self) {
+        self.gateway.drive(&mut self.lower.sessions);
     }
 
     /// Carries out all that waits on every floor.
     fn drive_all(&mut self, context: &mut Context<Self>) {
-        self.drive_gateway(context);
+        self.drive_gateway();
         self.drive(context);
     }
 
     /// Gives the sessions what the gateway sends. It goes out with what follows at once.
     fn drive_all_soon(&mut self, context: &mut Context<Self>) {
-        self.drive_gateway(context);
+        self.drive_gateway();
         self.drive_soon(context);
     }
 
@@ -172,7 +180,8 @@ impl NetworkStack {
                 }
             }
             RouterOutput::Reachable { node, incarnation, mtu } => {
-                self.lower.router.reachable(&node, incarnation);
+                self.lower.with_router(|router| router.reachable(&node, incarnation));
+                let sessions = &mut self.lower.sessions;
                 if let Some(gone) = sessions.meet(&node) {
                     self.gateway.session_discarded(gone);
                 }
@@ -181,11 +190,11 @@ impl NetworkStack {
             }
             RouterOutput::PathChanged { node, mtu } => sessions.handle_path(node, mtu),
             RouterOutput::Lost { node, incarnation } => {
-                self.lower.router.lost(&node, incarnation);
+                self.lower.with_router(|router| router.lost(&node, incarnation));
                 self.gateway.handle_unreachable(&node);
-                sessions.handle_no_path(NodeId::of(&node));
+                self.lower.sessions.handle_no_path(NodeId::of(&node));
             }
-            output => self.lower.router.carry_out(output),
+            output => self.lower.with_router(|router| router.carry_out(output)),
         }
     }
 
@@ -220,7 +229,7 @@ impl Actor for NetworkStack {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        self.gateway.take_interest(context);
+        self.gateway.take_interest();
         context.run_interval(TIME_INTERVAL, |stack, context| {
             stack.gateway.handle_time();
             stack.drive_all(context);
@@ -242,7 +251,7 @@ impl Supervised for NetworkStack {
             for discarded in self.lower.sessions.replace_all() {
                 self.gateway.session_discarded(discarded);
             }
-            self.drive_gateway(context);
+            self.drive_gateway();
             self.gateway.resolve_lost();
         }
         self.started(context);
@@ -257,12 +266,12 @@ impl MachineActor for NetworkStack {
         (&mut self.lower, &mut self.wake)
     }
 
-    fn carry_out(&mut self, output: StackOutput, context: &mut Context<Self>) {
+    fn carry_out(&mut self, output: StackOutput, _: &mut Context<Self>) {
         match output {
             StackOutput::Router(output) => self.carry_out_of_router(output),
             StackOutput::Session(peer, output) => self.carry_out_of_session(peer, output),
         }
-        self.drive_gateway(context);
+        self.drive_gateway();
     }
 }
 
@@ -270,7 +279,7 @@ impl Handler<AddLinks> for NetworkStack {
     type Result = ();
 
     fn handle(&mut self, message: AddLinks, _: &mut Context<Self>) {
-        self.lower.router.add_links(message);
+        self.lower.with_router(|router| router.add_links(message));
     }
 }
 
@@ -278,9 +287,8 @@ impl Handler<LinkChanged> for NetworkStack {
     type Result = ();
 
     fn handle(&mut self, message: LinkChanged, context: &mut Context<Self>) {
-        self.lower.router.handle_link(message);
+        self.lower.with_router(|router| router.handle_link(message));
         self.drive(context);
-        self.lower.router.answer_inquirers();
     }
 }
 
@@ -289,9 +297,7 @@ impl Handler<ReceivedOnLink> for NetworkStack {
 
     fn handle(&mut self, message: ReceivedOnLink, context: &mut Context<Self>) {
         let ReceivedOnLink { link, load } = message;
-        self.lower.in_router = true;
-        self.lower.router.handle_load(link, load);
-        self.lower.in_router = false;
+        self.lower.with_router(|router| router.handle_load(link, load));
         self.drive_soon(context);
     }
 }
@@ -327,7 +333,7 @@ impl Handler<CapacityAvailable> for NetworkStack {
     type Result = ();
 
     fn handle(&mut self, message: CapacityAvailable, context: &mut Context<Self>) {
-        self.gateway.hand_over(message.peer, message.object, context);
+        self.gateway.hand_over(message.peer, message.object);
         self.drive_all_soon(context);
     }
 }
@@ -356,7 +362,7 @@ impl Handler<CloseSessions> for NetworkStack {
     fn handle(&mut self, _: CloseSessions, context: &mut Context<Self>) {
         self.gateway.handle_end();
         context.run_later(LEAVE_TIMEOUT, |stack, context| {
-            stack.gateway.leave(&mut stack.lower.sessions, context);
+            stack.gateway.leave(&mut stack.lower.sessions);
             stack.drive(context);
         });
         self.drive_all(context);
@@ -368,7 +374,7 @@ impl Handler<IsolationChanged> for NetworkStack {
 
     fn handle(&mut self, message: IsolationChanged, context: &mut Context<Self>) {
         let IsolationChanged { node, isolated } = message;
-        self.lower.router.handle_isolation(&node, isolated);
+        self.lower.with_router(|router| router.handle_isolation(&node, isolated));
         if isolated {
             self.gateway.handle_isolated(&node);
         } else if let Some(session) = self.lower.sessions.machines.get_mut(NodeId::of(&node)) {
@@ -394,7 +400,7 @@ impl Handler<RosterChanged> for NetworkStack {
 
     fn handle(&mut self, RosterChanged(keys): RosterChanged, context: &mut Context<Self>) {
         self.gateway.handle_roster(&keys);
-        self.lower.router.handle_roster(keys);
+        self.lower.with_router(|router| router.handle_roster(keys));
         self.drive_all(context);
     }
 }
@@ -414,7 +420,7 @@ impl Handler<Reroute> for NetworkStack {
             }
         };
         let (answer, verdict) = oneshot::channel();
-        self.lower.router.inquire(node, answer);
+        self.lower.with_router(|router| router.inquire(node, answer));
         self.drive(context);
         PendingAnswer::new(async {
             verdict.await.unwrap_or_else(|_| Err("the network was restarted".into()))

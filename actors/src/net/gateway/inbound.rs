@@ -1,7 +1,6 @@
 //! Messages of other nodes to objects of this node: their delivery, and the backlog of full queues.
 
 use super::ObjectGateway;
-use crate::net::stack::NetworkStack;
 use crate::platform;
 use crate::registry::{CapacityFuture, MessageMetadata, ReplyTo, Skeleton};
 use actix::prelude::*;
@@ -108,7 +107,6 @@ impl ObjectGateway {
         payload: &Bytes,
         metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
-        context: &mut Context<NetworkStack>,
     ) {
         let Some(bound) = self.skeletons.get(&(peer, binding)) else {
             match reply_to {
@@ -123,14 +121,12 @@ impl ObjectGateway {
             && bound.skeleton.space().is_some();
         match reply_to {
             Some(reply_to) if behind => reply_to(Err(DeliveryError::Full)),
-            None if behind => {
-                self.hold((peer, binding), (payload, metadata), &DeliveryError::Full, context)
-            }
+            None if behind => self.hold((peer, binding), (payload, metadata), &DeliveryError::Full),
             reply_to => {
                 let is_tell = reply_to.is_none();
                 match bound.skeleton.deliver(payload, metadata, reply_to) {
                     Err(why @ (DeliveryError::Full | DeliveryError::Restarting)) if is_tell => {
-                        self.hold((peer, binding), (payload, metadata), &why, context);
+                        self.hold((peer, binding), (payload, metadata), &why);
                     }
                     // The object's own dead letters tell of what it did not take.
                     Err(DeliveryError::Undecodable { .. }) => self.breaks_its_word(peer),
@@ -146,7 +142,6 @@ impl ObjectGateway {
         (peer, binding): (NodeId, u32),
         (payload, metadata): (&Bytes, MessageMetadata),
         why: &DeliveryError,
-        context: &mut Context<NetworkStack>,
     ) {
         let Some(bound) = self.skeletons.get(&(peer, binding)).cloned() else { return };
         let PeerBinding { object, skeleton, newest } = bound;
@@ -161,36 +156,27 @@ impl ObjectGateway {
             BacklogVerdict::First => {
                 debug!(%peer, %object, "full: the peer is told to stop");
                 self.exchange.handle_full(peer, binding);
-                self.watch(peer, object, space, context);
+                self.watch(peer, object, space);
             }
             BacklogVerdict::Behind => {}
             BacklogVerdict::Refused(_) => skeleton.record_dead_letter(why),
         }
     }
 
-    fn watch(
-        &mut self,
-        peer: NodeId,
-        object: ObjectName,
-        space: CapacityFuture,
-        context: &mut Context<NetworkStack>,
-    ) {
-        let (gateway, found) =
-            (context.address(), CapacityAvailable { peer, object: object.clone() });
+    fn watch(&mut self, peer: NodeId, object: ObjectName, space: CapacityFuture) {
+        let (stack, found) = (
+            self.wiring.stack.capacity.clone(),
+            CapacityAvailable { peer, object: object.clone() },
+        );
         let waits = actix_rt::spawn(async move {
             space.await;
-            gateway.do_send(found);
+            stack.do_send(found);
         });
         self.queues.watches.insert((peer, object), Watch(waits));
     }
 
     /// Hands over what has waited, in order, as far as there is room.
-    pub(in crate::net) fn hand_over(
-        &mut self,
-        peer: NodeId,
-        object: ObjectName,
-        context: &mut Context<NetworkStack>,
-    ) {
+    pub(in crate::net) fn hand_over(&mut self, peer: NodeId, object: ObjectName) {
         for _ in 0..AT_ONCE {
             let Some(Held { binding, payload, metadata, arrived }) =
                 self.queues.backlog.first(peer, &object)
@@ -202,14 +188,14 @@ impl ObjectGateway {
             {
                 // Asked first, so that nothing is decoded in vain.
                 if space.as_mut().poll(&mut Waiting::from_waker(Waker::noop())).is_pending() {
-                    return self.watch(peer, object, space, context);
+                    return self.watch(peer, object, space);
                 }
                 let age = metadata.age + (platform::now() - *arrived);
                 match skeleton.deliver(payload, MessageMetadata { age, ..*metadata }, None) {
                     // Another sender has taken the capacity.
                     Err(DeliveryError::Full | DeliveryError::Restarting) => {
                         if let Some(space) = skeleton.space() {
-                            self.watch(peer, object, space, context);
+                            self.watch(peer, object, space);
                         }
                         return;
                     }
@@ -223,7 +209,7 @@ impl ObjectGateway {
                 return;
             }
         }
-        context.notify(CapacityAvailable { peer, object });
+        self.wiring.stack.capacity.do_send(CapacityAvailable { peer, object });
     }
 
     /// The session with this peer is over: what waits is not served any more.

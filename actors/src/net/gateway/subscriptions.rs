@@ -3,7 +3,6 @@
 use super::ObjectGateway;
 use super::undelivered::UndeliveredEvents;
 use crate::net::credit::SenderCredit;
-use crate::net::stack::NetworkStack;
 use crate::net::stub::PeerSendState;
 use crate::topic::{EventForward, ForwardId, RemoteForward, Reservation, TopicKey, described};
 use actix::prelude::*;
@@ -130,7 +129,6 @@ impl ObjectGateway {
         subscription: u32,
         topic: &TopicContract,
         theirs: Vec<PeerIdentity>,
-        context: &mut Context<NetworkStack>,
     ) {
         let key = match TopicKey::new(&topic.topic, &topic.contract) {
             Ok(key) => key,
@@ -156,7 +154,7 @@ impl ObjectGateway {
             },
         };
         let Some(known) = self.peers.get(&peer) else { return };
-        let (send_state, gateway) = (known.send_state.clone(), context.address().recipient());
+        let (send_state, gateway) = (known.send_state.clone(), self.wiring.stack.events.clone());
         let (losses, node) = (self.losses(known, &key), known.node.clone());
         let target = ForwardTarget { gateway, peer, subscription, losses: losses.clone() };
         let credit = send_state.credits().sender(by.1);
