@@ -500,13 +500,13 @@ impl NetHandle {
 
     /// Runs this on the stack.
     #[cfg(test)]
-    pub(crate) fn on_stack(&self, act: impl FnOnce(&mut stack::NetworkStack) + Send + 'static) {
+    fn on_stack(&self, act: impl FnOnce(&mut stack::NetworkStack) + Send + 'static) {
         self.stack.do_send(stack::RunOnStack(Box::new(act)));
     }
 
     /// Makes the stack panic, in another part than the router.
     #[cfg(test)]
-    pub(crate) fn panic_sessions(&self) {
+    fn panic_sessions(&self) {
         self.on_stack(|_| panic!("the sessions panic on purpose"));
     }
 
