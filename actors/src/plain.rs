@@ -152,10 +152,6 @@ impl<M: Contract> Outside<M> {
 }
 
 impl<M: Contract> MessageSink<M> for Outside<M> {
-    fn tell(&self, message: M) -> Result<(), SendError<M>> {
-        self.pass(message, None)
-    }
-
     fn offer(&self, message: M) -> Result<(), SendError<M>> {
         self.pass(message, None)
     }

@@ -15,6 +15,7 @@ pub(crate) mod service_fn;
 
 use crate::messaging::death_watch::{Deaths, Down, DownReason, NumberedEnd, Watchable, Watcher};
 use crate::messaging::sender::Sender;
+use crate::platform::lock;
 use access::AccessControl;
 #[cfg(feature = "network")]
 use blastema_core::net::NodeId;
@@ -30,7 +31,7 @@ use remote::RemoteNames;
 use std::any::{Any, type_name};
 use std::future::Future;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, Weak};
 use std::time::Duration;
 
 /// Gets the encoded reply, or the reason why there is none. Called once, on any thread.
@@ -244,7 +245,7 @@ pub(crate) struct Registry(Arc<Mutex<Inner>>);
 
 impl Registry {
     fn lock(&self) -> MutexGuard<'_, Inner> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 
     /// Names of this node may be written with `node` in front.

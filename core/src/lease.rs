@@ -164,6 +164,15 @@ pub struct Lease {
     moves: bool,
     /// Until when the last command counts; `None` where none does, or for ever.
     counts_until: Option<Instant>,
+    rest: RestDebt,
+    work: Work,
+    policy: RungState,
+    outputs: VecDeque<LeaseOutput>,
+}
+
+/// What brings the actuator to rest.
+#[derive(Debug, Default)]
+struct RestDebt {
     /// What was given and has not been carried out.
     given: Option<RestCause>,
     /// By when that is owed, unless the actuator is cut off.
@@ -174,14 +183,17 @@ pub struct Lease {
     /// It has been cut off, and since then the component has taken neither a command nor one that
     /// brings it to rest.
     is_cut: bool,
-    work: Work,
-    /// A policy for lost communication has rungs for it.
-    has_policy: bool,
-    /// The policy for lost communication that holds the lease.
+}
+
+/// What policies for lost communication do with the lease.
+#[derive(Debug, Default)]
+struct RungState {
+    /// A policy has rungs for the actuator.
+    has_rungs: bool,
+    /// The policy that holds the lease.
     rung: Option<RungHold>,
     /// How many commands rungs had.
     rungs: u64,
-    outputs: VecDeque<LeaseOutput>,
 }
 
 /// What the component owes.
@@ -232,14 +244,9 @@ impl Lease {
             state: State::Free,
             moves: false,
             counts_until: None,
-            given: None,
-            owed: None,
-            cut_offs: 0,
-            is_cut: false,
+            rest: RestDebt::default(),
             work: Work::Ends { stops: false },
-            has_policy: false,
-            rung: None,
-            rungs: 0,
+            policy: RungState::default(),
             outputs: VecDeque::new(),
         }
     }
@@ -247,7 +254,7 @@ impl Lease {
     /// How it stands at `now`.
     pub fn status(&self, now: Instant) -> LeaseStatus {
         let (commander, epoch) = (self.commander.clone(), self.last_epoch);
-        match (&self.state, &self.rung) {
+        match (&self.state, &self.policy.rung) {
             (State::Held { due }, _) => LeaseStatus::Held { commander, epoch, left: *due - now },
             (_, Some(RungHold { policy, .. })) => {
                 LeaseStatus::Held { commander: policy.clone(), epoch, left: self.rules.span }
@@ -279,14 +286,14 @@ impl Lease {
             let by = format!("{}{}", holder.name, holder.incarnation);
             Err(DeliveryError::Held { actuator: self.actuator.to_string(), by })
         };
-        match (&self.state, &self.rung) {
+        match (&self.state, &self.policy.rung) {
             (State::Settling, _) => return Err(DeliveryError::Restarting),
             _ if self.work != Work::Goes => return Err(DeliveryError::Restarting),
             (_, Some(rung)) if rung.yields_to.as_ref() != Some(&commander.name) => {
                 return held(&rung.policy);
             }
             // The command of the rung comes first.
-            (State::Free, _) if self.cut_offs > 0 || self.owed.is_some() => {
+            (State::Free, _) if self.rest.cut_offs > 0 || self.rest.owed.is_some() => {
                 return Err(DeliveryError::Restarting);
             }
             (State::Held { .. }, _)
@@ -325,13 +332,13 @@ impl Lease {
 
     /// The commander's command is handed to the component, and counts from now on.
     pub fn handle_command(&mut self, now: Instant) {
-        (self.moves, self.given, self.owed) = (true, None, None);
+        (self.moves, self.rest.given, self.rest.owed) = (true, None, None);
         self.counts_until = self.rules.command_timeout.map(|timeout| now + timeout);
     }
 
     /// Whether the component has begun the safe command of a command timeout, or could have.
     pub fn handle_check(&mut self, is_taken: bool) {
-        if !is_taken && self.owed.take_if(|owed| owed.look_at.is_some()).is_some() {
+        if !is_taken && self.rest.owed.take_if(|owed| owed.look_at.is_some()).is_some() {
             self.miss();
         }
     }
@@ -352,7 +359,7 @@ impl Lease {
 
     /// A policy for lost communication has rungs for the actuator.
     pub fn handle_policy(&mut self) {
-        self.has_policy = true;
+        self.policy.has_rungs = true;
     }
 
     /// A policy for lost communication takes the lease for its next command, or holds it already:
@@ -364,12 +371,12 @@ impl Lease {
         if is_taken {
             self.state = State::Free;
         }
-        if let Some(rung) = self.rung.as_mut().filter(|_| yields_to.is_some() && !is_taken) {
+        if let Some(rung) = self.policy.rung.as_mut().filter(|_| yields_to.is_some() && !is_taken) {
             rung.yields_to = yields_to;
             return;
         }
-        self.rungs += 1;
-        self.rung = Some(RungHold { policy, yields_to, again_at: now + RUNG_INTERVAL });
+        self.policy.rungs += 1;
+        self.policy.rung = Some(RungHold { policy, yields_to, again_at: now + RUNG_INTERVAL });
         if self.give_rung(false) {
             // What the rung before has not carried out has no new limit.
             self.owe(now);
@@ -379,19 +386,19 @@ impl Lease {
     /// The policy for lost communication lets others command again: the actuator gets its safe
     /// command, and is not cut off unless it does not carry that out.
     pub fn handle_rungs_over(&mut self, now: Instant) {
-        if self.rung.take().is_some() && self.work == Work::Goes {
+        if self.policy.rung.take().is_some() && self.work == Work::Goes {
             self.state = State::Settling;
             self.give(RestCause::Released, false);
-            self.owed = None;
+            self.rest.owed = None;
             self.owe(now);
         }
     }
 
     /// The node enters the safe state: whatever commands the actuator ends.
     pub fn handle_rest(&mut self) {
-        let is_held = self.rung.take().is_some() || self.commander().is_some();
+        let is_held = self.policy.rung.take().is_some() || self.commander().is_some();
         // A safe command that has not been carried out yet is not waited for any more.
-        let is_owed = self.given.is_some() && !self.is_cut;
+        let is_owed = self.rest.given.is_some() && !self.rest.is_cut;
         if (is_held || is_owed) && self.work == Work::Goes {
             self.bring_to_rest(RestCause::Released);
         }
@@ -401,37 +408,37 @@ impl Lease {
     /// What was given has to be carried out, unless something is owed already.
     fn owe(&mut self, now: Instant) {
         let by = now + self.rules.max_wait.max(RUNG_WITHIN);
-        self.owed.get_or_insert(Owed { by, look_at: None });
+        self.rest.owed.get_or_insert(Owed { by, look_at: None });
     }
 
     /// Gives the rung's command, if one counts and the component is at work. Says whether it did.
     fn give_rung(&mut self, again: bool) -> bool {
         let is_held = self.commander().is_some();
-        let Some(rung) = self.rung.as_ref().filter(|_| !is_held) else { return false };
+        let Some(rung) = self.policy.rung.as_ref().filter(|_| !is_held) else { return false };
         if self.work == Work::Goes {
             (self.commander, self.moves) = (rung.policy.clone(), true);
-            self.give(RestCause::Rung(self.rungs), again);
+            self.give(RestCause::Rung(self.policy.rungs), again);
         }
         self.work == Work::Goes
     }
 
     fn look_at_rung(&mut self, now: Instant) {
         // Also what an incarnation owes that has failed after it was carried out.
-        let is_owed = self.given.is_some() && !self.is_cut && self.work == Work::Goes;
-        if is_owed && self.rung.is_some() && self.commander().is_none() {
+        let is_owed = self.rest.given.is_some() && !self.rest.is_cut && self.work == Work::Goes;
+        if is_owed && self.policy.rung.is_some() && self.commander().is_none() {
             self.owe(now);
         }
-        if let Some(rung) = self.rung.as_mut().filter(|rung| now >= rung.again_at) {
+        if let Some(rung) = self.policy.rung.as_mut().filter(|rung| now >= rung.again_at) {
             let interval = self.rules.command_timeout.map(|timeout| timeout / 3);
             // Three commands in a timeout tolerate two late ones.
             rung.again_at = now + interval.unwrap_or(RUNG_INTERVAL);
-            if interval.is_some() && self.given.is_none() {
+            if interval.is_some() && self.rest.given.is_none() {
                 self.give_rung(true);
             }
         }
-        if self.owed.take_if(|owed| owed.look_at.is_none() && now >= owed.by).is_some() {
+        if self.rest.owed.take_if(|owed| owed.look_at.is_none() && now >= owed.by).is_some() {
             // One that leaves work in order is stopped.
-            if let (Some(cause), Work::Goes) = (self.given, self.work) {
+            if let (Some(cause), Work::Goes) = (self.rest.given, self.work) {
                 self.cut_off(cause);
             }
         }
@@ -440,9 +447,9 @@ impl Lease {
     /// The safe, the stop, or a rung's command that was given for this cause was carried out, or
     /// could not be.
     pub fn handle_applied(&mut self, cause: RestCause, applied: bool) {
-        self.is_cut &= !applied;
+        self.rest.is_cut &= !applied;
         // Another one may have taken its place.
-        if self.given != Some(cause) {
+        if self.rest.given != Some(cause) {
             return;
         }
         match applied {
@@ -452,10 +459,10 @@ impl Lease {
                     RestCause::Stopped => false,
                     _ => self.rules.stop_by == StopBy::StopCommand,
                 };
-                self.given = None;
+                self.rest.given = None;
                 // A commanded handler that fails after its reply has not gone on with it.
                 let is_held = self.commander().is_some();
-                self.owed.take_if(|owed| owed.look_at.is_none() || !is_held);
+                self.rest.owed.take_if(|owed| owed.look_at.is_none() || !is_held);
                 self.free_once_settled();
             }
             false if cause == RestCause::Stopped => self.handle_stop_failed(),
@@ -466,9 +473,9 @@ impl Lease {
 
     /// The cut-off has returned, panicked, or is absent.
     pub fn handle_cut_off_returned(&mut self) {
-        self.cut_offs = self.cut_offs.saturating_sub(1);
+        self.rest.cut_offs = self.rest.cut_offs.saturating_sub(1);
         // It may have ended what the rung's command began.
-        if self.cut_offs == 0 {
+        if self.rest.cut_offs == 0 {
             self.give_rung(true);
         }
         self.free_once_settled();
@@ -479,13 +486,13 @@ impl Lease {
         self.work = Work::Goes;
         if self.give_rung(true) {
             // A new incarnation may have switched on what was cut off.
-            self.is_cut = false;
+            self.rest.is_cut = false;
             return;
         }
-        match self.given {
+        match self.rest.given {
             Some(cause) => self.give(cause, true),
             // The next command reaches an incarnation that owes nothing.
-            None => self.is_cut = false,
+            None => self.rest.is_cut = false,
         }
     }
 
@@ -495,7 +502,7 @@ impl Lease {
         if self.work == Work::Goes {
             self.work = Work::Ends { stops: self.moves };
             self.state = State::Settling;
-            (self.given, self.owed) = (None, None);
+            (self.rest.given, self.rest.owed) = (None, None);
             match self.moves {
                 true => self.give(RestCause::Stopped, false),
                 false => self.free_once_settled(),
@@ -512,14 +519,14 @@ impl Lease {
     pub fn handle_stop_failed(&mut self) {
         if self.is_stopping() {
             self.work = Work::Ends { stops: false };
-            (self.state, self.moves, self.given) = (State::Settling, false, None);
+            (self.state, self.moves, self.rest.given) = (State::Settling, false, None);
             self.cut_off(RestCause::Stopped);
         }
     }
 
     /// The component goes on no longer after its stop command.
     pub fn handle_settled(&mut self) {
-        if self.rules.stop_by != StopBy::Hook && self.given.is_none() {
+        if self.rules.stop_by != StopBy::Hook && self.rest.given.is_none() {
             self.handle_stopped();
         }
     }
@@ -536,14 +543,14 @@ impl Lease {
         // work again.
         if !hook_done && self.work == Work::Goes && self.moves {
             self.counts_until = None;
-            self.given.get_or_insert(RestCause::CommandTimeout);
+            self.rest.given.get_or_insert(RestCause::CommandTimeout);
         }
     }
 
     /// The incarnation has ended, and none follows at once.
     pub fn handle_ended(&mut self) {
         self.handle_left(false);
-        if self.given.is_some() && self.moves {
+        if self.rest.given.is_some() && self.moves {
             self.miss();
         }
     }
@@ -552,20 +559,20 @@ impl Lease {
     fn handle_stopped(&mut self) {
         if self.is_stopping() {
             self.work = Work::Ends { stops: false };
-            (self.moves, self.given) = (false, None);
+            (self.moves, self.rest.given) = (false, None);
             self.free_once_settled();
         }
     }
 
     fn free_once_settled(&mut self) {
-        if self.state == State::Settling && self.given.is_none() && self.cut_offs == 0 {
+        if self.state == State::Settling && self.rest.given.is_none() && self.rest.cut_offs == 0 {
             self.state = State::Free;
         }
     }
 
     /// Ends a lease: where it ends in order, by the safe command, which is looked at from then on.
     fn end(&mut self, cause: RestCause, in_order_at: Option<Instant>) {
-        match (&self.state, &self.rung, in_order_at) {
+        match (&self.state, &self.policy.rung, in_order_at) {
             (State::Held { .. }, Some(_), _) => {
                 self.state = State::Free;
                 self.give_rung(false);
@@ -573,12 +580,12 @@ impl Lease {
             (State::Held { .. }, None, Some(now)) => {
                 // The safe command of a command timeout that is late already has no new limit.
                 let by = now + self.rules.max_wait.min(RUNG_WITHIN);
-                let earlier = self.owed.take_if(|owed| owed.look_at.is_some());
+                let earlier = self.rest.owed.take_if(|owed| owed.look_at.is_some());
                 let by = earlier.map_or(by, |earlier| by.min(earlier.by));
                 self.state = State::Settling;
                 self.give(cause, false);
                 // A handler that is busy meanwhile cuts nothing off: a drone goes on hovering.
-                self.owed = Some(Owed { by, look_at: Some(by) });
+                self.rest.owed = Some(Owed { by, look_at: Some(by) });
             }
             (State::Held { .. }, None, None) => self.bring_to_rest(cause),
             (State::Free | State::Settling, ..) => {}
@@ -586,7 +593,7 @@ impl Lease {
     }
 
     fn bring_to_rest(&mut self, cause: RestCause) {
-        (self.state, self.owed) = (State::Settling, None);
+        (self.state, self.rest.owed) = (State::Settling, None);
         self.cut_off(cause);
         self.give(cause, false);
     }
@@ -595,26 +602,26 @@ impl Lease {
         if let State::Held { due } = self.state
             && now >= due
         {
-            self.end(RestCause::Expired, self.has_policy.then_some(now));
+            self.end(RestCause::Expired, self.policy.has_rungs.then_some(now));
         }
     }
 
     /// The component does not take its safe command.
     fn miss(&mut self) {
-        if !self.is_cut {
+        if !self.rest.is_cut {
             self.cut_off(RestCause::CommandTimeout);
         }
     }
 
     fn cut_off(&mut self, cause: RestCause) {
-        self.cut_offs += 1;
-        self.is_cut = true;
+        self.rest.cut_offs += 1;
+        self.rest.is_cut = true;
         self.outputs.push_back(LeaseOutput::CutOff { cause });
     }
 
     fn give(&mut self, cause: RestCause, again: bool) {
-        (self.given, self.counts_until) = (Some(cause), None);
-        self.owed.take_if(|owed| owed.look_at.is_some());
+        (self.rest.given, self.counts_until) = (Some(cause), None);
+        self.rest.owed.take_if(|owed| owed.look_at.is_some());
         let (commander, epoch) = (self.commander.clone(), self.last_epoch);
         self.outputs.push_back(LeaseOutput::Apply { commander, epoch, cause, again });
     }
@@ -628,12 +635,12 @@ impl Machine for Lease {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let rung = self.rung.as_ref().map(|rung| rung.again_at);
+        let rung = self.policy.rung.as_ref().map(|rung| rung.again_at);
         let held = match self.state {
             State::Held { due } => [Some(due), self.counts_until],
             State::Free | State::Settling => [None; 2],
         };
-        let owed = self.owed.map(|owed| owed.look_at.unwrap_or(owed.by));
+        let owed = self.rest.owed.map(|owed| owed.look_at.unwrap_or(owed.by));
         held.into_iter().chain([rung, owed]).flatten().min()
     }
 
@@ -643,13 +650,14 @@ impl Machine for Lease {
         let is_held = matches!(self.state, State::Held { .. });
         if is_held && self.counts_until.is_some_and(|until| now >= until) {
             self.give(RestCause::CommandTimeout, false);
-            self.owed = Some(Owed { by: now + self.rules.max_wait, look_at: Some(now + BEAT) });
-        } else if let Some(Owed { by, look_at: Some(at) }) = self.owed
+            self.rest.owed =
+                Some(Owed { by: now + self.rules.max_wait, look_at: Some(now + BEAT) });
+        } else if let Some(Owed { by, look_at: Some(at) }) = self.rest.owed
             && now >= at
         {
-            self.owed = self.given.map(|_| Owed { by, look_at: Some(now + BEAT) });
+            self.rest.owed = self.rest.given.map(|_| Owed { by, look_at: Some(now + BEAT) });
             let is_late = now >= by;
-            self.outputs.extend(self.given.map(|_| LeaseOutput::CheckTaken { is_late }));
+            self.outputs.extend(self.rest.given.map(|_| LeaseOutput::CheckTaken { is_late }));
         }
     }
 }

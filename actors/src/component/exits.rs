@@ -4,12 +4,13 @@
 //! follows an end blocks its thread: by the watch, or by the supervisor that gives the next
 //! incarnation up.
 
+use crate::platform::lock;
 use crate::runtime::reports::FaultReports;
 use actix::Recipient;
 use blastema_contract::child::{ChildEvent, ChildReport};
 use blastema_contract::reports::{ExitReason, Exited};
 use blastema_core::{Incarnation, ObjectName};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// As many as the component's guard has restarted it in one turn, and one.
 #[derive(Default)]
@@ -45,12 +46,8 @@ pub(crate) enum DueExits {
 }
 
 impl UntoldExits {
-    fn lock(&self) -> MutexGuard<'_, Untold> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn change(&self, incarnation: Incarnation, change: impl FnOnce(&mut UntoldExit)) {
-        let mut untold = self.lock();
+        let mut untold = lock(&self.0);
         let exited = untold.exits.iter_mut().find(|exited| exited.incarnation == incarnation);
         if let Some(exited) = exited {
             change(exited);
@@ -62,7 +59,7 @@ impl UntoldExits {
         let exit = exit.into();
         let (restarted_as, supervisor, is_settled) = (None, None, false);
         let exited = UntoldExit { incarnation, exit, restarted_as, supervisor, is_settled };
-        let mut untold = self.lock();
+        let mut untold = lock(&self.0);
         let is_known = untold.exits.iter().any(|known| known.incarnation == incarnation);
         if !is_known && incarnation > untold.told {
             untold.exits.push(exited);
@@ -89,7 +86,7 @@ impl UntoldExits {
 
     /// That incarnation had been given up before it ended: its end is no news.
     pub(crate) fn forget(&self, incarnation: Incarnation) {
-        self.lock().exits.retain(|exited| exited.incarnation != incarnation);
+        lock(&self.0).exits.retain(|exited| exited.incarnation != incarnation);
     }
 
     /// Reports each end once to the monitor and the supervisor.
@@ -98,7 +95,7 @@ impl UntoldExits {
             DueExits::Until(until) => exited.incarnation <= until,
             DueExits::Settled => exited.is_settled,
         };
-        let mut untold = self.lock();
+        let mut untold = lock(&self.0);
         let reported: Vec<UntoldExit> = untold.exits.extract_if(.., is_reported).collect();
         let last = reported.iter().map(|exited| exited.incarnation).max();
         let until = match which {

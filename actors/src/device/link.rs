@@ -16,9 +16,6 @@ use tokio::sync::{Notify, oneshot, watch};
 /// Takes the packed value of an out port.
 pub(super) type Receive = Box<dyn Fn(&[u8]) + Send + Sync>;
 
-/// A contract's name, and what says how that with another fingerprint differs.
-pub(super) type ShownContract = (&'static str, fn(u32) -> Option<String>);
-
 /// A command to the device, with its data.
 #[derive(Clone, Debug)]
 pub(super) enum DeviceOrder {
@@ -78,8 +75,8 @@ struct Orders {
 /// One incarnation of a proxy at its line.
 pub(super) struct DeviceLink {
     pub(super) config: HostConfig<Vec<Port>>,
-    /// The contracts of the ports, for display, and what says how one differs.
-    pub(super) contracts: Vec<ShownContract>,
+    /// The contracts of the ports, for display.
+    pub(super) contracts: Vec<&'static str>,
     /// By port.
     pub(super) receivers: Vec<Option<Receive>>,
     pub(super) status: watch::Sender<DeviceStatus>,
@@ -94,7 +91,7 @@ const INACTIVE: u64 = u64::MAX;
 impl DeviceLink {
     pub(super) fn new(
         config: HostConfig<Vec<Port>>,
-        contracts: Vec<ShownContract>,
+        contracts: Vec<&'static str>,
         receivers: Vec<Option<Receive>>,
         changed: Arc<Notify>,
     ) -> Self {
@@ -228,7 +225,7 @@ impl DeviceLink {
     pub(super) fn explain(&self, mismatch: Mismatch) -> String {
         let named = |port: usize| {
             let of = &self.config.ports[port];
-            let (object, id, contract) = (of.object(), of.id(), self.contracts[port].0);
+            let (object, id, contract) = (of.object(), of.id(), self.contracts[port]);
             format!("port {id:#04x} of object {object}, `{contract}`")
         };
         match mismatch {
@@ -245,9 +242,7 @@ impl DeviceLink {
                 let ours = &self.config.ports[port];
                 let same = |known: &Port| known.fingerprint() == theirs.fingerprint();
                 let known = self.config.ports.iter().position(same);
-                let meant = known.map(|known| format!(", which is `{}`", self.contracts[known].0));
-                let differs = (self.contracts[port].1)(theirs.fingerprint());
-                let differs = meant.or_else(|| differs.map(|what| format!(": {what}")));
+                let meant = known.map(|known| format!(", which is `{}`", self.contracts[known]));
                 format!(
                     "{} has {} bytes and fingerprint {:#010x} here, {} bytes and {:#010x} on the \
                      device{}; build its firmware with the header of this robot",
@@ -256,7 +251,7 @@ impl DeviceLink {
                     ours.fingerprint(),
                     theirs.size(),
                     theirs.fingerprint(),
-                    differs.unwrap_or_default()
+                    meant.unwrap_or_default()
                 )
             }
         }

@@ -43,8 +43,6 @@ pub(super) struct DevicePort<C: Component> {
     pub(super) of: TypeId,
     pub(super) message: LayoutOf,
     pub(super) reply: LayoutOf,
-    /// What differs where the device has another fingerprint.
-    pub(super) difference: fn(u32) -> Option<String>,
     pub(super) used: PortUse<C>,
 }
 
@@ -82,8 +80,7 @@ impl<C: Component> DevicePort<C> {
         };
         let (contract, of) = (M::NAME, TypeId::of::<M>());
         let (message, reply): (LayoutOf, LayoutOf) = (M::layout, M::Reply::layout);
-        let difference = packed::difference::<M>;
-        Ok(DevicePort { port, contract, of, message, reply, difference, used })
+        Ok(DevicePort { port, contract, of, message, reply, used })
     }
 }
 

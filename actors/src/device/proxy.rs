@@ -71,8 +71,7 @@ impl DeviceProxy {
             _ => Ok(None),
         });
         let receivers = receivers.collect::<Result<Vec<_>, _>>()?;
-        let contracts = settings.ports.iter().map(|port| (port.contract, port.difference));
-        let contracts = contracts.collect();
+        let contracts = settings.ports.iter().map(|port| port.contract).collect();
         // Sessions of a new incarnation differ from those of the one before.
         let session = platform::random_seed() as u16;
         let config = HostConfig { session, ..settings.host.clone() };

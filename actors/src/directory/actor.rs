@@ -484,15 +484,15 @@ mod tests {
             let _ports = DirectoryActor::start(setup, &Guardian::default(), None);
             let claim = Claim::make(&names, wanted()).await.unwrap();
 
-            names.claim_unattended(wanted(), 98);
+            drop(names.claim(wanted(), 98, true));
             assert_eq!(declared.expect().await.kind, FaultKind::NameTaken);
             cleared.expect_none_for(Duration::from_secs(100)).await;
             drop(claim);
-            names.claim_unattended(wanted(), 99);
+            drop(names.claim(wanted(), 99, true));
             cleared.expect_none_for(Duration::from_secs(100)).await;
             names.withdraw(&wanted().name, 99);
             // The next incarnation of the one that was refused.
-            names.claim_unattended(wanted(), 98);
+            drop(names.claim(wanted(), 98, true));
 
             assert_eq!(cleared.expect().await.kind, FaultKind::NameTaken);
         });
@@ -506,8 +506,8 @@ mod tests {
             let setup = DirectorySetup { cleared: Some(cleared.recipient()), ..setup(&names) };
             let _ports = DirectoryActor::start(setup, &Guardian::default(), None);
             let _claim = Claim::make(&names, wanted()).await.unwrap();
-            names.claim_unattended(wanted(), 98);
-            names.claim_unattended(wanted(), 99);
+            drop(names.claim(wanted(), 98, true));
+            drop(names.claim(wanted(), 99, true));
 
             names.withdraw(&wanted().name, 98);
             cleared.expect_none_for(Duration::from_secs(100)).await;

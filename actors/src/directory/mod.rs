@@ -86,7 +86,7 @@ impl Claim {
         wanted: ClaimRequest,
     ) -> Result<Self, ClaimError> {
         let (name, number) = (wanted.name.clone(), names.number());
-        let state = names.claim(wanted, number);
+        let state = names.claim(wanted, number, false);
         let mut claim = Claim { name, number, names: names.clone(), state };
         let decided = claim.state.wait_for(|state| *state != ClaimState::Waiting).await;
         match decided.map(|state| state.clone()) {

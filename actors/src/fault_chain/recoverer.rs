@@ -153,9 +153,6 @@ impl MachineActor for RecovererActor {
             RecovererOutput::Settle { fault: id, outcome: what } => {
                 self.setup.detector.do_send(FaultOutcome { id, at: platform::now(), what });
             }
-            RecovererOutput::Release { action } => {
-                self.engaged.remove(&action);
-            }
             RecovererOutput::AbandonIncarnation { fault } => {
                 self.setup.tools.give_up_incarnation(&fault)
             }

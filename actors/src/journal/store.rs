@@ -1,6 +1,7 @@
 //! The journal's database: its tables, and what is written into them.
 
 use super::WallTime;
+use crate::platform;
 use blastema_core::{Fault, Incarnation, Instant, NodeName};
 use rusqlite::{Connection, ErrorCode, OpenFlags, Statement, Transaction, params};
 use std::fs::File;
@@ -116,6 +117,13 @@ impl From<rusqlite::Error> for StoreError {
 pub(super) struct Moment {
     pub(super) monotonic: Instant,
     pub(super) wall: WallTime,
+}
+
+impl Moment {
+    /// The present one.
+    pub(super) fn now() -> Self {
+        Moment { monotonic: platform::now(), wall: platform::wall_clock() }
+    }
 }
 
 /// What is to be written of one fault. What is `None` leaves what was written before.

@@ -539,7 +539,6 @@ impl Handler<ReadLinks> for LinksActor {
                 last_sign: link.last_hello().map(|at| now - at),
                 quality: link.quality(),
                 hello_interval: link.hello_interval(),
-                phi: link.phi(now),
                 cost: self.cost(number, link),
                 traffic: self.bundle.traffic(number),
                 rate: self.rates.rate(number),

@@ -29,8 +29,6 @@ mod network;
 #[cfg(feature = "network")]
 mod network_rows;
 mod order;
-mod ports;
-mod restart;
 mod safety;
 pub(crate) mod snapshot;
 mod to_the_end;
@@ -38,9 +36,9 @@ mod tree;
 mod watchdogs;
 
 pub use builder::NodeBuilder;
-pub use changes::RemoveError;
+pub use changes::{RemoveError, RestartedChild};
 pub use conditions::Heartbeats;
-pub use controller::NodeState;
+pub use controller::{NodeState, RestartError};
 pub use error::{PolicyPart, StartError};
 pub use faults::FaultEvents;
 pub use health::{DegradedPart, FaultCounts, LastRecovery, NodeHealth};
@@ -54,7 +52,6 @@ pub use network::{
 #[cfg(feature = "network")]
 pub use network_rows::{LinkName, MediumRow, NetworkRow, RouteRow};
 pub use order::{ComponentOrder, OrderReply, OrderRow, OrderVerb};
-pub use restart::{RestartError, RestartedChild};
 #[cfg(feature = "network")]
 pub use snapshot::NetworkSnapshot;
 pub use snapshot::NodeSnapshot;
@@ -64,7 +61,6 @@ use crate::actuator;
 use crate::actuator::{ActuatorRow, Commander};
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
-use crate::fault_chain::directory::SupervisorDirectory;
 use crate::host::reference::ActorRef;
 use crate::liveness::sampler::Running;
 use crate::liveness::threads;
@@ -74,30 +70,26 @@ use crate::messaging::injection::Injection;
 use crate::messaging::sender::Sender;
 use crate::platform::file_lock::released_here;
 use crate::platform::systemd::Systemd;
-use crate::runtime::guardian::Guardian;
 use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
-use actix::Recipient;
 use assembly::FaultChain;
 #[cfg(feature = "network")]
 use assembly::Networks;
 use blastema_contract::detector::ReadRecord;
 use blastema_contract::monitor::ReadTable;
 use blastema_contract::supervisor::{ReadTree, SupervisionTree};
-use blastema_core::detection::dependencies::Dependencies;
 use blastema_core::detection::{FaultRecord, MonitorRow};
+use blastema_core::port::{ConnectError, PortConnection};
 use blastema_core::{Contract, DeliveryError, Event, Incarnation, NodeName, ObjectName, Variable};
-use controller::{RestartRoot, Shutdown};
+use controller::Shutdown;
 use lost_communication::KeptPolicy;
 use std::any::type_name;
 use std::fmt;
 use std::path::PathBuf;
-use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use to_the_end::ToTheEnd;
-use tokio::sync::watch;
 use tracing::warn;
 
 /// How long the end of a node waits until another one may have its files and its socket.
@@ -136,23 +128,11 @@ struct Shared {
     chain: FaultChain,
     #[cfg(feature = "network")]
     networks: Option<Networks>,
-    /// Where the tree is read.
-    root: Recipient<ReadTree>,
-    /// What supervisors need that are added while the node runs.
-    guardian: Guardian,
-    shutdown: Recipient<Shutdown>,
-    restart: Recipient<RestartRoot>,
-    directory: SupervisorDirectory,
-    state: watch::Receiver<NodeState>,
-    dependencies: Mutex<Dependencies>,
-    plan: Arc<blastema_core::recovery::Plan>,
+    tree: changes::KeptTree,
     systemd: Option<Systemd>,
     /// What it does when communication is lost.
     policies: Vec<Arc<KeptPolicy>>,
-    /// Components have begun, so that outputs may have to be made safe.
-    begun: AtomicBool,
-    /// The safe outputs were applied without the fault chain.
-    safe: Mutex<bool>,
+    outputs: safety::OutputState,
     /// What stood in the record of faults when the node was shut down.
     last_record: OnceLock<FaultRecord>,
     /// Files and sockets that no other node has while this one lives.
@@ -183,12 +163,12 @@ impl Node {
 
     /// How the node is now.
     pub fn state(&self) -> NodeState {
-        self.0.state.borrow().clone()
+        self.0.chain.state.borrow().clone()
     }
 
     /// Waits until the node has stopped or has entered the safe state, and returns that state.
     pub async fn ended(&self) -> NodeState {
-        let mut state = self.0.state.clone();
+        let mut state = self.0.chain.state.clone();
         let ended = |state: &NodeState| !matches!(state, NodeState::Starting | NodeState::Running);
         match state.wait_for(ended).await {
             Ok(state) => state.clone(),
@@ -284,6 +264,31 @@ impl Node {
         self.0.environment.topics().publisher_of(topic, self.0.name.as_str())
     }
 
+    /// Connects the out port of a component to the port of another one while the node runs. The
+    /// connection outlives the incarnations of both, and ends with the component that listens,
+    /// commands or asks.
+    ///
+    /// # Errors
+    /// There is no such component or port, the ports do not fit, or
+    /// [another node](ConnectError::Elsewhere) makes the connection. What a port of another node
+    /// takes is found when the first message goes there.
+    pub fn connect(&self, from: &str, to: &str) -> Result<(), ConnectError> {
+        self.0.environment.registry.connect_ports(from, to)
+    }
+
+    /// Disconnects two ports. What has been accepted is still delivered.
+    ///
+    /// # Errors
+    /// [`ConnectError::NotConnected`], or an address is wrong.
+    pub fn disconnect(&self, from: &str, to: &str) -> Result<(), ConnectError> {
+        self.0.environment.registry.disconnect_ports(from, to)
+    }
+
+    /// Returns the connections that this node makes. Its own name is left out of the addresses.
+    pub fn connections(&self) -> Vec<PortConnection> {
+        self.0.environment.registry.connections()
+    }
+
     /// Everything that is watched, each row with its age and incarnation. It can be read at any
     /// time, also while components are stuck.
     pub async fn table(&self) -> Vec<MonitorRow> {
@@ -306,12 +311,12 @@ impl Node {
 
     /// Every step in the history of every fault, from now on.
     pub fn fault_events(&self) -> FaultEvents {
-        FaultEvents::subscribe(&self.0.chain.monitor, self.0.state.clone())
+        FaultEvents::subscribe(&self.0.chain.monitor, self.0.chain.state.clone())
     }
 
     /// The supervision tree as it stands now; `None` once the node has ended.
     pub async fn tree(&self) -> Option<SupervisionTree> {
-        self.0.chain.answer(self.0.root.send(ReadTree)).await
+        self.0.chain.answer(self.0.tree.root.as_ref()?.send(ReadTree)).await
     }
 
     /// Puts a fault into the component of this name, which need not know of it: for demonstrations
@@ -415,7 +420,7 @@ impl Node {
         let before = cut_short();
         #[cfg(feature = "network")]
         self.0.networks.iter().for_each(|networks| networks.handle.expect_end());
-        let stopped = self.0.chain.answer(self.0.shutdown.send(Shutdown)).await;
+        let stopped = self.0.chain.answer(self.0.chain.controller.send(Shutdown)).await;
         if stopped.is_none() && self.state() != NodeState::Stopped {
             // The fault chain stands, and no component can be stopped.
             self.0.make_safe("the fault chain does not answer to the shutdown");
@@ -443,10 +448,6 @@ impl Node {
 }
 
 impl Shared {
-    fn dependencies(&self) -> MutexGuard<'_, Dependencies> {
-        self.dependencies.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Tells the service manager of the process this, if the node is described with one.
     fn tell_systemd(&self, state: &str) {
         if let Some(Err(reason)) = self.systemd.as_ref().map(|manager| manager.tell(state)) {
@@ -477,7 +478,7 @@ impl Shared {
     /// they may be those of the robot that runs already.
     fn end(&self, cause: &str) {
         self.chain.expect_end();
-        let begun = self.begun.load(SeqCst);
+        let begun = self.outputs.begun.load(SeqCst);
         if begun {
             self.become_safe(cause);
         }
@@ -487,7 +488,7 @@ impl Shared {
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        let meanwhile = match &*self.state.borrow() {
+        let meanwhile = match &*self.chain.state.borrow() {
             NodeState::Starting => "it started",
             NodeState::Running => "it ran",
             NodeState::InSafeState { .. } => "it was in the safe state",

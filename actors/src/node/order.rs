@@ -203,11 +203,11 @@ impl Node {
 
     async fn reset_by_order(&self, name: &str) -> Result<(), String> {
         let object = ObjectName::new(name).map_err(|error| error.to_string())?;
-        if self.0.directory.supervisor(&object).is_none() {
+        if self.0.chain.directory.supervisor(&object).is_none() {
             return self.reset_component(name).await;
         }
         let is_in_error = |name: &str| self.state_of(name) == Ok(Lifecycle::Error);
-        let mut below = self.0.directory.subtree(&object);
+        let mut below = self.0.chain.directory.subtree(&object);
         below.retain(|name| is_in_error(name.as_str()));
         if below.is_empty() {
             return Err("no component below it is in error: only such ones can be reset".to_owned());
@@ -228,7 +228,7 @@ impl Node {
             return Err(format!("it is {state}: only a component in error can be reset"));
         }
         let object = ObjectName::new(name).map_err(|error| error.to_string())?;
-        let supervisor = self.0.directory.supervisor_of(&object);
+        let supervisor = self.0.chain.directory.supervisor_of(&object);
         let supervisor = supervisor.ok_or("no supervisor keeps it any more")?;
         let reset = ChildRequest { object, action: ChildAction::Reset };
         match supervisor.requests.send(reset).await {

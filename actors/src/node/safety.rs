@@ -8,13 +8,13 @@
 use super::{Node, NodeState, Shared};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::fault_chain::strategy::NOT_RETURNED;
-use crate::platform;
 use crate::platform::signals::{Termination, Terminations, on_termination};
+use crate::platform::{self, lock};
 use blastema_core::{Fault, FaultKind};
 use std::future::{Future, pending};
-use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use std::sync::atomic::{AtomicBool, AtomicUsize};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, Weak};
 use std::time::Duration;
 use std::{fmt, io};
 use tokio::sync::oneshot::error::TryRecvError;
@@ -38,7 +38,16 @@ const NAME_TAKEN: i32 = 3;
 
 fn nodes() -> MutexGuard<'static, Vec<Weak<Shared>>> {
     // Each change is one insertion or removal.
-    NODES.lock().unwrap_or_else(PoisonError::into_inner)
+    lock(&NODES)
+}
+
+/// What is known of the outputs of a node.
+#[derive(Default)]
+pub(super) struct OutputState {
+    /// Components have begun, so that outputs may have to be made safe.
+    pub(super) begun: AtomicBool,
+    /// The safe outputs were applied without the fault chain.
+    safe: Mutex<bool>,
 }
 
 impl Shared {
@@ -48,7 +57,7 @@ impl Shared {
     /// or is in the safe state, nor for one without outputs that never came to work.
     pub(super) fn become_safe(&self, cause: &str) {
         let has_outputs = self.has_outputs();
-        let ends = match *self.state.borrow() {
+        let ends = match *self.chain.state.borrow() {
             NodeState::Starting => has_outputs,
             NodeState::Running => true,
             NodeState::InSafeState { .. } | NodeState::Stopped => false,
@@ -61,7 +70,7 @@ impl Shared {
 
     /// The same, whatever the node's state. Another caller waits meanwhile.
     pub(super) fn make_safe(&self, cause: &str) {
-        let mut is_safe = self.safe.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut is_safe = lock(&self.outputs.safe);
         if std::mem::replace(&mut *is_safe, true) {
             return;
         }
@@ -77,7 +86,7 @@ impl Shared {
 
     /// Whether its outputs were made safe, once that is done.
     fn is_safe(&self) -> bool {
-        *self.safe.lock().unwrap_or_else(PoisonError::into_inner)
+        *lock(&self.outputs.safe)
     }
 
     fn has_outputs(&self) -> bool {
@@ -169,7 +178,7 @@ fn end_all(signal: Termination) {
 fn handle_signals() -> io::Result<()> {
     static STARTED: OnceLock<()> = OnceLock::new();
     static STARTING: Mutex<()> = Mutex::new(());
-    let _one = STARTING.lock().unwrap_or_else(PoisonError::into_inner);
+    let _one = lock(&STARTING);
     if STARTED.get().is_none() {
         let mut is_first = true;
         on_termination(move |signal| {
@@ -272,7 +281,7 @@ impl Node {
 
     /// Shuts down for the first of these causes, unless the node has been shut down before.
     pub(super) async fn run_to(&self, cause: impl Future<Output = EndCause>) {
-        let mut state = self.0.state.clone();
+        let mut state = self.0.chain.state.clone();
         let cause = tokio::select! {
             cause = cause => Some(cause),
             // Also if the sender of the state was dropped.
@@ -292,7 +301,7 @@ impl Node {
     #[cfg(feature = "network")]
     pub(super) fn stop_if_displaced(&self) {
         let Some(networks) = &self.0.networks else { return };
-        let (name, mut state) = (networks.handle.own_name().clone(), self.0.state.clone());
+        let (name, mut state) = (networks.handle.own_name().clone(), self.0.chain.state.clone());
         let node = Arc::downgrade(&self.0);
         actix_rt::spawn(async move {
             let why = tokio::select! {

@@ -27,6 +27,7 @@ use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
 use crate::platform;
+use crate::platform::lock;
 use crate::registry::access::MessageOrigin;
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry, WeakRegistry};
@@ -36,7 +37,7 @@ use blastema_core::{DeliveryError, Incarnation, ObjectAddress, ObjectName};
 use blastema_macros::{Request, Structure};
 use std::future::Future;
 use std::mem::replace;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 use tracing::warn;
 
@@ -146,7 +147,7 @@ async fn ask_on<O: Future<Output = ()>>(
     lost: impl Fn(String),
     opening: impl Fn() -> O,
 ) {
-    let (mut is_lost, mut was_back, mut is_gone) = (false, false, false);
+    let (mut is_lost, mut was_back, mut is_gone, mut is_absent) = (false, false, false, false);
     loop {
         let question = AwaitEnd { object: object.clone(), after };
         match sender.ask_within(question, WATCH_TIMEOUT).await.map_err(|error| error.kind) {
@@ -165,7 +166,8 @@ async fn ask_on<O: Future<Output = ()>>(
                 if let Some(ended) = ended.filter(|_| !(was_gone && is_unknown)) {
                     down(ended);
                 }
-                if !is_unknown {
+                is_absent = is_unknown;
+                if !is_absent {
                     continue;
                 }
                 // It is looked for again until an object has the name.
@@ -186,7 +188,7 @@ async fn ask_on<O: Future<Output = ()>>(
                 if after == EndsAfter::Question {
                     after = EndsAfter::Opening;
                 }
-                if !is_lost && why != DeliveryError::Restarting {
+                if !is_lost && !is_absent && why != DeliveryError::Restarting {
                     lost(match why {
                         DeliveryError::OutcomeUnknown { reason } => reason,
                         // The message of which its text speaks is this question.
@@ -254,19 +256,17 @@ impl DeathWatchService {
         DeathWatchService { number, registry: registry.downgrade(), questions }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Questions> {
-        self.questions.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// The session with this node is opened, or loses its path: its watches that begin before the
     /// nodes are connected are told the ends from now on.
     pub(crate) fn handle_opening(&self, peer: NodeId) {
-        self.lock().openings.insert(MessageOrigin { peer: Some(peer) }, last_end_number());
+        lock(&self.questions)
+            .openings
+            .insert(MessageOrigin { peer: Some(peer) }, last_end_number());
     }
 
     /// This node begins to end in order.
     pub(crate) fn handle_leaving(&self) {
-        self.lock().last.get_or_insert_with(last_end_number);
+        lock(&self.questions).last.get_or_insert_with(last_end_number);
     }
 
     fn serve(
@@ -275,7 +275,7 @@ impl DeathWatchService {
         after: EndsAfter,
         (by, answer): (MessageOrigin, Responder<AwaitEnd>),
     ) {
-        let questions = self.lock();
+        let questions = lock(&self.questions);
         let opening = questions.openings.get(&by).copied();
         let (after, waits) = match after {
             EndsAfter::Question => (u64::MAX, false),
@@ -332,8 +332,7 @@ impl DeathWatchService {
         let tell = move |down: Down| match down.ending {
             // Only ever said while the watch begins.
             DownReason::NotAlive | DownReason::Unknown => {
-                *reported.lock().unwrap_or_else(PoisonError::into_inner) =
-                    Some(LastEnd::from(down));
+                *lock(&reported) = Some(LastEnd::from(down));
             }
             _ => service_fn.end(down),
         };
@@ -341,12 +340,12 @@ impl DeathWatchService {
         let incarnation = Arc::new(IncarnationToken::default());
         let watcher = Watcher { who, incarnation, outlasts_object: false, tell: Box::new(tell) };
         let last = registry.watch(object.clone(), watcher);
-        (last, absent.lock().unwrap_or_else(PoisonError::into_inner).take())
+        (last, lock(&absent).take())
     }
 
     /// Answers the questions that have not been answered with this end or a later one.
     fn end(&self, down: Down) {
-        let mut questions = self.lock();
+        let mut questions = lock(&self.questions);
         let Some(waiting) = questions.waiting.remove(&down.object) else { return };
         let object = down.object.clone();
         // Where the object has gone with its end, no later one can be.
@@ -420,6 +419,47 @@ mod tests {
         let refused = |result| matches!(result, Some(Err(DeliveryError::Full)));
         let all: Vec<_> = (0..asked).map(|_| ask(service, by)).collect();
         all.into_iter().filter(|answer| !refused(answer.lock().unwrap().clone())).count()
+    }
+
+    #[test]
+    fn an_object_that_no_node_has_is_not_lost_with_its_node() {
+        paused(async {
+            let count = Arc::new(Mutex::new(0));
+            let serve = move |_: AwaitEnd, _, answer: Responder<AwaitEnd>| {
+                let mut count = count.lock().unwrap();
+                *count += 1;
+                let reason = "the session ended".to_owned();
+                let node = "module2".to_owned();
+                match *count {
+                    2 => answer.refuse(DeliveryError::OutcomeUnknown { reason }, None),
+                    3 => answer.refuse(DeliveryError::Unreachable { node }, None),
+                    5 => {
+                        answer.refuse(DeliveryError::PeerDied { incarnation: Incarnation(1) }, None)
+                    }
+                    _ => {
+                        let (incarnation, ending) = (Incarnation(0), DownReason::Unknown);
+                        let ended = Some(LastEnd { incarnation, ending });
+                        // Its node has started again meanwhile.
+                        let seen = SeenEnd { service: *count, number: 0 };
+                        answer.give(Watched { seen, ended });
+                    }
+                }
+            };
+            let sender = Sender(Arc::new(ServiceFn::<AwaitEnd>(Arc::new(serve))));
+            let told = Arc::new(Mutex::new(Vec::new()));
+            let (ends, losses) = (told.clone(), told.clone());
+            let arm = ObjectName::new("arm").unwrap();
+            actix_rt::spawn(async move {
+                let down = |end: LastEnd| ends.lock().unwrap().push(format!("{:?}", end.ending));
+                let lost = |reason| losses.lock().unwrap().push(reason);
+                ask_on(&sender, (&arm, EndsAfter::Question), down, lost, std::future::pending)
+                    .await;
+            });
+
+            advance(8 * RETRY_DELAY).await;
+
+            assert_eq!(*told.lock().unwrap(), ["Unknown"]);
+        });
     }
 
     #[test]
@@ -528,7 +568,7 @@ mod tests {
         assert_eq!(waiting(&service, "second", 2 * WAITING_MAX), WAITING_MAX / 4);
         assert_eq!(waiting(&service, "honest", 100), 100);
 
-        let refused: Vec<_> = service.lock().refused.values().copied().collect();
+        let refused: Vec<_> = lock(&service.questions).refused.values().copied().collect();
         assert_eq!(refused.iter().sum::<u64>(), (WAITING_MAX * 3 / 2 + WAITING_MAX * 7 / 4) as u64);
         let answer = ask(&service, "honest");
         deaths.end(&ObjectName::new("arm").unwrap(), DownReason::Stopped);

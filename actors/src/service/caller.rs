@@ -16,7 +16,7 @@ use blastema_core::{
 };
 use std::fmt;
 use std::marker::PhantomData;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 use std::time::Duration;
 
 /// Sends requests to a service, whichever node is primary. Clones share what they know of the
@@ -45,14 +45,10 @@ struct OpenRequest(u64);
 /// The requests of this process that wait, by number: as many as it has in flight.
 static OPEN: Mutex<SortedSet<u64>> = Mutex::new(SortedSet::new());
 
-fn open() -> MutexGuard<'static, SortedSet<u64>> {
-    OPEN.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl OpenRequest {
     /// Returns a new identity, and the number below which all requests have their replies.
     fn begin() -> (MessageId, u64, OpenRequest) {
-        let mut open = open();
+        let mut open = platform::lock(&OPEN);
         // The number is taken under the lock, so that no other task computes `settled` without it.
         let id = next_id();
         open.insert(id.sequence);
@@ -63,55 +59,35 @@ impl OpenRequest {
 
 impl Drop for OpenRequest {
     fn drop(&mut self) {
-        open().remove(&self.0);
+        platform::lock(&OPEN).remove(&self.0);
     }
 }
 
 /// The progress of a request that has no reply yet.
 #[derive(Default)]
 struct RequestProgress {
-    begun: Begun,
+    /// A node received the request, and its outcome is unknown.
+    perhaps_begun: bool,
     /// How the configurations of the service's nodes differ, if that was the last answer.
     difference: Option<String>,
 }
 
 impl RequestProgress {
+    /// Returns the error for a request that is not sent again.
+    fn refused(&self, why: DeliveryError) -> DeliveryError {
+        match self.perhaps_begun {
+            true => DeliveryError::OutcomeUnknown { reason: why.to_string() },
+            false => why,
+        }
+    }
+
     /// Returns why there was no reply by the deadline.
-    fn why(self) -> DeliveryError {
-        match (self.difference, self.begun) {
-            (Some(reason), Begun::Perhaps) => DeliveryError::OutcomeUnknown { reason },
-            (Some(difference), Begun::No) => DeliveryError::ContractDiffers { difference },
-            (None, _) => DeliveryError::DeadlinePassed,
+    fn why(mut self) -> DeliveryError {
+        match self.difference.take() {
+            Some(difference) => self.refused(DeliveryError::ContractDiffers { difference }),
+            None => DeliveryError::DeadlinePassed,
         }
     }
-}
-
-/// Whether a node may have begun the request.
-#[derive(Clone, Copy, Default)]
-enum Begun {
-    #[default]
-    No,
-    /// A node received the request, and its outcome is unknown.
-    Perhaps,
-}
-
-impl Begun {
-    /// Returns the error for a caller that may not ask.
-    fn refused(self, why: DeliveryError) -> DeliveryError {
-        match self {
-            Begun::No => why,
-            Begun::Perhaps => DeliveryError::OutcomeUnknown { reason: why.to_string() },
-        }
-    }
-}
-
-/// The outcome of one attempt at one node.
-enum AttemptOutcome {
-    Answered(Answered),
-    /// The node did not answer.
-    Failed(DeliveryError),
-    /// Another node is primary now.
-    Moved(FoundPrimary),
 }
 
 impl<M: Request> ServiceRef<M> {
@@ -144,8 +120,8 @@ impl<M: Request> ServiceRef<M> {
     /// * [`DeliveryError::ContractDiffers`] if the service has another contract of this name.
     /// * The component's error, if the component failed.
     ///
-    /// Nodes with different configurations may prevent an election. That can end, as while a list
-    /// is changed, so the request is tried until the deadline. The error is then
+    /// Nodes with different configurations may prevent an election. That ends when the wrong node is
+    /// corrected, so the request is tried until the deadline. The error is then
     /// [`DeliveryError::ContractDiffers`] with the difference, or [`DeliveryError::OutcomeUnknown`]
     /// with it if a node may have begun the request.
     pub async fn ask_within(
@@ -241,7 +217,7 @@ impl<M: Request> ServiceRef<M> {
                         progress.difference = match missing {
                             NoAnswer::NoPrimary | NoAnswer::Outdated => None,
                             NoAnswer::ConfigMismatch(difference) => Some(difference),
-                            NoAnswer::Forbidden(why) => return Err(progress.begun.refused(why)),
+                            NoAnswer::Forbidden(why) => return Err(progress.refused(why)),
                         };
                         tokio::time::sleep(pause).await;
                         continue;
@@ -249,17 +225,41 @@ impl<M: Request> ServiceRef<M> {
                 },
             };
             ask.since = self.finder.least_epoch(&node);
-            match self.try_at(&node, &ask, until).await {
-                AttemptOutcome::Answered(Answered::Done { reply, epoch }) => {
+            let address = format!("{node}:{}", self.finder.name);
+            let asking = async {
+                let sender = self.finder.registry.sender::<AskService>(&address)?;
+                let asked = sender.ask_within(ask.clone(), until - platform::now()).await;
+                asked.map_err(|error| error.kind)
+            };
+            // After a while the others are asked whether this node still serves.
+            let moved = async {
+                tokio::time::sleep(PROBE).await;
+                self.finder.follow(Some(&node)).await
+            };
+            let answered = tokio::select! {
+                biased;
+                answered = asking => answered,
+                found = moved => {
+                    if !found.keeps && !M::IDEMPOTENT {
+                        self.finder.note(found.primary);
+                        let reason = "the primary has changed, and its standbys are cold".into();
+                        return Err(DeliveryError::OutcomeUnknown { reason });
+                    }
+                    (primary, progress.perhaps_begun) = (Some(found.primary), true);
+                    continue;
+                }
+            };
+            match answered {
+                Ok(Answered::Done { reply, epoch }) => {
                     self.finder.note_epoch(&node, epoch);
                     self.finder.note(node);
                     return Ok(reply);
                 }
-                AttemptOutcome::Answered(Answered::Failed { why, epoch }) => {
+                Ok(Answered::Failed { why, epoch }) => {
                     self.finder.note_epoch(&node, epoch);
                     return Err(decode_kind(&why));
                 }
-                AttemptOutcome::Answered(Answered::Refused { why }) => match decode_kind(&why) {
+                Ok(Answered::Refused { why }) => match decode_kind(&why) {
                     DeliveryError::Full | DeliveryError::Restarting => {
                         primary = Some(node);
                         tokio::time::sleep(PROBE).await;
@@ -271,26 +271,16 @@ impl<M: Request> ServiceRef<M> {
                     }
                     why => return Err(why),
                 },
-                AttemptOutcome::Answered(Answered::Elsewhere { primary: named }) => {
-                    progress.begun = Begun::Perhaps;
+                Ok(Answered::Elsewhere { primary: named }) => {
+                    progress.perhaps_begun = true;
                     primary = named.and_then(|name| self.finder.member(&name));
                     if primary.is_none() || primary.as_ref() == Some(&node) {
                         tokio::time::sleep(PROBE).await;
                     }
                 }
-                AttemptOutcome::Moved(FoundPrimary { primary, keeps: false }) if !M::IDEMPOTENT => {
-                    self.finder.note(primary);
-                    let reason = "the primary has changed, and its standbys are cold".into();
-                    return Err(DeliveryError::OutcomeUnknown { reason });
-                }
-                AttemptOutcome::Moved(found) => {
-                    (primary, progress.begun) = (Some(found.primary), Begun::Perhaps);
-                }
-                AttemptOutcome::Failed(why @ DeliveryError::Forbidden { .. }) => {
-                    return Err(progress.begun.refused(why));
-                }
-                AttemptOutcome::Failed(why) => {
-                    progress.begun = Begun::Perhaps;
+                Err(why @ DeliveryError::Forbidden { .. }) => return Err(progress.refused(why)),
+                Err(why) => {
+                    progress.perhaps_begun = true;
                     // The node may have executed it, and the next primary may not have it.
                     if matches!(
                         why,
@@ -301,28 +291,6 @@ impl<M: Request> ServiceRef<M> {
                     failed = Some(node);
                 }
             }
-        }
-    }
-
-    /// Sends the request to one node, and asks the others after a while whether it still serves.
-    async fn try_at(&self, node: &NodeName, ask: &AskService, until: Instant) -> AttemptOutcome {
-        let address = format!("{node}:{}", self.finder.name);
-        let sender = match self.finder.registry.sender::<AskService>(&address) {
-            Ok(sender) => sender,
-            Err(why) => return AttemptOutcome::Failed(why),
-        };
-        let asking = sender.ask_within(ask.clone(), until - platform::now());
-        let moved = async {
-            tokio::time::sleep(PROBE).await;
-            self.finder.follow(Some(node)).await
-        };
-        tokio::select! {
-            biased;
-            asked = asking => match asked {
-                Ok(answered) => AttemptOutcome::Answered(answered),
-                Err(error) => AttemptOutcome::Failed(error.kind),
-            },
-            found = moved => AttemptOutcome::Moved(found),
         }
     }
 }

@@ -7,7 +7,7 @@ use crate::registry::Registry;
 use blastema_core::{DeliveryError, Instant, NodeName, ObjectName};
 use futures_util::StreamExt;
 use futures_util::stream::FuturesUnordered;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tracing::warn;
 
@@ -123,26 +123,22 @@ impl Finder {
         Finder { name, registry: registry.clone(), roster: roster.clone(), known: Arc::default() }
     }
 
-    fn lock(&self) -> MutexGuard<'_, FinderState> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     pub(super) fn primary(&self) -> Option<NodeName> {
-        self.lock().primary.clone()
+        platform::lock(&self.known).primary.clone()
     }
 
     pub(super) fn note(&self, primary: NodeName) {
-        self.lock().primary = Some(primary);
+        platform::lock(&self.known).primary = Some(primary);
     }
 
     /// Returns the lowest epoch in which this node may answer.
     pub(super) fn least_epoch(&self, node: &NodeName) -> u64 {
-        self.lock().least_epoch(node)
+        platform::lock(&self.known).least_epoch(node)
     }
 
     /// Notes that this node answered in that epoch.
     pub(super) fn note_epoch(&self, node: &NodeName, epoch: u64) {
-        let mut known = self.lock();
+        let mut known = platform::lock(&self.known);
         if epoch >= known.least_epoch(node) {
             (known.answered, known.outdated) = (Some((epoch, node.clone())), None);
         }
@@ -194,13 +190,13 @@ impl Finder {
         })?;
         let primary = serving.primary.and_then(|primary| self.member(&primary));
         if let Some(primary) = &primary
-            && !self.lock().accepts(primary, serving.epoch, platform::now())
+            && !platform::lock(&self.known).accepts(primary, serving.epoch, platform::now())
         {
             return Err(NoAnswer::Outdated);
         }
         let members: Result<Vec<_>, _> = serving.members.iter().map(|n| NodeName::new(n)).collect();
         if let Ok(members) = members {
-            self.lock().members = members;
+            platform::lock(&self.known).members = members;
         }
         match (primary.filter(|primary| Some(primary) != besides), serving.disputed) {
             (Some(primary), _) => Ok(FoundPrimary { primary, keeps: serving.keeps }),
@@ -256,7 +252,7 @@ impl Finder {
     /// it connects, and each carrier knows the others.
     fn members(&self) -> Vec<NodeName> {
         let mut members = self.roster.members(&self.name);
-        let known = self.lock();
+        let known = platform::lock(&self.known);
         members.extend(known.members.iter().cloned());
         members.retain(|member| self.registry.access().may_claim(member, &self.name));
         members.sort();

@@ -11,11 +11,9 @@
 //! `<name>/replica`. The replica is an actor on the network's arbiter, which drives the state
 //! machine in the core.
 
-mod agreement;
 mod caller;
 mod context;
 mod finder;
-mod peers;
 mod replica;
 mod roster;
 mod types;
@@ -170,49 +168,38 @@ impl<C: Stateful> ServiceSpec<C> {
 
     /// Returns the component's child spec, and what the node `own` needs to carry the service.
     pub(crate) fn carried(self, own: &str) -> (ChildSpec<C>, Result<Carried, ServiceSpecError>) {
-        let component = format!("{}/replica", self.name);
-        let initial = first_state(&*self.factory);
-        let (kind, on_partition) = (self.kind, self.on_partition);
-        let (heartbeat_interval, name) = (self.heartbeat_interval, self.name);
-        let (members, depends_on) = (self.members, self.depends_on);
-        let parsed = || {
-            let of = |what: &str| {
-                let of = format!("{what} service {name}");
-                move |error| ServiceSpecError::Name { of, error }
-            };
-            let parse = |names: Vec<String>| -> Result<Vec<_>, NameError> {
-                names.iter().map(|n| ObjectName::new(n)).collect()
-            };
-            let members: Result<Vec<_>, _> = members.iter().map(|n| NodeName::new(n)).collect();
-            let members = members.map_err(of("the name of a node of"));
-            let config = ReplicaConfig {
-                own: NodeName::new(own).map_err(|error| ServiceSpecError::Name {
-                    of: "the name of the node".into(),
-                    error,
-                })?,
-                members: members?,
-                kind,
-                on_partition,
-                depends: !depends_on.is_empty(),
-                heartbeat_interval,
-            };
-            let object = |text: &str| ObjectName::new(text).map_err(of("the name of"));
-            let name = object(&name)?;
-            let refused = |reason| ServiceSpecError::Refused { name: name.clone(), reason };
-            let initial = initial.map_err(refused)?;
-            Ok(Carried {
-                name,
-                component: object(&component)?,
-                actor: object(&format!("{component}/body"))?,
-                config,
-                initial,
-                depends_on: parse(depends_on).map_err(of("what is depended on by"))?,
-            })
-        };
-        let carried = parsed();
-        let factory = self.factory;
-        let child = ChildSpec::new(&component, move || factory());
+        let (carried, factory) = (self.parse(own), self.factory);
+        let child = ChildSpec::new(&format!("{}/replica", self.name), move || factory());
         (child.with_ports(|ports| ports.add_ports(stateful_ports())), carried)
+    }
+
+    fn parse(&self, own: &str) -> Result<Carried, ServiceSpecError> {
+        let of = |what: &str| {
+            let of = format!("{what} service {}", self.name);
+            move |error| ServiceSpecError::Name { of, error }
+        };
+        let object = |text: &str| ObjectName::new(text).map_err(of("the name of"));
+        let members = self.members.iter().map(|name| NodeName::new(name)).collect::<Result<_, _>>();
+        let depends_on = self.depends_on.iter().map(|name| ObjectName::new(name));
+        let depends_on: Vec<_> =
+            depends_on.collect::<Result<_, _>>().map_err(of("what is depended on by"))?;
+        let config = ReplicaConfig {
+            own: NodeName::new(own).map_err(|error| ServiceSpecError::Name {
+                of: "the name of the node".into(),
+                error,
+            })?,
+            members: members.map_err(of("the name of a node of"))?,
+            kind: self.kind,
+            on_partition: self.on_partition,
+            depends: !depends_on.is_empty(),
+            heartbeat_interval: self.heartbeat_interval,
+        };
+        let name = object(&self.name)?;
+        let refused = |reason| ServiceSpecError::Refused { name: name.clone(), reason };
+        let initial = first_state(&*self.factory).map_err(refused)?;
+        let component = object(&format!("{name}/replica"))?;
+        let actor = object(&format!("{component}/body"))?;
+        Ok(Carried { name, component, actor, config, initial, depends_on })
     }
 }
 

@@ -1,7 +1,7 @@
 //! The actor of one replica, which drives the state machine in the core.
 
 use super::finder::Finder;
-use super::peers::{self, FromReplica};
+use super::is_inactive;
 use super::roster::Roster;
 use super::types::{
     Answered, AskService, CompareConfiguration, LoadState, ReplicaMessage, RoleChanged, SaveState,
@@ -14,21 +14,25 @@ use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
 use crate::platform;
+use crate::registry::access::MessageOrigin;
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, NameTaken, Registry, ReplyTo};
 use crate::runtime::driver::{MachineActor, WakeTimer};
-use crate::runtime::guardian::{Guardian, answers_the_monitor};
+use crate::runtime::guardian::{self, Guardian, answers_the_monitor};
 use crate::runtime::reports::FaultReports;
+use actix::fut::wrap_future;
 use actix::prelude::*;
-use blastema_contract::reports::{AreYouAlive, FaultDeclared};
+use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
 use blastema_core::contract::codec;
+use blastema_core::net::NodeId;
 use blastema_core::service::{
     MESSAGE_MAX, Replica, ReplicaConfig, ReplicaOutput, Role, ServiceOutcome, ServiceRequest,
     StandbyKind,
 };
 use blastema_core::sorted::SortedMap;
 use blastema_core::{
-    Contract, DeliveryError, FaultKind, GatherBuffer, MessageId, NodeName, ObjectName, PeerIdentity,
+    Contract, DeliveryError, FaultKind, GatherBuffer, MessageId, NodeName, ObjectName,
+    PeerIdentity, Request,
 };
 use bytes::Bytes;
 use std::collections::VecDeque;
@@ -41,6 +45,11 @@ const LOAD_RETRY: Duration = Duration::from_millis(5);
 /// How often a stopped or isolated component is asked whether it accepts jobs again. A shorter
 /// interval makes its node a candidate sooner; each question is one small message within the node.
 const COMPONENT_POLL: Duration = Duration::from_millis(100);
+/// How often the directory is polled for other nodes with an object of the service's name. A
+/// shorter interval finds different configurations sooner; each poll costs little.
+const DIRECTORY_POLL: Duration = Duration::from_millis(500);
+/// How long another replica has to answer with its configuration.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 /// The most bytes of one task. Callers check the same limit.
 const TASK_MAX: usize = 2 * 1024 * 1024;
 
@@ -69,15 +78,15 @@ impl crate::messaging::death_watch::Watchable for NeverWatched {}
 
 /// The actor.
 pub(crate) struct ReplicaActor {
-    pub(super) carried: Carried,
-    pub(super) machine: Replica,
+    carried: Carried,
+    machine: Replica,
     wake: WakeTimer,
-    pub(super) registry: Registry,
-    pub(super) roster: Roster,
-    pub(super) reports: FaultReports,
+    registry: Registry,
+    roster: Roster,
+    reports: FaultReports,
     callers: SortedMap<u64, Responder<AskService>>,
     /// The questions that wait for a primary.
-    questions: VecDeque<PrimaryQuestion>,
+    questions: VecDeque<(WhoServes, Responder<WhoServes>)>,
     inquiry: Option<SpawnHandle>,
     next_caller: u64,
     /// The component is to be asked whether it accepts jobs again.
@@ -116,25 +125,24 @@ impl ReplicaActor {
         };
         let actor = guardian.start(carried.actor.clone(), arbiter, make);
         let mut ports = SortedMap::new();
-        let ask_recipient = actor.clone().recipient::<AskReceived>();
-        let serve = ServiceFn::<AskService>(Arc::new(move |ask, _, answer| {
-            ask_recipient.do_send(AskReceived(ask, answer));
-        }));
-        let question_recipient = actor.clone().recipient::<PrimaryQuestion>();
-        let who = ServiceFn::<WhoServes>(Arc::new(move |question, _, answer| {
-            question_recipient.do_send(PrimaryQuestion(question, answer));
-        }));
-        let replicas = peers::port::<ReplicaMessage>(actor.clone().recipient());
-        ports.insert(ReplicaMessage::NAME, replicas);
-        ports.insert(AskService::NAME, ContractPort::of_service_fn(serve));
-        ports.insert(WhoServes::NAME, ContractPort::of_service_fn(who));
-        let configurations = peers::port::<CompareConfiguration>(actor.clone().recipient());
-        ports.insert(CompareConfiguration::NAME, configurations);
+        ports.insert(ReplicaMessage::NAME, port(&actor, Self::handle_replica_message));
+        ports.insert(CompareConfiguration::NAME, port(&actor, Self::handle_comparison));
+        ports.insert(AskService::NAME, port(&actor, Self::handle_ask));
+        ports.insert(
+            WhoServes::NAME,
+            port(&actor, |replica, question, _, answer| {
+                replica.answer_question(question, answer);
+            }),
+        );
         registry.register(&carried.name, ports, Arc::new(NeverWatched))?;
-        let death_recipient = actor.clone().recipient::<ComponentDied>();
+        let replica = actor.clone();
         let report = move |down: Down| {
             if !matches!(down.ending, DownReason::NotAlive | DownReason::Unknown) {
-                death_recipient.do_send(ComponentDied);
+                replica.do_send(ReplicaStep(Box::new(|replica, context| {
+                    replica.machine.handle_component_died(platform::now());
+                    // The restarted component does not know its role.
+                    replica.send_role(context);
+                })));
             }
         };
         let incarnation = Arc::new(IncarnationToken::default());
@@ -148,17 +156,21 @@ impl ReplicaActor {
         Ok(actor.recipient())
     }
 
-    /// Sends a message to the component; the reply comes back to this actor.
+    /// Sends a message to the component, whose reply comes back to `then`.
     fn hand_over(
         &self,
         contract: &str,
         message: Vec<u8>,
-        then: impl FnOnce(Result<Bytes, DeliveryError>) -> ComponentReply + Send + 'static,
+        then: impl FnOnce(&mut Self, Result<Bytes, DeliveryError>, &mut Context<Self>) + Send + 'static,
         context: &mut Context<Self>,
     ) {
         let actor = context.address();
-        let reply_to: ReplyTo =
-            Box::new(move |result| actor.do_send(then(result.map(GatherBuffer::into_bytes))));
+        let reply_to: ReplyTo = Box::new(move |result| {
+            let result = result.map(GatherBuffer::into_bytes);
+            actor.do_send(ReplicaStep(Box::new(move |replica, context| {
+                then(replica, result, context)
+            })));
+        });
         match self.registry.skeleton(&self.carried.component, contract) {
             // The reply closure is called in every case.
             Ok((_, skeleton)) => {
@@ -170,8 +182,6 @@ impl ReplicaActor {
     }
 
     fn execute(&mut self, request: &[u8], save: bool, context: &mut Context<Self>) {
-        let undecodable =
-            |error: codec::DecodeError| DeliveryError::Undecodable { reason: error.to_string() };
         let read = codec::decode_bounded::<Task, TASK_MAX>(request).map_err(undecodable);
         let read = read.and_then(|Task { identity, payload }| {
             let theirs = PeerIdentity::decode(&identity).map_err(undecodable)?;
@@ -185,13 +195,21 @@ impl ReplicaActor {
         });
         match read {
             Ok((contract, payload)) => {
-                let then = move |result| ComponentReply::Executed { result, save };
+                let then =
+                    move |replica: &mut Self, result, context: &mut Context<Self>| match result {
+                        Ok(reply) if save => replica.save(Some(reply), context),
+                        result => {
+                            if let Err(DeliveryError::Stopped | DeliveryError::Isolated { .. }) =
+                                result
+                            {
+                                replica.poll_component(context);
+                            }
+                            replica.machine.handle_executed(result, None, platform::now());
+                        }
+                    };
                 self.hand_over(&contract, payload, then, context);
             }
-            Err(why) => {
-                let refused = ComponentReply::Executed { result: Err(why), save: false };
-                context.address().do_send(refused);
-            }
+            Err(why) => self.machine.handle_executed(Err(why), None, platform::now()),
         }
     }
 
@@ -202,37 +220,45 @@ impl ReplicaActor {
             warn!(service = %self.carried.name, "a state is too large to be loaded");
             return self.machine.handle_loaded();
         }
-        let then = move |result: Result<Bytes, DeliveryError>| {
-            let loaded = result.and_then(|reply| {
-                codec::decode_reply::<LoadState>(&reply)
-                    .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
-            });
-            match loaded {
-                Ok(true) => ComponentReply::Loaded,
-                Ok(false) => ComponentReply::NotLoaded,
-                Err(why) if super::is_inactive(&why) => ComponentReply::Inactive,
-                Err(_) => ComponentReply::LoadFailed { state },
+        let then = move |replica: &mut Self, result, context: &mut Context<Self>| match reply_of::<
+            LoadState,
+        >(
+            result
+        ) {
+            Ok(true) => replica.machine.handle_loaded(),
+            Ok(false) => replica.machine.handle_not_loaded(platform::now()),
+            Err(why) if is_inactive(&why) => {
+                replica.machine.handle_not_loaded(platform::now());
+                replica.handle_inactive(context);
+            }
+            Err(_) => {
+                context.run_later(LOAD_RETRY, move |replica, context| {
+                    replica.load(state, context);
+                });
             }
         };
         self.hand_over(LoadState::NAME, bytes, then, context);
     }
 
-    fn save(&mut self, after: Option<Result<Bytes, DeliveryError>>, context: &mut Context<Self>) {
+    /// Asks the component for its state, `after` a request with this reply.
+    fn save(&mut self, after: Option<Bytes>, context: &mut Context<Self>) {
         let mut bytes = Vec::new();
         // A message without fields always fits.
         let _ = codec::encode(&SaveState, &mut bytes);
-        let then = move |result: Result<Bytes, DeliveryError>| {
-            let state = result.and_then(|reply| {
-                codec::decode_reply::<SaveState>(&reply)
-                    .map(Bytes::from)
-                    .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
-            });
+        let then = move |replica: &mut Self, result, _: &mut Context<Self>| {
+            let (state, now) = (reply_of::<SaveState>(result).map(Bytes::from), platform::now());
             match after {
-                Some(result) => ComponentReply::ExecutedAndSaved { result, state },
-                None => ComponentReply::Saved { state },
+                Some(reply) => replica.machine.handle_executed(Ok(reply), Some(state), now),
+                None => replica.machine.handle_saved(state, now),
             }
         };
         self.hand_over(SaveState::NAME, bytes, then, context);
+    }
+
+    /// The component is stopped or isolated.
+    fn handle_inactive(&mut self, context: &mut Context<Self>) {
+        self.machine.handle_component_stopped(platform::now());
+        self.poll_component(context);
     }
 
     fn send(&mut self, to: &NodeName, message: Bytes) {
@@ -260,10 +286,17 @@ impl ReplicaActor {
         let name = &self.carried.name;
         warn!(service = %name, "{detail}");
         if let Some(faults) = &self.reports.faults {
-            let (object, incarnation) =
-                (self.carried.actor.clone(), crate::runtime::guardian::alive().incarnation);
+            let (object, incarnation) = (self.carried.actor.clone(), guardian::alive().incarnation);
             let detail = format!("service {name}: {detail}");
             faults.do_send(FaultDeclared { object, incarnation, kind, detail, hold: None });
+        }
+    }
+
+    /// Clears a fault of the service.
+    fn clear_fault(&self, kind: FaultKind) {
+        if let Some(cleared) = &self.reports.cleared {
+            let (object, incarnation) = (self.carried.actor.clone(), guardian::alive().incarnation);
+            cleared.do_send(DeclaredFaultCleared { object, incarnation, kind });
         }
     }
 
@@ -289,13 +322,13 @@ impl ReplicaActor {
     }
 
     fn answer_questions(&mut self) {
-        for question in std::mem::take(&mut self.questions) {
-            self.answer_question(question);
+        for (question, answer) in std::mem::take(&mut self.questions) {
+            self.answer_question(question, answer);
         }
     }
 
     /// Updates the view of the service, for display.
-    pub(super) fn show(&self) {
+    fn show(&self) {
         self.roster.show(&self.carried.name, self.machine.view(), platform::now());
     }
 
@@ -309,18 +342,18 @@ impl ReplicaActor {
 
     /// Answers a question for the primary: at once if there is one, or if there can be none;
     /// otherwise as soon as one is known.
-    fn answer_question(&mut self, PrimaryQuestion(question, answer): PrimaryQuestion) {
+    fn answer_question(&mut self, question: WhoServes, answer: Responder<WhoServes>) {
         let config = &self.carried.config;
         let primary = self.roster.primary(&self.carried.name, &config.own);
         let primary = primary.map(|node| node.to_string());
-        let disputed = self.machine.mismatch().map(str::to_owned);
+        let disputed = self.machine.mismatch();
         let known = disputed.is_some() || primary.is_some() && primary != question.besides;
         if !known && self.questions.len() >= QUESTIONS_MAX {
             // Drop those whose deadlines have passed.
-            self.questions.retain(|PrimaryQuestion(_, answer)| answer.is_wanted());
+            self.questions.retain(|(_, answer)| answer.is_wanted());
         }
         if !known && self.questions.len() < QUESTIONS_MAX {
-            return self.questions.push_back(PrimaryQuestion(question, answer));
+            return self.questions.push_back((question, answer));
         }
         let keeps = config.kind != StandbyKind::Cold;
         let members = config.members.iter().map(NodeName::to_string).collect();
@@ -336,8 +369,10 @@ impl ReplicaActor {
         let mut bytes = Vec::new();
         // A number always fits.
         let _ = codec::encode(&RoleChanged { epoch }, &mut bytes);
-        let then = |received: Result<Bytes, DeliveryError>| {
-            ComponentReply::RoleReceived(received.map(drop))
+        let then = |replica: &mut Self, received, context: &mut Context<Self>| match received {
+            Ok(_) => replica.machine.handle_component_resumed(platform::now()),
+            Err(why) if is_inactive(&why) => replica.handle_inactive(context),
+            Err(_) => {}
         };
         self.hand_over(RoleChanged::NAME, bytes, then, context);
     }
@@ -369,8 +404,110 @@ impl ReplicaActor {
             actor.machine.handle_ready(platform::now());
             actor.drive(context);
         };
-        self.inquiry =
-            Some(context.spawn(actix::fut::wrap_future::<_, Self>(served).map(on_served)));
+        self.inquiry = Some(context.spawn(wrap_future::<_, Self>(served).map(on_served)));
+    }
+
+    /// Gives the machine the nodes that carry the service, and schedules the next poll.
+    fn poll_directory(&mut self, context: &mut Context<Self>) {
+        let (access, name) = (self.registry.access(), self.carried.name.clone());
+        let may_claim = |node: &NodeName| access.may_claim(node, &name);
+        let mut carriers = self.roster.carriers(&name);
+        carriers.retain(|node| may_claim(node) && self.registry.is_reachable(node));
+        self.machine.handle_carriers(&carriers, may_claim, platform::now());
+        self.drive(context);
+        self.show();
+        context.run_later(DIRECTORY_POLL, Self::poll_directory);
+    }
+
+    /// Sends this node's configuration to another one, and asks for its configuration.
+    fn compare(&self, with: NodeName, context: &mut Context<Self>) {
+        if !self.may_claim(&with) {
+            return;
+        }
+        let address = format!("{with}:{}", self.carried.name);
+        let Ok(sender) = self.registry.sender::<CompareConfiguration>(&address) else { return };
+        let from = self.carried.config.own.to_string();
+        let question =
+            CompareConfiguration { from, configuration: self.machine.configuration().into() };
+        let asked = async move { sender.ask_within(question, ANSWER_TIMEOUT).await };
+        context.spawn(wrap_future::<_, Self>(asked).map(move |answer, actor, context| {
+            // The roster may have changed since the question.
+            if !actor.may_claim(&with) {
+                return;
+            }
+            match answer.map_err(|error| error.kind) {
+                Ok(theirs) => {
+                    actor.machine.handle_configuration(&with, &theirs, platform::now());
+                }
+                Err(DeliveryError::Unknown { .. } | DeliveryError::NotServed { .. }) => {
+                    actor.machine.handle_no_service(&with)
+                }
+                Err(DeliveryError::Left { .. }) => actor.machine.handle_left(&with),
+                // The machine asks again.
+                Err(_) => {}
+            }
+            actor.drive(context);
+        }));
+    }
+
+    fn may_claim(&self, node: &NodeName) -> bool {
+        self.registry.access().may_claim(node, &self.carried.name)
+    }
+
+    /// Handles a message of another replica.
+    fn handle_replica_message(
+        &mut self,
+        ReplicaMessage { from, message }: ReplicaMessage,
+        origin: MessageOrigin,
+        answer: Responder<ReplicaMessage>,
+    ) {
+        answer.give(());
+        match sender(&from, origin) {
+            Some(from) => self.machine.handle_message(&from, &message, platform::now()),
+            None => self.machine.handle_forged(),
+        }
+    }
+
+    /// Handles a question of another replica, with its configuration.
+    fn handle_comparison(
+        &mut self,
+        CompareConfiguration { from, configuration }: CompareConfiguration,
+        origin: MessageOrigin,
+        answer: Responder<CompareConfiguration>,
+    ) {
+        match sender(&from, origin).filter(|from| self.may_claim(from)) {
+            Some(from) => {
+                self.machine.handle_configuration(&from, &configuration, platform::now());
+            }
+            None => self.machine.handle_forged(),
+        }
+        // The answer says whether this replica serves now.
+        answer.give(self.machine.configuration().into());
+    }
+
+    /// Handles a caller's request.
+    fn handle_ask(&mut self, ask: AskService, _: MessageOrigin, answer: Responder<AskService>) {
+        let AskService { sender, sequence, settled, since, task } = ask;
+        if matches!(self.machine.role(), Role::Primary { epoch } if epoch < since) {
+            // This process has not met the nodes that know of the later epoch.
+            return answer.give(Answered::Elsewhere { primary: None });
+        }
+        let mut request = Vec::new();
+        if codec::encode_bounded(&task, TASK_MAX, &mut request).is_err() {
+            let why = encode_kind(&DeliveryError::TooLarge { limit: TASK_MAX });
+            return answer.give(Answered::Refused { why });
+        }
+        self.next_caller += 1;
+        let until = answer.until();
+        self.callers.insert(self.next_caller, answer);
+        let asked = ServiceRequest {
+            caller: self.next_caller,
+            id: MessageId { sender, sequence },
+            settled,
+            until,
+            request: request.into(),
+        };
+        self.machine.handle_request(asked, platform::now());
     }
 }
 
@@ -387,8 +524,6 @@ impl MachineActor for ReplicaActor {
             ReplicaOutput::RoleChanged(_)
                 | ReplicaOutput::Fault { .. }
                 | ReplicaOutput::FaultCleared { .. }
-                | ReplicaOutput::ConfigMismatch { .. }
-                | ReplicaOutput::MismatchCleared
         );
         if shows {
             self.show();
@@ -399,13 +534,12 @@ impl MachineActor for ReplicaActor {
             ReplicaOutput::Execute { request, save } => self.execute(&request, save, context),
             ReplicaOutput::Save => self.save(None, context),
             ReplicaOutput::Load { state } => self.load(state, context),
-            ReplicaOutput::Fault { kind, detail } => self.declare(kind, &detail),
-            ReplicaOutput::FaultCleared { kind } => self.clear_fault(kind),
-            ReplicaOutput::ConfigMismatch { detail } => {
-                self.declare(FaultKind::ContractMismatch, &detail);
+            ReplicaOutput::Fault { kind, detail } => {
+                self.declare(kind, &detail);
+                // Those who wait for a primary are answered if there can be none.
                 self.answer_questions();
             }
-            ReplicaOutput::MismatchCleared => self.clear_fault(FaultKind::ContractMismatch),
+            ReplicaOutput::FaultCleared { kind } => self.clear_fault(kind),
             ReplicaOutput::Compare { with } => self.compare(with, context),
             ReplicaOutput::CheckDependencies => self.inquire(context),
             ReplicaOutput::Answer { caller, outcome } => {
@@ -461,148 +595,68 @@ impl Supervised for ReplicaActor {
     }
 }
 
-/// A message of another replica.
-impl Handler<FromReplica<ReplicaMessage>> for ReplicaActor {
+type RunStep = dyn FnOnce(&mut ReplicaActor, &mut Context<ReplicaActor>) + Send;
+
+/// A step of the actor: it handles a message, or a reply of its component.
+#[derive(Message)]
+#[rtype(result = "()")]
+struct ReplicaStep(Box<RunStep>);
+
+impl Handler<ReplicaStep> for ReplicaActor {
     type Result = ();
 
-    fn handle(&mut self, received: FromReplica<ReplicaMessage>, context: &mut Context<Self>) {
-        let FromReplica { sender, message, answer } = received;
-        answer.give(());
-        match sender {
-            Some(from) => self.machine.handle_message(&from, &message.message, platform::now()),
-            None => self.machine.handle_forged(),
-        }
+    fn handle(&mut self, ReplicaStep(step): ReplicaStep, context: &mut Context<Self>) {
+        step(self, context);
         self.drive(context);
     }
 }
 
-/// A caller's request.
-#[derive(Message)]
-#[rtype(result = "()")]
-struct AskReceived(AskService, Responder<AskService>);
-
-impl Handler<AskReceived> for ReplicaActor {
-    type Result = ();
-
-    fn handle(&mut self, AskReceived(ask, answer): AskReceived, context: &mut Context<Self>) {
-        let AskService { sender, sequence, settled, since, task } = ask;
-        if matches!(self.machine.role(), Role::Primary { epoch } if epoch < since) {
-            // This process has not met the nodes that know of the later epoch.
-            return answer.give(Answered::Elsewhere { primary: None });
-        }
-        let mut request = Vec::new();
-        if codec::encode_bounded(&task, TASK_MAX, &mut request).is_err() {
-            let why = encode_kind(&DeliveryError::TooLarge { limit: TASK_MAX });
-            return answer.give(Answered::Refused { why });
-        }
-        self.next_caller += 1;
-        let until = answer.until();
-        self.callers.insert(self.next_caller, answer);
-        let asked = ServiceRequest {
-            caller: self.next_caller,
-            id: MessageId { sender, sequence },
-            settled,
-            until,
-            request: request.into(),
+/// Returns the port for the messages of one contract.
+fn port<M: Contract>(
+    actor: &Addr<ReplicaActor>,
+    handle: fn(&mut ReplicaActor, M, MessageOrigin, Responder<M>),
+) -> ContractPort {
+    let actor = actor.clone();
+    ContractPort::of_service_fn(ServiceFn::<M>(Arc::new(move |message, origin, answer| {
+        let step = move |replica: &mut ReplicaActor, _: &mut Context<ReplicaActor>| {
+            handle(replica, message, origin, answer);
         };
-        self.machine.handle_request(asked, platform::now());
-        self.drive(context);
-    }
+        actor.do_send(ReplicaStep(Box::new(step)));
+    })))
 }
 
-/// A question for the primary.
-#[derive(Message)]
-#[rtype(result = "()")]
-struct PrimaryQuestion(WhoServes, Responder<WhoServes>);
-
-impl Handler<PrimaryQuestion> for ReplicaActor {
-    type Result = ();
-
-    fn handle(&mut self, question: PrimaryQuestion, _: &mut Context<Self>) {
-        self.answer_question(question);
-    }
+/// Returns the verified sender of a message between replicas. The message names its sender, but any
+/// node may write any name: a vote or a configuration in the name of another node could end or
+/// elect a primary. So the name has to be that of the session's node. A replica sends no messages
+/// to itself.
+fn sender(name: &str, MessageOrigin { peer }: MessageOrigin) -> Option<NodeName> {
+    NodeName::new(name).ok().filter(|name| peer == Some(NodeId::of(name)))
 }
 
-/// The component has ended.
-#[derive(Message)]
-#[rtype(result = "()")]
-struct ComponentDied;
-
-impl Handler<ComponentDied> for ReplicaActor {
-    type Result = ();
-
-    fn handle(&mut self, _: ComponentDied, context: &mut Context<Self>) {
-        self.machine.handle_component_died(platform::now());
-        // The restarted component does not know its role.
-        self.send_role(context);
-        self.drive(context);
-    }
+fn undecodable(error: codec::DecodeError) -> DeliveryError {
+    DeliveryError::Undecodable { reason: error.to_string() }
 }
 
-/// The component's reply to the replica.
-#[derive(Message)]
-#[rtype(result = "()")]
-enum ComponentReply {
-    Executed {
-        result: Result<Bytes, DeliveryError>,
-        save: bool,
-    },
-    ExecutedAndSaved {
-        result: Result<Bytes, DeliveryError>,
-        state: Result<Bytes, DeliveryError>,
-    },
-    Saved {
-        state: Result<Bytes, DeliveryError>,
-    },
-    Loaded,
-    /// The component failed to load the state.
-    NotLoaded,
-    /// The component is stopped or isolated, and has not loaded the state.
-    Inactive,
-    LoadFailed {
-        state: Bytes,
-    },
-    /// The component has received its role, or why it has not.
-    RoleReceived(Result<(), DeliveryError>),
+fn reply_of<M: Request>(reply: Result<Bytes, DeliveryError>) -> Result<M::Reply, DeliveryError> {
+    codec::decode_reply::<M>(&reply?).map_err(undecodable)
 }
 
-impl Handler<ComponentReply> for ReplicaActor {
-    type Result = ();
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-    fn handle(&mut self, done: ComponentReply, context: &mut Context<Self>) {
-        let now = platform::now();
-        match done {
-            ComponentReply::Executed { result: Ok(reply), save: true } => {
-                return self.save(Some(Ok(reply)), context);
-            }
-            ComponentReply::Executed { result, .. } => {
-                if let Err(DeliveryError::Stopped | DeliveryError::Isolated { .. }) = result {
-                    self.poll_component(context);
-                }
-                self.machine.handle_executed(result, None, now);
-            }
-            ComponentReply::ExecutedAndSaved { result, state } => {
-                self.machine.handle_executed(result, Some(state), now);
-            }
-            ComponentReply::Saved { state } => self.machine.handle_saved(state, now),
-            ComponentReply::Loaded => self.machine.handle_loaded(),
-            ComponentReply::NotLoaded => self.machine.handle_not_loaded(now),
-            ComponentReply::Inactive => {
-                self.machine.handle_not_loaded(now);
-                self.machine.handle_component_stopped(now);
-                self.poll_component(context);
-            }
-            ComponentReply::LoadFailed { state } => {
-                context.run_later(LOAD_RETRY, move |actor, context| actor.load(state, context));
-                return;
-            }
-            ComponentReply::RoleReceived(Ok(())) => self.machine.handle_component_resumed(now),
-            ComponentReply::RoleReceived(Err(why)) if super::is_inactive(&why) => {
-                self.machine.handle_component_stopped(now);
-                self.poll_component(context);
-            }
-            ComponentReply::RoleReceived(Err(_)) => return,
+    #[test]
+    fn a_message_that_names_another_sender_is_refused() {
+        let node = |name: &str| NodeName::new(name).unwrap();
+        let cases = [
+            ("n2", Some("n2"), Some(node("n2"))),
+            ("ghost", Some("n2"), None),
+            ("n2", None, None),
+            ("not a name!", Some("n2"), None),
+        ];
+        for (says, peer, expected) in cases {
+            let peer = peer.map(|name| NodeId::of(&node(name)));
+            assert_eq!(sender(says, MessageOrigin { peer }), expected, "{says:?} by {peer:?}");
         }
-        self.drive(context);
     }
 }

@@ -6,7 +6,7 @@ use blastema_core::directory::DirectoryKey;
 use blastema_core::service::{ReplicaConfig, Role, ServiceState, ServiceView, StandbyKind};
 use blastema_core::sorted::SortedMap;
 use blastema_core::{Instant, NodeName, ObjectName};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// One service of this node.
@@ -67,20 +67,17 @@ impl Roster {
         Roster { services: Arc::default(), directory }
     }
 
-    fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, CarriedEntry>> {
-        self.services.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Adds a service that this node carries.
     pub(crate) fn enter(&self, name: ObjectName, config: &ReplicaConfig) {
         let role = Role::Standby { primary: None, in_step: false };
         let (members, kind) = (config.members.clone(), config.kind);
-        self.lock().insert(name, CarriedEntry { members, kind, role, shown: None });
+        platform::lock(&self.services)
+            .insert(name, CarriedEntry { members, kind, role, shown: None });
     }
 
     /// Stores the view of this node's replica.
     pub(crate) fn show(&self, name: &ObjectName, view: ServiceView, at: Instant) {
-        if let Some(entry) = self.lock().get_mut(name) {
+        if let Some(entry) = platform::lock(&self.services).get_mut(name) {
             let before = entry.shown.as_ref().filter(|shown| shown.view.state == view.state);
             let since = before.map_or(at, |shown| shown.since);
             entry.shown = Some(ShownView { view, at, since });
@@ -90,7 +87,7 @@ impl Roster {
     /// Returns the services of this node with their last views.
     pub(crate) fn rows(&self) -> Vec<ServiceRow> {
         let now = platform::now();
-        let services = self.lock();
+        let services = platform::lock(&self.services);
         let rows = services.iter().filter_map(|(name, entry)| {
             let ShownView { view, at, since } = entry.shown.as_ref()?;
             Some(ServiceRow {
@@ -111,19 +108,19 @@ impl Roster {
 
     /// Stores the role of this node's replica.
     pub(crate) fn note(&self, name: &ObjectName, role: Role) {
-        if let Some(entry) = self.lock().get_mut(name) {
+        if let Some(entry) = platform::lock(&self.services).get_mut(name) {
             entry.role = role;
         }
     }
 
     /// Returns the role of this node's replica, if it has one.
     pub(crate) fn role(&self, name: &ObjectName) -> Option<Role> {
-        self.lock().get(name).map(|entry| entry.role.clone())
+        platform::lock(&self.services).get(name).map(|entry| entry.role.clone())
     }
 
     /// Returns the primary, as far as this node's replica knows.
     pub(crate) fn primary(&self, name: &ObjectName, own: &NodeName) -> Option<NodeName> {
-        match &self.lock().get(name)?.role {
+        match &platform::lock(&self.services).get(name)?.role {
             Role::Primary { .. } => Some(own.clone()),
             Role::Standby { primary, .. } => primary.clone(),
         }
@@ -132,8 +129,9 @@ impl Roster {
     /// Returns the nodes that carry the service: those of this node's configuration, which may be
     /// wrong, and those of the directory.
     pub(crate) fn members(&self, name: &ObjectName) -> Vec<NodeName> {
-        let mut members =
-            self.lock().get(name).map_or_else(Vec::new, |entry| entry.members.clone());
+        let mut members = platform::lock(&self.services)
+            .get(name)
+            .map_or_else(Vec::new, |entry| entry.members.clone());
         members.extend(self.carriers(name));
         members
     }

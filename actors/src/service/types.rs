@@ -4,7 +4,7 @@ use blastema_macros::{Event, Request, Structure};
 
 /// A message from one replica to another. The machine encodes the bytes.
 #[derive(Clone, Debug, Event)]
-#[contract(crate = "crate", name = "blastema/replica", version = 1, max_size = 5 * 1024 * 1024)]
+#[contract(crate = "crate", name = "blastema/replica", version = 2, max_size = 5 * 1024 * 1024)]
 pub(crate) struct ReplicaMessage {
     pub(crate) from: String,
     pub(crate) message: Vec<u8>,
@@ -13,7 +13,7 @@ pub(crate) struct ReplicaMessage {
 /// A replica's configuration of the service, and the question for that of another one. The machine
 /// encodes the bytes.
 #[derive(Clone, Debug, Request)]
-#[contract(crate = "crate", name = "blastema/service-configuration", version = 1, reply = Vec<u8>)]
+#[contract(crate = "crate", name = "blastema/service-configuration", version = 2, reply = Vec<u8>)]
 pub(crate) struct CompareConfiguration {
     pub(crate) from: String,
     pub(crate) configuration: Vec<u8>,

@@ -5,7 +5,7 @@ use actix::{Message, Recipient};
 use blastema_core::{Incarnation, ObjectName};
 use std::sync::Arc;
 
-pub use blastema_core::recovery::RestartGrant;
+pub use blastema_core::recovery::{ChildOrder, RestartGrant};
 
 /// What a supervisor may do with a child: a component, or a supervisor below it.
 ///
@@ -25,36 +25,10 @@ pub trait Child: Send {
         report: Arc<Recipient<ChildReport>>,
     ) -> Incarnation;
 
-    /// Asks the present incarnation to end in order. Answer: [`ChildEvent::Stopped`]. A child that
-    /// is not alive answers at once.
-    fn stop(&mut self);
-
-    /// Asks the present incarnation to end in order because another is to follow: what waits for
-    /// the child goes on waiting. Answer: [`ChildEvent::Stopped`].
-    fn make_way(&mut self) {
-        self.stop();
-    }
-
-    /// The present incarnation is about to be asked to end, and a supervisor starts nothing any
-    /// more. No answer.
-    fn expect_end(&mut self) {}
-
-    /// The child has no incarnation that works, and none is to follow: what waits for it is given
-    /// back, and one whose start has failed is given up with its last hooks. No answer. The next
-    /// [`start`](Child::start) takes it up again.
-    fn retire(&mut self) {}
-
-    /// Gives the present incarnation up without asking it: its queue is taken away, what it still
-    /// says goes nowhere. No answer. The next [`start`](Child::start) finds another place for the
-    /// child if the old one is stuck.
-    fn abandon(&mut self);
-
-    /// The same with an incarnation that has had its time to start, or to end. Says whether it
-    /// keeps its thread; that is reported then.
-    fn cut_off(&mut self) -> bool {
-        self.abandon();
-        false
-    }
+    /// Carries an order out. Answer to [`ChildOrder::Stop`]: [`ChildEvent::Stopped`]; to
+    /// [`ChildOrder::Reset`]: [`ChildEvent::Reset`] or [`ChildEvent::ResetFailed`]. Says whether an
+    /// incarnation that was [cut off](ChildOrder::CutOff) keeps its thread.
+    fn order(&mut self, order: ChildOrder) -> bool;
 
     /// From its next [`start`](Child::start) on, the child lives on a thread of its own.
     ///
@@ -64,19 +38,9 @@ pub trait Child: Send {
         Err("it has no thread that it could leave")
     }
 
-    /// Asks a child in error to recover by itself. Answer: [`ChildEvent::Reset`] or
-    /// [`ChildEvent::ResetFailed`].
-    fn reset(&mut self);
-
-    /// Forbids the child to send and receive, or allows it again.
-    fn isolate(&mut self, isolated: bool);
-
-    /// The reason of an [`isolate`](Child::isolate) that follows, for those whose messages are
-    /// refused then.
+    /// The reason of a [`ChildOrder::Isolate`] that follows, for those whose messages are refused
+    /// then.
     fn explain_isolation(&mut self, _reason: &str) {}
-
-    /// Leaves a decision with the child's guard, or withdraws it.
-    fn set_restart_grant(&mut self, order: Option<RestartGrant>);
 }
 
 /// What became of a supervisor's call.

@@ -99,9 +99,6 @@ pub struct LinkRow {
     pub quality: Quality,
     /// How often hellos are said on it: as configured, or as often as the medium can bear.
     pub hello_interval: Duration,
-    /// How surprising the neighbour's silence is by now, as φ (Hayashibara et al.): below 1 it is
-    /// usual, from 8 on it is no accident. It decides nothing.
-    pub phi: f32,
     /// What it costs at present: its own cost, and more while its quality is poor.
     pub cost: u16,
     /// What it has carried since its network's links were built last.

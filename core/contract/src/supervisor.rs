@@ -9,7 +9,7 @@
 //!
 //! Requests go down the tree, events go up; a supervisor awaits no other object.
 
-use crate::child::{Child, ChildReport};
+use crate::child::{Child, ChildOrder, ChildReport};
 use actix::{Message, Recipient};
 use blastema_core::recovery::{ChildRules, ChildState, GiveUpReason, Strategy};
 use blastema_core::{Fault, Incarnation, ObjectName};
@@ -104,22 +104,10 @@ pub enum SupervisorOrder {
         /// Where its reports go.
         report: Arc<Recipient<ChildReport>>,
     },
-    /// Stop all children in reverse order. `Stopped` is reported when all have ended.
-    Stop {
-        /// The supervisor is to restart, so that what waits for its children goes on waiting.
-        again: bool,
-    },
-    /// [`Stop`](SupervisorOrder::Stop) follows, so begin nothing any more. Nothing is reported.
-    ExpectEnd,
-    /// Give all children up at once. Nothing is reported.
-    Abandon,
-    /// Forbid all children to send and receive, or allow it again.
-    Isolate {
-        /// Forbidden, or allowed.
-        isolated: bool,
-        /// Why.
-        reason: String,
-    },
+    /// Carry this out, as any child does.
+    Carry(ChildOrder),
+    /// Why its children will be isolated.
+    ExplainIsolation(String),
     /// The parent has forgotten the supervisor: forget all children, and end the actor.
     Forget,
 }

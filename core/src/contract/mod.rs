@@ -207,11 +207,6 @@ impl ContractIdentity {
         TrafficClass::of_message(self.name, self.delivery, self.bulk)
     }
 
-    /// The traffic class of events of a topic.
-    pub fn event_class(&self) -> TrafficClass {
-        TrafficClass::of_event(self.delivery, self.bulk)
-    }
-
     /// What the peer needs to decide: name, version, delivery and fingerprint.
     pub fn brief(&self) -> PeerIdentity {
         PeerIdentity {
@@ -323,11 +318,7 @@ fn contract_name<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error>
 /// It is taken over the bytes of both descriptions, which golden tests hold still: it is the same
 /// in every build and on every platform.
 pub fn fingerprint(message: LayoutOf, reply: LayoutOf) -> u64 {
-    fingerprint_of(message(), reply())
-}
-
-fn fingerprint_of(message: &Layout, reply: &Layout) -> u64 {
-    hash::of(codec::encode_unbounded(&PeerStructure::of(message, reply)))
+    hash::of(codec::encode_unbounded(&PeerStructure::of(message(), reply())))
 }
 
 /// The fingerprint of the contract `id`, computed when first asked for.

@@ -13,9 +13,7 @@
 //! The size is fixed. Types without a bound, such as `String` and `Vec`, have no packed form.
 
 use crate::contract::codec;
-use crate::contract::layout::{
-    Described, Field, Fields, Layout, LayoutOf, Primitive, Shape, Variant,
-};
+use crate::contract::layout::{Described, Fields, LayoutOf, Primitive, Shape, Variant};
 use crate::{Contract, ContractIdentity, DecodeError, EncodeError, hash};
 
 /// The largest packed message, in bytes: with a status before it, it fits into one packet.
@@ -24,34 +22,10 @@ pub const PACKED_MAX: usize = 239;
 /// A type nested deeper than this is taken for one that contains itself.
 const DEPTH_MAX: usize = 16;
 
-/// Why a contract has no packed form.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum PackedError {
-    /// The size of a part is not fixed.
-    #[error("a {what} has no fixed size: write an array, `[T; n]`, or `#[contract(at_most = n)]`")]
-    Unbounded {
-        /// What the part is.
-        what: &'static str,
-    },
-    /// The enum has more variants than one byte counts.
-    #[error("the enum {name} has more than 256 variants")]
-    TooManyVariants {
-        /// Its name.
-        name: String,
-    },
-    /// The struct is larger than a packet.
-    #[error("it takes {size} bytes packed, and a packet holds {PACKED_MAX}: send it in parts")]
-    TooLarge {
-        /// Its size in bytes.
-        size: usize,
-    },
-}
-
 /// The bytes that every value of this type takes.
 ///
 /// # Errors
-/// [`PackedError`]; the type cannot be sent to a device.
+/// Says why the type cannot be sent to a device.
 ///
 /// ```
 /// use blastema_core::Described;
@@ -59,15 +33,21 @@ pub enum PackedError {
 /// assert_eq!(size(<(u8, Option<f64>, [i16; 3])>::layout), Ok(1 + 9 + 6));
 /// assert!(size(String::layout).is_err());
 /// ```
-pub fn size(of: LayoutOf) -> Result<usize, PackedError> {
+pub fn size(of: LayoutOf) -> Result<usize, String> {
     match size_at(of, 0)? {
-        size if size > PACKED_MAX => Err(PackedError::TooLarge { size }),
+        size if size > PACKED_MAX => Err(format!(
+            "it takes {size} bytes packed, and a packet holds {PACKED_MAX}: send it in parts"
+        )),
         size => Ok(size),
     }
 }
 
-fn size_at(of: LayoutOf, depth: usize) -> Result<usize, PackedError> {
-    let endless = |what| Err(PackedError::Unbounded { what });
+fn size_at(of: LayoutOf, depth: usize) -> Result<usize, String> {
+    let endless = |what| {
+        Err(format!(
+            "a {what} has no fixed size: write an array, `[T; n]`, or `#[contract(at_most = n)]`"
+        ))
+    };
     if depth > DEPTH_MAX {
         return endless("type that contains itself");
     }
@@ -79,7 +59,7 @@ fn size_at(of: LayoutOf, depth: usize) -> Result<usize, PackedError> {
         Shape::Tuple(parts) => parts.iter().map(part).sum::<Result<_, _>>()?,
         Shape::Struct(_, fields) => fields_size(fields, depth)?,
         Shape::Enum(name, variants) if variants.len() > 256 => {
-            return Err(PackedError::TooManyVariants { name: name.to_string() });
+            return Err(format!("the enum {name} has more than 256 variants"));
         }
         Shape::Enum(_, variants) => {
             let sizes = variants.iter().map(|variant| fields_size(&variant.fields, depth));
@@ -95,14 +75,14 @@ fn size_at(of: LayoutOf, depth: usize) -> Result<usize, PackedError> {
 }
 
 /// The bytes of each element of a text, a sequence or a set.
-fn element_size(of: LayoutOf, depth: usize) -> Result<usize, PackedError> {
+fn element_size(of: LayoutOf, depth: usize) -> Result<usize, String> {
     match &of().shape {
         Shape::Sequence(of) | Shape::Set(of) => size_at(*of, depth + 1),
         _ => Ok(1),
     }
 }
 
-fn fields_size(fields: &Fields<LayoutOf>, depth: usize) -> Result<usize, PackedError> {
+fn fields_size(fields: &Fields<LayoutOf>, depth: usize) -> Result<usize, String> {
     fields.as_slice().iter().map(|field| size_at(field.of, depth + 1)).sum()
 }
 
@@ -122,75 +102,9 @@ fn leaf_size(leaf: Primitive) -> Option<usize> {
 /// The fingerprint of the packed contract: 32 bits of a hash over name, version and structure,
 /// units and frames included. The generated C header has the same number.
 pub fn fingerprint<M: Contract>() -> u32 {
-    narrow::<M>(ContractIdentity::of::<M>().fingerprint)
-}
-
-fn narrow<M: Contract>(structure: u64) -> u32 {
+    let structure = ContractIdentity::of::<M>().fingerprint;
     let bytes = M::NAME.bytes().chain(M::VERSION.to_le_bytes());
     hash::of(bytes.chain(structure.to_le_bytes())) as u32
-}
-
-/// The types that a field is tried with.
-const LEAVES: [LayoutOf; 14] = [
-    bool::layout,
-    u8::layout,
-    u16::layout,
-    u32::layout,
-    u64::layout,
-    u128::layout,
-    i8::layout,
-    i16::layout,
-    i32::layout,
-    i64::layout,
-    i128::layout,
-    f32::layout,
-    f64::layout,
-    char::layout,
-];
-
-/// Says which field differs in a contract with another fingerprint, which is all that a device
-/// tells of it: tries each field of the message and of the reply with other types, without its
-/// unit, without it, and in the place after the next one. `None` where more differs.
-pub fn difference<M: Contract>(theirs: u32) -> Option<String> {
-    let (message, reply) = (M::layout(), M::Reply::layout());
-    let is_theirs = |changed: &Layout, in_reply: bool| {
-        let pair = if in_reply { (message, changed) } else { (changed, reply) };
-        narrow::<M>(super::fingerprint_of(pair.0, pair.1)) == theirs
-    };
-    for (of, in_reply) in [(message, false), (reply, true)] {
-        let Shape::Struct(name, fields) = &of.shape else { continue };
-        let own = fields.as_slice();
-        let is_so = |changed: Vec<Field<LayoutOf>>| {
-            let fields = match fields {
-                Fields::Named(_) => Fields::Named(changed.into()),
-                _ => Fields::Tuple(changed.into()),
-            };
-            is_theirs(&Layout { id: of.id, shape: Shape::Struct(name.clone(), fields) }, in_reply)
-        };
-        for (at, field) in own.iter().enumerate() {
-            let with = |change: &dyn Fn(&mut Vec<Field<LayoutOf>>)| {
-                let mut changed = own.to_vec();
-                change(&mut changed);
-                is_so(changed)
-            };
-            let mut leaves = LEAVES.iter();
-            if let Some(leaf) = leaves.find(|leaf| with(&|fields| fields[at].of = **leaf)) {
-                let Shape::Leaf(leaf) = leaf().shape else { continue };
-                return Some(format!("the field `{}` is {} there", field.name, leaf.name()));
-            }
-            if with(&|fields| drop(fields.remove(at))) {
-                return Some(format!("there is no field `{}` there", field.name));
-            }
-            if field.unit.is_some() && with(&|fields| fields[at].unit = None) {
-                return Some(format!("the field `{}` has no unit there", field.name));
-            }
-            if at + 1 < own.len() && with(&|fields| fields.swap(at, at + 1)) {
-                let next = &own[at + 1].name;
-                return Some(format!("the field `{}` comes after `{next}` there", field.name));
-            }
-        }
-    }
-    None
 }
 
 /// Packs a value.
@@ -200,7 +114,7 @@ pub fn difference<M: Contract>(theirs: u32) -> Option<String> {
 pub fn pack<T: Described>(value: &T) -> Result<Vec<u8>, EncodeError> {
     let from = codec::encode_fixed(value)?;
     let impossible = |reason| EncodeError::Impossible { reason };
-    size(T::layout).map_err(|error| impossible(error.to_string()))?;
+    size(T::layout).map_err(impossible)?;
     let mut walk = Transcoder { from: &from, to: Vec::new(), packs: true };
     walk.value(T::layout).map_err(|error| impossible(error.to_string()))?;
     Ok(walk.to)
@@ -211,7 +125,7 @@ pub fn pack<T: Described>(value: &T) -> Result<Vec<u8>, EncodeError> {
 /// # Errors
 /// [`DecodeError`]: the bytes are no value of the type.
 pub fn unpack<T: Described>(bytes: &[u8]) -> Result<T, DecodeError> {
-    size(T::layout).map_err(|error| malformed(&error.to_string()))?;
+    size(T::layout).map_err(|error| malformed(&error))?;
     let mut walk = Transcoder { from: bytes, to: Vec::new(), packs: false };
     walk.value(T::layout)?;
     match walk.from.len() {
@@ -256,7 +170,7 @@ impl<'a> Transcoder<'a> {
     }
 
     fn value(&mut self, of: LayoutOf) -> Result<(), DecodeError> {
-        let too_large = |error: PackedError| malformed(&error.to_string());
+        let too_large = |error: String| malformed(&error);
         match &of().shape {
             Shape::Leaf(Primitive::Char) => self.char()?,
             Shape::Leaf(leaf) => drop(self.copy(leaf_size(*leaf).unwrap_or(0))?),

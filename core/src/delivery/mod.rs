@@ -22,7 +22,8 @@ pub enum Delivery {
     /// readings of which only the newest counts.
     Newest,
     /// Each once and in order, and copies over every direct link and the alternate path: while one
-    /// of them carries, nothing is late. For what must not wait until a failed cable has been noticed.
+    /// of them carries, nothing is late. For what must not wait until a failed cable has been
+    /// noticed.
     Redundant,
 }
 
@@ -84,8 +85,8 @@ pub enum DeliveryError {
         /// The fault for which it is so, with its number; or where to look it up.
         reason: String,
     },
-    /// The message, or the data that a command was made from, was older than its contract allows; or
-    /// a safe command has taken the place of a command that waited.
+    /// The message, or the data that a command was made from, was older than its contract allows;
+    /// or a safe command has taken the place of a command that waited.
     #[error("the message is older than its contract allows")]
     Expired,
     /// No object of this name is known.
@@ -210,8 +211,8 @@ pub enum DeliveryError {
         /// The limit in bytes.
         limit: usize,
     },
-    /// The request took effect, and its reply could not be written for the caller: its conversion to
-    /// the caller's version panicked, or it cannot be encoded.
+    /// The request took effect, and its reply could not be written for the caller: its conversion
+    /// to the caller's version panicked, or it cannot be encoded.
     #[error("the request took effect, but its reply cannot be sent: {reason}")]
     ReplyUnsent {
         /// Why.
@@ -403,8 +404,8 @@ impl DeliveryError {
             | DeliveryError::Unconnected { .. }
             | DeliveryError::AgeUnknown { .. }
             | DeliveryError::Forbidden { .. } => Outcome::NotTaken,
-            // The callee may have been stopped while it served; and what cannot be decoded may be the
-            // reply.
+            // The callee may have been stopped while it served; and what cannot be decoded may be
+            // the reply.
             DeliveryError::Stopped
             | DeliveryError::Fenced
             | DeliveryError::SenderIsolated

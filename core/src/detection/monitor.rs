@@ -1,7 +1,7 @@
 //! Which objects live, in which incarnation and state: the table, and the changes in it.
 
 use super::entry::{LastExit, MonitoredObject, NoteCause, describe};
-use super::peer_table::{PeerChange, PeerTable};
+use super::peer_table::PeerTable;
 use super::{
     ExitReason, Finding, LinkCondition, MonitorRow, NodeCondition, ObjectKind, Observation,
     Registration, RegistrationError, WorkProgress,
@@ -296,9 +296,7 @@ impl Monitor {
             return;
         }
         let news = self.around.handle_link(node, link, neighbour, condition, now);
-        if let Some(PeerChange { location, incarnation, finding }) = news {
-            self.observe(location, incarnation, finding, now);
-        }
+        news.into_iter().for_each(|news| self.observe(news));
     }
 
     /// The router reports how a node is. The same condition again is no news; a newer incarnation
@@ -315,10 +313,7 @@ impl Monitor {
             return;
         }
         match self.around.handle_node(node, incarnation, condition, now) {
-            Ok(Some(PeerChange { location, incarnation, finding })) => {
-                self.observe(location, incarnation, finding, now);
-            }
-            Ok(None) => {}
+            Ok(news) => news.into_iter().for_each(|news| self.observe(news)),
             Err(_) => self.stale += 1,
         }
     }
@@ -409,20 +404,14 @@ impl Monitor {
         now: Instant,
     ) {
         let address = ObjectAddress::new(self.node.clone(), object.clone());
-        self.observe(FaultLocation::Object(address), incarnation, finding, now);
+        let location = FaultLocation::Object(address);
+        self.observe(Observation { location, incarnation, finding, seen_at: now });
     }
 
-    fn observe(
-        &mut self,
-        location: FaultLocation,
-        incarnation: Incarnation,
-        finding: Finding,
-        now: Instant,
-    ) {
-        if self.ending && !finding.is_own_doing() {
-            return;
+    fn observe(&mut self, observation: Observation) {
+        if !self.ending || observation.finding.is_own_doing() {
+            self.outputs.push_back(observation);
         }
-        self.outputs.push_back(Observation { location, incarnation, finding, seen_at: now });
     }
 }
 

@@ -133,6 +133,15 @@ pub struct FaultEntry {
     /// When and why the recoverer ceased to try. The fault still stands until its place begins a
     /// new incarnation.
     pub given_up: Option<(Instant, String)>,
+    /// It may turn out to be a symptom.
+    pub(super) explicable: bool,
+    /// The notifier knows of it, and does not know it to be over.
+    pub(super) handed: bool,
+    /// It stands, and no recoverer treats it: a symptom behind what keeps its thread, which was
+    /// only reported, or a fault whose next incarnation is on its way already.
+    pub(super) unhanded: bool,
+    /// When it is over, unless the next incarnation of its object has begun.
+    pub(super) end_due: Option<Instant>,
 }
 
 impl FaultEntry {
@@ -145,6 +154,10 @@ impl FaultEntry {
             recovered_at: None,
             repaired_at: None,
             given_up: None,
+            explicable: false,
+            handed: false,
+            unhanded: false,
+            end_due: None,
         }
     }
 

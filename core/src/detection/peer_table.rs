@@ -1,6 +1,6 @@
 //! What this node sees of its links and of other nodes.
 
-use super::{Finding, LinkCondition, MonitorRow, NodeCondition, ObjectKind, Opinion};
+use super::{Finding, LinkCondition, MonitorRow, NodeCondition, ObjectKind, Observation, Opinion};
 use crate::sorted::SortedMap;
 use crate::{FaultLocation, Incarnation, Instant, NodeName};
 use std::mem::discriminant;
@@ -11,13 +11,6 @@ use std::sync::Arc;
 pub(super) struct PeerTable {
     links: SortedMap<(NodeName, Arc<str>), LinkSeen>,
     nodes: SortedMap<NodeName, NodeSeen>,
-}
-
-/// Something that was not known before.
-pub(super) struct PeerChange {
-    pub(super) location: FaultLocation,
-    pub(super) incarnation: Incarnation,
-    pub(super) finding: Finding,
 }
 
 #[derive(Clone, Debug)]
@@ -89,14 +82,13 @@ impl PeerTable {
         neighbour: Option<NodeName>,
         condition: LinkCondition,
         now: Instant,
-    ) -> Option<PeerChange> {
+    ) -> Option<Observation> {
         let carries = !matches!(condition, LinkCondition::Down { .. });
         let before = self.links.remove(&(node.clone(), link.clone()));
         if condition == LinkCondition::Forgotten {
             let neighbour = before?.neighbour;
-            let (location, incarnation) =
-                (FaultLocation::Link { node, link, neighbour }, Incarnation(0));
-            return Some(PeerChange { location, incarnation, finding: Finding::Link(condition) });
+            let location = FaultLocation::Link { node, link, neighbour };
+            return Some(seen(location, Incarnation::default(), Finding::Link(condition), now));
         }
         let known = before.as_ref().is_some_and(|seen| seen.condition == condition);
         let last_sign = if carries { Some(now) } else { before.as_ref().and_then(|b| b.last_sign) };
@@ -114,7 +106,7 @@ impl PeerTable {
         let finding =
             Finding::Link(if away { LinkCondition::Forgotten } else { condition.clone() });
         self.links.insert((node, link), LinkSeen { neighbour, condition, last_sign });
-        is_change.then_some(PeerChange { location, incarnation: Incarnation::default(), finding })
+        is_change.then(|| seen(location, Incarnation::default(), finding, now))
     }
 
     fn has_left(&self, node: &NodeName) -> bool {
@@ -135,21 +127,20 @@ impl PeerTable {
         incarnation: Incarnation,
         condition: NodeCondition,
         now: Instant,
-    ) -> Result<Option<PeerChange>, Incarnation> {
+    ) -> Result<Option<Observation>, Incarnation> {
         use NodeCondition::{Admitted, AtWork, InSafeState, Isolated, Listed, Offends, Removed};
         use NodeCondition::{InSession, MessagesLost};
         if let Offends { .. } | Isolated { .. } | Admitted = condition {
-            return Ok(self.handle_offences(node, condition));
+            return Ok(self.handle_offences(node, condition, now));
         }
         if let MessagesLost { .. } | InSession = condition {
-            let (location, finding) = (FaultLocation::Node(node), Finding::Node(condition));
-            return Ok(Some(PeerChange { location, incarnation, finding }));
+            return Ok(Some(seen_of(node, incarnation, condition, now)));
         }
         if let InSafeState { .. } | AtWork = condition {
             return self.handle_rest(node, incarnation, condition, now);
         }
         if let Removed = condition {
-            return Ok(self.handle_removed(node));
+            return Ok(self.handle_removed(node, now));
         }
         if let Listed = condition {
             self.handle_listed(&node);
@@ -218,16 +209,11 @@ impl PeerTable {
         let seen =
             NodeSeen { incarnation, status, last_sign, restarts, isolated, rest, may_be_away };
         self.nodes.insert(node.clone(), seen);
-        let finding = Finding::Node(condition);
-        Ok(is_change.then_some(PeerChange {
-            location: FaultLocation::Node(node),
-            incarnation,
-            finding,
-        }))
+        Ok(is_change.then(|| seen_of(node, incarnation, condition, now)))
     }
 
     /// The roster does not list a node any more, or the node at the other end of a link.
-    fn handle_removed(&mut self, node: NodeName) -> Option<PeerChange> {
+    fn handle_removed(&mut self, node: NodeName, now: Instant) -> Option<Observation> {
         let is_neighbour =
             || self.links.values().any(|seen| seen.neighbour.as_ref() == Some(&node));
         if !self.nodes.contains_key(&node) && !is_neighbour() {
@@ -236,10 +222,9 @@ impl PeerTable {
         let seen = self.nodes.entry(node.clone()).or_insert_with(NodeSeen::unmet);
         seen.rest = None;
         let before = std::mem::replace(&mut seen.status, PeerStatus::Removed);
-        let finding = Finding::Node(NodeCondition::Removed);
-        let (incarnation, location) = (seen.incarnation, FaultLocation::Node(node));
-        let is_change = before != PeerStatus::Removed;
-        is_change.then_some(PeerChange { location, incarnation, finding })
+        let incarnation = seen.incarnation;
+        (before != PeerStatus::Removed)
+            .then(|| seen_of(node, incarnation, NodeCondition::Removed, now))
     }
 
     /// The roster lists a node again. It is on its way back, or off.
@@ -254,7 +239,12 @@ impl PeerTable {
     }
 
     /// That a node is isolated here, or what it has done: whatever incarnation of it is known.
-    fn handle_offences(&mut self, node: NodeName, condition: NodeCondition) -> Option<PeerChange> {
+    fn handle_offences(
+        &mut self,
+        node: NodeName,
+        condition: NodeCondition,
+        now: Instant,
+    ) -> Option<Observation> {
         let seen = self.nodes.entry(node.clone()).or_insert_with(NodeSeen::unmet);
         let isolated = match &condition {
             NodeCondition::Isolated { reason } => Some(reason.clone()),
@@ -264,12 +254,8 @@ impl PeerTable {
         let changed = isolated.is_some() != seen.isolated.is_some();
         seen.isolated = isolated;
         let is_change = changed || matches!(condition, NodeCondition::Offends { .. });
-        let (incarnation, finding) = (seen.incarnation, Finding::Node(condition));
-        is_change.then_some(PeerChange {
-            location: FaultLocation::Node(node),
-            incarnation,
-            finding,
-        })
+        let incarnation = seen.incarnation;
+        is_change.then(|| seen_of(node, incarnation, condition, now))
     }
 
     /// What a node says of itself: another one, or this.
@@ -279,7 +265,7 @@ impl PeerTable {
         incarnation: Incarnation,
         condition: NodeCondition,
         now: Instant,
-    ) -> Result<Option<PeerChange>, Incarnation> {
+    ) -> Result<Option<Observation>, Incarnation> {
         let rest = match &condition {
             NodeCondition::InSafeState { reason } => Some(reason.clone()),
             _ => None,
@@ -298,12 +284,7 @@ impl PeerTable {
         }
         let is_change = rest.is_some() != seen.rest.is_some();
         seen.rest = rest;
-        let finding = Finding::Node(condition);
-        Ok(is_change.then_some(PeerChange {
-            location: FaultLocation::Node(node),
-            incarnation,
-            finding,
-        }))
+        Ok(is_change.then(|| seen_of(node, incarnation, condition, now)))
     }
 
     /// Links, then nodes.
@@ -364,6 +345,19 @@ impl PeerTable {
     }
 }
 
+fn seen(
+    location: FaultLocation,
+    incarnation: Incarnation,
+    finding: Finding,
+    seen_at: Instant,
+) -> Observation {
+    Observation { location, incarnation, finding, seen_at }
+}
+
+fn seen_of(node: NodeName, of: Incarnation, condition: NodeCondition, now: Instant) -> Observation {
+    seen(FaultLocation::Node(node), of, Finding::Node(condition), now)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -401,7 +395,7 @@ mod tests {
                 let change = report(&to, None);
 
                 assert_eq!(change.is_some(), from != to, "{from:?} to {to:?}");
-                if let Some(PeerChange {
+                if let Some(Observation {
                     location: FaultLocation::Link { neighbour, .. }, ..
                 }) = change
                 {

@@ -25,8 +25,8 @@
 //! That is enough for finding things. Where two at a time would do harm, use a service, which needs
 //! a majority.
 //!
-//! An epoch of 2^62 or more is refused, so that a claim always has a greater one after it. The policy
-//! says which nodes may claim: one that claims to spend epochs is not given the right.
+//! An epoch of 2^62 or more is refused, so that a claim always has a greater one after it. The
+//! policy says which nodes may claim: one that claims to spend epochs is not given the right.
 
 pub use self::types::{
     ClaimPolicy, ClaimRefused, ClaimRequest, DirectoryConfig, DirectoryKey, DirectoryOutput,

@@ -31,8 +31,8 @@ pub struct DirectoryConfig {
     /// How long after our start nothing is granted here, so that who holds a name already is heard
     /// first. Longer waits for slower networks; a name without a holder is granted later.
     pub settle: Duration,
-    /// Once all of these have told what they have, claims are granted at once. Without any, `settle` is
-    /// waited for.
+    /// Once all of these have told what they have, claims are granted at once. Without any,
+    /// `settle` is waited for.
     pub expected: SortedSet<NodeName>,
 }
 

@@ -34,8 +34,8 @@ impl<K> Default for ByteRates<K> {
 }
 
 impl<K: Ord + Copy> ByteRates<K> {
-    /// Looks at the counters of all that there are: bytes sent, and received. What is not among them
-    /// is forgotten. Counters that have begun again say nothing until the next look.
+    /// Looks at the counters of all that there are: bytes sent, and received. What is not among
+    /// them is forgotten. Counters that have begun again say nothing until the next look.
     pub fn handle_look(&mut self, all: impl IntoIterator<Item = (K, u64, u64)>, now: Instant) {
         let look = |(key, sent, received)| {
             let counted = (sent, received);

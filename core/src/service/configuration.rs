@@ -36,72 +36,14 @@ impl ServiceConfiguration {
         self.members.contains(node)
     }
 
-    pub(super) fn members(&self) -> &[NodeName] {
-        &self.members
-    }
-
-    /// Returns how many of its nodes are needed to elect a primary.
-    pub(super) fn quorum(&self) -> usize {
-        match self.on_partition {
-            OnPartition::Stop => self.members.len() / 2 + 1,
-            OnPartition::Continue => 1,
-        }
-    }
-
-    /// Returns for how long a lease promise may count: a lease and the margin for the clocks' drift.
-    pub(super) fn promise_duration(&self) -> Duration {
-        let lease = self.heartbeat_interval.saturating_mul(3);
-        lease.saturating_add(lease / 10)
-    }
-
-    /// Returns whether each part of a divided network has a primary by both configurations.
-    pub(super) fn both_continue(&self, theirs: &ServiceConfiguration) -> bool {
-        self.on_partition == OnPartition::Continue && theirs.on_partition == OnPartition::Continue
-    }
-
-    /// Returns whether a replica with one configuration can follow a primary with the other: only
-    /// their lists differ, and overlap. Otherwise these are two services with one name by mistake.
-    pub(super) fn shares_state(&self, theirs: &ServiceConfiguration) -> bool {
-        let stops = |config: &ServiceConfiguration| config.on_partition == OnPartition::Stop;
-        self.kind == theirs.kind
-            && self.kind != StandbyKind::Cold
-            && self.heartbeat_interval == theirs.heartbeat_interval
-            && stops(self)
-            && stops(theirs)
-            && self.members.iter().any(|node| theirs.lists(node))
-    }
-
-    /// Returns whether this configuration leads: nodes with the other one defer to its primary.
+    /// Returns whether a primary with this configuration goes on when it meets one with the other:
+    /// the longer list leads.
     pub(super) fn leads(&self, theirs: &ServiceConfiguration) -> bool {
         let rank = |config: &ServiceConfiguration| {
             let stops = config.on_partition == OnPartition::Stop;
             (stops, config.members.len(), config.fingerprint())
         };
         rank(self) > rank(theirs)
-    }
-
-    /// Returns whether the other configuration has no primary while the nodes for which
-    /// `unavailable` holds elect none by it.
-    pub(super) fn excludes(
-        &self,
-        theirs: &ServiceConfiguration,
-        unavailable: impl Fn(&NodeName) -> bool,
-    ) -> bool {
-        let count = theirs.members.iter().filter(|node| unavailable(node)).count();
-        self.excludes_without(theirs, count)
-    }
-
-    /// Returns whether the other configuration has no primary while so many of its nodes elect none
-    /// by it.
-    pub(super) fn excludes_without(
-        &self,
-        theirs: &ServiceConfiguration,
-        unavailable: usize,
-    ) -> bool {
-        // A restarted node waits until its earlier promises have ended, by the lease of its new
-        // configuration. If the lease of its earlier one was longer, two primaries may count it.
-        self.heartbeat_interval == theirs.heartbeat_interval
-            && theirs.members.len() - unavailable < theirs.quorum()
     }
 
     pub(super) fn encode(&self) -> Vec<u8> {

@@ -58,8 +58,6 @@ pub(super) enum Message {
         epoch: u64,
     },
     VoteRequest(VoteRequest),
-    /// A configuration that a node has, and that the receiver must take into account.
-    OtherConfiguration(Vec<u8>),
     Vote(Vote),
     Entry(LogEntry),
     Snapshot(Snapshot),
@@ -73,22 +71,20 @@ pub(super) enum Message {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct ReplicaHeartbeat {
     pub(super) epoch: u64,
-    /// The number of the heartbeat, from 1 in each epoch.
-    pub(super) number: u64,
+    /// When it was sent, in nanoseconds of the primary's clock.
+    pub(super) sent: u64,
     pub(super) position: Position,
     /// The last position whose reply the primary has sent.
     pub(super) answered: Position,
-    /// The fingerprints of the other configurations that the primary takes into account.
-    pub(super) known_configurations: Vec<u64>,
 }
 
 /// A standby's promise to vote for no other replica for one lease.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct LeasePromise {
     pub(super) epoch: u64,
-    /// The number of the heartbeat that it answers; 0 reports the position only, and promises
-    /// nothing.
-    pub(super) number: u64,
+    /// When the heartbeat was sent that it answers. Without one it reports the position only, and
+    /// promises nothing.
+    pub(super) sent: Option<u64>,
     pub(super) position: Position,
     /// The last position whose reply was sent, as far as the standby knows.
     pub(super) answered: Position,
@@ -100,8 +96,6 @@ pub(super) struct LeasePromise {
 pub(super) struct VoteRequest {
     pub(super) epoch: u64,
     pub(super) position: Position,
-    /// The fingerprints of the other configurations that the candidate takes into account.
-    pub(super) known_configurations: Vec<u64>,
 }
 
 /// A vote for a candidate.

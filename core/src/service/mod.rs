@@ -25,8 +25,7 @@
 //! component is stopped or isolated behaves the same, with any kind of standbys.
 //!
 //! All of this holds among nodes with equal configurations: the same nodes, kind, rule and
-//! heartbeat interval. A replica that knows of another configuration serves only while too few
-//! nodes with that one are left to elect a primary.
+//! heartbeat interval. A replica that has met another configuration does not begin to serve.
 //!
 //! The replicas keep their table in memory. A process that restarts has lost it, which counts as
 //! one failure. The guarantees hold while fewer than half of the nodes fail at a time.
@@ -123,6 +122,13 @@ impl ReplicaConfig {
     /// above the drift of quartz, so that a busy computer has some slack too.
     pub fn margin(&self) -> Duration {
         self.lease() / 10
+    }
+
+    /// Returns how long a replica waits for a node that has the state, or is about to. Longer than
+    /// a process is likely to stand still. A shorter timeout restores a service sooner whose state
+    /// is lost, and which then starts without it.
+    fn state_timeout(&self) -> Duration {
+        self.lease() * 20
     }
 
     fn majority(&self) -> usize {

@@ -1,15 +1,11 @@
 //! One replica of a service.
 
 mod agreement;
-mod component;
-mod other_configurations;
 mod outage;
 mod primary;
 mod standby;
 #[cfg(test)]
 mod tests;
-mod under_replication;
-mod view;
 
 use super::change::Change;
 use super::message::{
@@ -18,15 +14,15 @@ use super::message::{
 };
 use super::table::Table;
 use super::types::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
+use super::view::{ServiceState, ServiceView};
 use super::{OnPartition, ReplicaConfig, StandbyKind};
 use crate::contract::codec;
 use crate::sorted::SortedMap;
 use crate::{DeliveryError, FaultKind, Instant, Machine, MessageId, NodeName};
-use agreement::ConfigAgreement;
+use agreement::{ConfigAgreement, ConfigComparison};
 use bytes::Bytes;
-use component::Health;
 use outage::Outage;
-use primary::{CatchUp, Follower, Primary};
+use primary::Primary;
 use standby::Standby;
 use std::collections::VecDeque;
 
@@ -50,54 +46,90 @@ enum Job {
     Save,
 }
 
-/// The sender of a message.
-#[derive(Clone, Copy, Debug)]
-struct ReplicaOrigin<'a> {
-    node: &'a NodeName,
-    /// The fingerprint of its configuration, if that differs in the list of members.
-    other_configuration: Option<u64>,
-}
-
 /// The state machine of one service on one of its nodes.
 #[derive(Debug)]
 pub struct Replica {
     config: ReplicaConfig,
-    /// The state that the component was built with.
-    initial: Bytes,
     /// The greatest epoch that had a primary, or in which this replica voted for another one.
     epoch: u64,
     /// The greatest epoch in which this replica stood for election, or which it must not use.
     used_epoch: u64,
+    log: ReplicaLog,
+    /// When this replica last knew of a primary, or its component lost the state or came to rest.
+    primary_seen_at: Instant,
+    role: RoleState,
+    /// The time of the last input that had one.
+    now: Instant,
+    component: ReplicaComponent,
+    agreement: ConfigAgreement,
+    outage: Outage,
+    refused: u64,
+    reports: ReplicaReports,
+}
+
+/// The end of the log of requests.
+#[derive(Debug)]
+struct ReplicaLog {
+    /// The state that the component was built with.
+    initial: Bytes,
     position: Position,
-    /// The position is that of a primary with another list, whose epochs and numbers are not
-    /// comparable with those of this one's.
-    learned: bool,
     /// The last position whose reply was sent by any primary, as far as this replica knows.
     answered: Position,
-    /// When this replica last knew of a primary.
-    primary_seen_at: Instant,
     /// The newest state, if standbys are warm.
     state: Option<Bytes>,
     table: Table,
+}
+
+impl ReplicaLog {
+    fn last_state(&self) -> Bytes {
+        self.state.clone().unwrap_or_else(|| self.initial.clone())
+    }
+}
+
+/// The component and its jobs.
+#[derive(Debug)]
+struct ReplicaComponent {
+    jobs: VecDeque<Job>,
+    /// The job that it does now.
+    current: Option<Job>,
+    /// It has restarted since it was given that job: the result does not count.
+    discards: bool,
+    health: Health,
     /// The fault that the state cannot be kept for the standbys is declared.
     state_refused: bool,
-    role: RoleState,
+}
+
+impl ReplicaComponent {
+    /// It has restarted: the result of its current job does not count.
+    fn discard(&mut self) {
+        self.discards = self.current.is_some();
+    }
+
+    /// Returns whether it has yet to load a state.
+    fn is_loading(&self) -> bool {
+        self.jobs.iter().chain(&self.current).any(|job| matches!(job, Job::Load { .. }))
+    }
+}
+
+/// What is reported to the actor.
+#[derive(Debug)]
+struct ReplicaReports {
     /// The role as it was reported last.
-    reported_role: Role,
-    jobs: VecDeque<Job>,
-    /// The time of the last input that had one.
-    now: Instant,
-    /// The job that the component does now.
-    current_job: Option<Job>,
-    /// The component has restarted since it was given that job: the result does not count.
-    discard_result: bool,
-    health: Health,
-    agreement: ConfigAgreement,
-    outage: Outage,
+    role: Role,
     /// The declared faults with their details.
     faults: SortedMap<FaultKind, String>,
-    refused: u64,
     outputs: VecDeque<ReplicaOutput>,
+}
+
+/// How the component's state compares with its replica's log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Health {
+    /// It has the state at the replica's position, or will have when it has done its jobs.
+    Complete,
+    /// It has restarted without the state, or failed to execute a request of the primary.
+    Stateless,
+    /// It accepts no jobs: it is stopped or isolated.
+    Inactive,
 }
 
 #[derive(Debug)]
@@ -111,34 +143,42 @@ impl Replica {
     /// vote before it restarted. `initial` is the state that the component was built with.
     pub fn new(config: ReplicaConfig, initial: Bytes, now: Instant) -> Self {
         let standby = Standby::starting(&config, now);
+        let log = ReplicaLog {
+            initial,
+            position: Position::default(),
+            answered: Position::default(),
+            state: None,
+            table: Table::default(),
+        };
+        let component = ReplicaComponent {
+            jobs: VecDeque::new(),
+            current: None,
+            discards: false,
+            health: Health::Complete,
+            state_refused: false,
+        };
+        let reports = ReplicaReports {
+            role: Role::Standby { primary: None, in_step: false },
+            faults: SortedMap::new(),
+            outputs: VecDeque::new(),
+        };
         let mut replica = Replica {
             agreement: ConfigAgreement::new(&config),
             config,
-            initial,
             epoch: 0,
             used_epoch: 0,
-            position: Position::default(),
-            learned: false,
-            answered: Position::default(),
+            log,
             primary_seen_at: now,
-            state: None,
-            table: Table::default(),
-            state_refused: false,
             role: RoleState::Standby(standby),
-            reported_role: Role::Standby { primary: None, in_step: false },
-            jobs: VecDeque::new(),
             now,
-            current_job: None,
-            discard_result: false,
-            health: Health::Complete,
-            outage: Outage::starting(now),
-            faults: SortedMap::new(),
+            component,
+            outage: Outage { since: Some(now), ..Outage::default() },
             refused: 0,
-            outputs: VecDeque::new(),
+            reports,
         };
         // Cold standbys keep no state.
         if replica.config.kind != StandbyKind::Cold
-            && let Err(why) = within_bounds(Ok(replica.initial.clone()))
+            && let Err(why) = within_bounds(Ok(replica.log.initial.clone()))
         {
             replica.refuse_state(&why);
         }
@@ -149,15 +189,12 @@ impl Replica {
     pub fn role(&self) -> Role {
         match &self.role {
             RoleState::Primary(primary) => Role::Primary { epoch: primary.epoch },
-            RoleState::Standby(standby) => {
-                let kept = standby.role(self.epoch, self.config.kind);
-                match (kept, self.health) {
-                    (
-                        Role::Standby { primary, .. },
-                        Health::Stateless { .. } | Health::Inactive { .. },
-                    ) => Role::Standby { primary, in_step: false },
-                    (role, _) => role,
-                }
+            RoleState::Standby(Standby { primary, in_step, .. }) => {
+                // A cold standby keeps no state, so it lacks none.
+                let kept = self.config.kind == StandbyKind::Cold || *in_step == Some(self.epoch);
+                let in_step =
+                    kept && primary.is_some() && self.component.health == Health::Complete;
+                Role::Standby { primary: primary.clone(), in_step }
             }
         }
     }
@@ -188,14 +225,14 @@ impl Replica {
         let ServiceRequest { caller, id, settled, until, request } = asked;
         self.handle_timeout(now);
         if let Some(difference) = self.mismatch() {
-            let why = DeliveryError::ContractDiffers { difference: difference.to_owned() };
+            let why = DeliveryError::ContractDiffers { difference };
             return self.answer(caller, ServiceOutcome::Refused(why));
         }
-        if self.table.is_settled(id) {
+        if self.log.table.is_settled(id) {
             // The request was delayed, and its caller has a reply by another path.
             return self.answer(caller, ServiceOutcome::Refused(DeliveryError::Expired));
         }
-        let served = self.table.find(id).cloned();
+        let served = self.log.table.find(id).cloned();
         let primary = match &mut self.role {
             RoleState::Standby(standby) => {
                 let elsewhere = ServiceOutcome::Elsewhere(standby.primary.clone());
@@ -210,7 +247,7 @@ impl Replica {
         }
         match served {
             Some(served) => {
-                self.answered = self.answered.max(primary.released);
+                self.log.answered = self.log.answered.max(primary.released);
                 self.answer(caller, ServiceOutcome::Served(served.result.map(Bytes::from)));
             }
             None if primary.waiting.len() >= QUEUE_MAX => {
@@ -218,7 +255,7 @@ impl Replica {
             }
             None => {
                 primary.waiting.insert(id, caller);
-                self.jobs.push_back(Job::Serve { id, settled, until, request });
+                self.component.jobs.push_back(Job::Serve { id, settled, until, request });
                 self.start_next_job();
             }
         }
@@ -232,13 +269,13 @@ impl Replica {
         now: Instant,
     ) {
         self.now = now;
-        let discarded = std::mem::take(&mut self.discard_result);
+        let discarded = std::mem::take(&mut self.component.discards);
         if discarded && result.is_ok() && !matches!(state, Some(Err(_))) {
             self.retry_job();
             return self.start_next_job();
         }
         let (result, state) = self.kept(result, state);
-        match self.current_job.take() {
+        match self.component.current.take() {
             Some(Job::Serve { id, settled, request, .. }) => match (&mut self.role, result) {
                 (_, Err(DeliveryError::Stopped | DeliveryError::Isolated { .. })) => {
                     self.handle_component_stopped(now)
@@ -262,7 +299,7 @@ impl Replica {
             },
             Some(Job::Replay { .. }) => self.note_replayed(result, discarded, now),
             None => {}
-            Some(other) => self.current_job = Some(other),
+            Some(other) => self.component.current = Some(other),
         }
         self.start_next_job();
     }
@@ -276,13 +313,13 @@ impl Replica {
     ) -> (Result<Bytes, DeliveryError>, Option<Bytes>) {
         match (result, state.map(within_bounds)) {
             (Ok(reply), Some(Ok(state))) => {
-                self.state_refused = false;
+                self.component.state_refused = false;
                 (Ok(reply), Some(state))
             }
             (Ok(_), Some(Err(why))) => {
                 self.refuse_state(&why);
-                let state = self.last_state();
-                self.jobs.push_front(Job::Load { state });
+                let state = self.log.last_state();
+                self.component.jobs.push_front(Job::Load { state });
                 (Err(why), None)
             }
             (result, state) => (result, state.and_then(Result::ok)),
@@ -292,34 +329,30 @@ impl Replica {
     fn refuse_state(&mut self, why: &DeliveryError) {
         // The end of a component is a fault by itself.
         let large = matches!(why, DeliveryError::TooLarge { .. });
-        if large && !std::mem::replace(&mut self.state_refused, true) {
+        if large && !std::mem::replace(&mut self.component.state_refused, true) {
             let detail = format!(
                 "its state cannot be kept for its standbys, so none of them can take over: {why}; make it \
                  smaller, or keep large data elsewhere"
             );
             let kind = FaultKind::CheckFailed;
-            self.outputs.push_back(ReplicaOutput::Fault { kind, detail });
+            self.reports.outputs.push_back(ReplicaOutput::Fault { kind, detail });
         }
     }
 
     /// Handles the component's result of [`ReplicaOutput::Save`].
     pub fn handle_saved(&mut self, state: Result<Bytes, DeliveryError>, now: Instant) {
-        match self.current_job.take() {
+        match self.component.current.take() {
             Some(Job::Save) => {
-                let discarded = std::mem::take(&mut self.discard_result);
+                let discarded = std::mem::take(&mut self.component.discards);
                 match within_bounds(state) {
                     Ok(_) if discarded => {}
                     Ok(state) => self.send_snapshots(&state, now),
                     Err(why) => self.refuse_state(&why),
                 }
             }
-            other => self.current_job = other,
+            other => self.component.current = other,
         }
         self.start_next_job();
-    }
-
-    fn last_state(&self) -> Bytes {
-        self.state.clone().unwrap_or_else(|| self.initial.clone())
     }
 
     /// The component has loaded a state.
@@ -329,34 +362,27 @@ impl Replica {
     }
 
     fn end_load(&mut self) {
-        match self.current_job.take() {
-            Some(Job::Load { .. }) => self.discard_result = false,
-            other => self.current_job = other,
+        match self.component.current.take() {
+            Some(Job::Load { .. }) => self.component.discards = false,
+            other => self.component.current = other,
         }
         self.start_next_job();
     }
 
     /// Handles a message of another replica.
     pub fn handle_message(&mut self, from: &NodeName, message: &[u8], now: Instant) {
-        let read = self.agreement.read(message).filter(|_| *from != self.config.own);
-        let Some((message, fingerprint)) = read else {
-            self.refused += 1;
-            return;
-        };
-        let agrees = self.agreement.is_ours(fingerprint);
-        if !agrees {
-            self.recheck(from, now);
-        }
-        let accepted = match agrees {
-            true => self.config.members.contains(from),
-            false => self.agreement.shares_state(from, fingerprint),
-        };
-        let message = codec::decode_bounded::<Message, MESSAGE_MAX>(message);
-        match message.ok().filter(|_| accepted) {
-            Some(message) if agrees => self.dispatch(from, message, now),
-            Some(message) => {
-                let from = ReplicaOrigin { node: from, other_configuration: Some(fingerprint) };
-                self.handle_other_list(from, message, now);
+        let is_member = *from != self.config.own && self.config.members.contains(from);
+        match message.split_last_chunk().filter(|_| is_member) {
+            Some((message, mark)) if u64::from_le_bytes(*mark) == self.agreement.fingerprint => {
+                match codec::decode_bounded::<Message, MESSAGE_MAX>(message) {
+                    Ok(message) => self.dispatch(from, message, now),
+                    Err(_) => self.refused += 1,
+                }
+            }
+            Some(_) => {
+                self.refused += 1;
+                self.agreement.note_foreign(from);
+                self.compare(from, now);
             }
             None => self.refused += 1,
         }
@@ -365,12 +391,11 @@ impl Replica {
     /// Handles a message of a member with the same configuration.
     fn dispatch(&mut self, from: &NodeName, message: Message, now: Instant) {
         self.handle_timeout(now);
-        let origin = ReplicaOrigin { node: from, other_configuration: None };
         match message {
             Message::Heartbeat(heartbeat) => self.handle_heartbeat(from, heartbeat, now),
             Message::LeasePromise(promise) => {
                 self.detect_loss(promise.epoch, promise.answered);
-                self.handle_promise(origin, &promise, now);
+                self.handle_promise(from, &promise, now);
             }
             Message::Outdated { epoch } => match &self.role {
                 RoleState::Primary(primary) if epoch > primary.epoch => self.step_down(None, now),
@@ -380,13 +405,308 @@ impl Replica {
             // A failed candidacy of another replica deposes no primary.
             Message::Voted { epoch } => self.used_epoch = self.used_epoch.max(epoch),
             Message::VoteRequest(request) => self.handle_vote_request(from, request, now),
-            Message::OtherConfiguration(configuration) => {
-                self.handle_other_configuration(&configuration, now);
-            }
             Message::Vote(vote) => self.handle_vote(from, vote, now),
-            Message::Entry(entry) => self.handle_entry(origin, entry),
-            Message::Snapshot(snapshot) => self.handle_snapshot(origin, snapshot),
+            Message::Entry(entry) => self.handle_entry(from, entry),
+            Message::Snapshot(snapshot) => self.handle_snapshot(from, snapshot),
             Message::Resigned { epoch } => self.handle_resignation(from, epoch, now),
+        }
+    }
+
+    /// Returns what this replica knows of its service now.
+    pub fn view(&self) -> ServiceView {
+        let primary = match &self.role {
+            RoleState::Primary(_) => Some(self.config.own.clone()),
+            RoleState::Standby(standby) => standby.primary.clone(),
+        };
+        let unreachable = |member: &&NodeName| {
+            **member != self.config.own
+                && self.agreement.known.get(*member).is_none_or(|known| !known.seen)
+        };
+        ServiceView {
+            state: self.state_shown(),
+            epoch: self.epoch,
+            primary,
+            unreachable: self.config.members.iter().filter(unreachable).cloned().collect(),
+            unreplicated: self.reports.faults.contains_key(&FaultKind::Unreplicated),
+        }
+    }
+
+    fn state_shown(&self) -> ServiceState {
+        if let RoleState::Primary(_) = self.role {
+            return ServiceState::Primary;
+        }
+        match (self.component.health, self.role()) {
+            (Health::Inactive, _) => ServiceState::Resting,
+            (_, Role::Standby { primary: None, .. }) if self.agreement.is_disputed() => {
+                ServiceState::Fenced
+            }
+            (_, Role::Standby { primary: None, .. }) => ServiceState::Candidate,
+            (_, Role::Standby { in_step: true, .. }) => ServiceState::Standby,
+            _ => ServiceState::Behind,
+        }
+    }
+
+    /// Returns this replica's configuration and whether it serves, encoded for
+    /// [`Replica::handle_configuration`] of the other replicas.
+    pub fn configuration(&self) -> Bytes {
+        self.agreement.encode(matches!(self.role, RoleState::Primary(_)))
+    }
+
+    /// Returns how the configurations differ and what to write, if this replica knows of no primary
+    /// and no node begins to serve until then.
+    pub fn mismatch(&self) -> Option<String> {
+        match &self.role {
+            RoleState::Standby(Standby { primary: None, .. }) => self.agreement.differences(),
+            RoleState::Standby(_) | RoleState::Primary(_) => None,
+        }
+    }
+
+    /// Sets the other nodes that have an object of the service's name and to which a path leads.
+    /// Drops what is known of nodes that may not claim the service. Call it several times a second,
+    /// as the policy of the robot may change.
+    pub fn handle_carriers(
+        &mut self,
+        found: &[NodeName],
+        may_claim: impl Fn(&NodeName) -> bool,
+        now: Instant,
+    ) {
+        self.agreement.see(found, may_claim);
+        let nodes: Vec<_> = self.agreement.known.keys().cloned().collect();
+        nodes.iter().for_each(|node| self.compare(node, now));
+        self.report_mismatch();
+    }
+
+    /// Handles the configuration that another node sends, with its question or as its answer.
+    pub fn handle_configuration(&mut self, from: &NodeName, bytes: &[u8], now: Instant) {
+        let compared = self.agreement.compare(from, bytes).filter(|_| *from != self.config.own);
+        let Some((comparison, other_goes_on)) = compared else {
+            self.refused += 1;
+            return;
+        };
+        self.note_comparison(from, comparison);
+        match other_goes_on {
+            Some(true) => self.resign(now),
+            // That node resigns when it learns that this one serves.
+            Some(false) if matches!(self.role, RoleState::Primary(_)) => {
+                self.agreement.ask_again(from);
+            }
+            Some(false) | None => {}
+        }
+    }
+
+    /// A node is there, and does not carry the service.
+    pub fn handle_no_service(&mut self, of: &NodeName) {
+        let before = self.agreement.known.get(of).map(|known| &known.comparison);
+        let confirmed = matches!(before, Some(ConfigComparison::Absent { .. }));
+        self.note_comparison(of, ConfigComparison::Absent { confirmed });
+    }
+
+    /// A node has ended in order.
+    pub fn handle_left(&mut self, node: &NodeName) {
+        self.note_comparison(node, ConfigComparison::Unknown);
+    }
+
+    /// Returns a replica that starts with what this one knows of the others, after its actor has
+    /// failed.
+    #[must_use]
+    pub fn restarted(&self, now: Instant) -> Self {
+        let mut next = Replica::new(self.config.clone(), self.log.initial.clone(), now);
+        next.agreement = self.agreement.clone();
+        next.log.answered = self.log.answered;
+        // The new replica finds again what is still wrong.
+        for kind in self.reports.faults.keys() {
+            next.reports.outputs.push_back(ReplicaOutput::FaultCleared { kind: kind.clone() });
+        }
+        next.report_mismatch();
+        next
+    }
+
+    /// Asks a node for its configuration, if that is due.
+    fn compare(&mut self, with: &NodeName, now: Instant) {
+        if *with != self.config.own && self.agreement.is_due(with, now) {
+            self.reports.outputs.push_back(ReplicaOutput::Compare { with: with.clone() });
+        }
+    }
+
+    fn note_comparison(&mut self, of: &NodeName, comparison: ConfigComparison) {
+        match self.agreement.record(of) {
+            Some(known) => known.comparison = comparison,
+            None => self.refused += 1,
+        }
+        self.report_mismatch();
+    }
+
+    /// Declares the mismatch if it has changed, or clears it.
+    fn report_mismatch(&mut self) {
+        self.set_fault(FaultKind::ContractMismatch, self.agreement.describe());
+    }
+
+    /// The component has ended, and its state with it.
+    pub fn handle_component_died(&mut self, now: Instant) {
+        match (&self.role, self.config.kind) {
+            // No other node has more than the restarted component.
+            (_, StandbyKind::Cold) => {}
+            (RoleState::Primary(Primary { epoch, .. }), StandbyKind::Hot)
+                if self.config.members.len() == 1 =>
+            {
+                // There is no other member to serve.
+                self.restart_without_lost_state(*epoch);
+            }
+            (RoleState::Primary(_), StandbyKind::Warm) => {
+                self.component.discard();
+                let state = self.log.last_state();
+                self.component.jobs.push_front(Job::Load { state });
+                self.start_next_job();
+            }
+            (RoleState::Standby(_), StandbyKind::Warm) => {
+                self.component.discard();
+            }
+            (_, StandbyKind::Hot) => self.lose_state(now),
+        }
+    }
+
+    /// The component was stopped or isolated: it accepts no jobs until
+    /// [`Replica::handle_component_resumed`].
+    pub fn handle_component_stopped(&mut self, now: Instant) {
+        if self.component.health == Health::Inactive {
+            return;
+        }
+        if self.config.kind == StandbyKind::Hot {
+            self.lose_state(now);
+        } else {
+            self.component.discard();
+            self.resign(now);
+            self.component.jobs.clear();
+        }
+        (self.component.health, self.primary_seen_at) = (Health::Inactive, now);
+        if let RoleState::Standby(standby) = &mut self.role {
+            standby.candidacy = None;
+        }
+        self.report_role();
+    }
+
+    /// The component accepts jobs.
+    pub fn handle_component_resumed(&mut self, now: Instant) {
+        if self.component.health != Health::Inactive {
+            return;
+        }
+        self.component.health = Health::Complete;
+        if self.config.kind == StandbyKind::Hot {
+            self.lose_state(now);
+        }
+        if let RoleState::Standby(standby) = &mut self.role {
+            standby.advance_election(&self.config, now);
+        }
+        self.report_role();
+    }
+
+    /// The component failed to load a state.
+    pub fn handle_not_loaded(&mut self, now: Instant) {
+        self.end_load();
+        if self.config.kind == StandbyKind::Hot {
+            self.lose_state(now);
+        }
+    }
+
+    /// The component does not have the state at the replica's position, which hot ones need.
+    fn lose_state(&mut self, now: Instant) {
+        self.component.discard();
+        if let RoleState::Primary(primary) = &self.role {
+            // The next primary need not have requests whose replies were not sent.
+            self.log.position = primary.released;
+        }
+        self.resign(now);
+        self.component.jobs.clear();
+        if self.component.health == Health::Complete {
+            (self.component.health, self.primary_seen_at) = (Health::Stateless, now);
+        }
+        if let RoleState::Standby(standby) = &mut self.role {
+            standby.fall_behind();
+            // Votes in flight were requested with a position that does not hold any more.
+            standby.candidacy = None;
+        }
+        self.report_role();
+    }
+
+    /// The component restarted, and did the current job without the state. Schedules the job again.
+    fn retry_job(&mut self) {
+        match (&self.role, self.component.current.take()) {
+            (RoleState::Primary(_), Some(serve @ Job::Serve { .. })) => {
+                let loads = matches!(self.component.jobs.front(), Some(Job::Load { .. }));
+                self.component.jobs.insert(usize::from(loads), serve);
+            }
+            (_, Some(Job::Serve { .. } | Job::Replay { .. }) | None) => {}
+            (_, other) => (self.component.current, self.component.discards) = (other, true),
+        }
+    }
+
+    /// Handles the result of a request that the primary has served.
+    fn note_replayed(
+        &mut self,
+        result: Result<Bytes, DeliveryError>,
+        discarded: bool,
+        now: Instant,
+    ) {
+        let loads = self.component.is_loading();
+        match result {
+            Err(DeliveryError::Stopped | DeliveryError::Isolated { .. }) => {
+                self.handle_component_stopped(now)
+            }
+            // The primary's component executed it.
+            Err(_) if !discarded && !loads => self.lose_state(now),
+            Ok(_) | Err(_) => {}
+        }
+    }
+
+    /// Ends the role of primary, and reports that to the other members before its lease ends.
+    fn resign(&mut self, now: Instant) {
+        let RoleState::Primary(primary) = &self.role else { return };
+        let epoch = primary.epoch;
+        self.step_down(None, now);
+        if let RoleState::Standby(standby) = &mut self.role {
+            standby.promised_until = standby.promised_until.min(now);
+        }
+        self.send_to_others(&Message::Resigned { epoch });
+    }
+
+    /// Returns until when this replica may not stand for election. If it has waited in vain for a
+    /// node with a newer state, it drops its own position, so that the service starts without that
+    /// state.
+    fn ineligible_until(&mut self, now: Instant) -> Option<Instant> {
+        let until = self.waiting_since()? + self.config.state_timeout();
+        if now < until && self.config.members.len() > 1 {
+            return Some(until);
+        }
+        if self.component.health == Health::Complete {
+            // No reachable member has a newer state.
+            return None;
+        }
+        let is_inactive = self.component.health == Health::Inactive;
+        // A warm replica keeps the state however long its component rests.
+        if is_inactive && self.config.kind == StandbyKind::Warm {
+            return Some(now + self.config.state_timeout());
+        }
+        self.log.position = Position::default();
+        self.log.table.clear();
+        self.log.state = None;
+        is_inactive.then(|| now + self.config.state_timeout())
+    }
+
+    /// The last message to this node was sent, or was refused because this node isolates it.
+    pub fn handle_sent(&mut self, to: &NodeName, isolated: bool) {
+        if !isolated {
+            self.outage.isolated.remove(to);
+        } else if self.config.members.contains(to) {
+            self.outage.isolated.insert(to.clone());
+        }
+    }
+
+    /// Declares that the service has no primary, or updates the causes, if that is due.
+    fn report_outage(&mut self, now: Instant) {
+        if self.outage.due(&self.config).is_some_and(|due| now >= due) {
+            self.outage.described_at = Some(now);
+            let detail = self.outage.describe(self, now);
+            self.set_fault(FaultKind::ServiceUnavailable, Some(detail));
         }
     }
 
@@ -396,14 +716,14 @@ impl Replica {
 
     /// Gives the component the next job, if it has none.
     fn start_next_job(&mut self) {
-        if self.current_job.is_some() {
+        if self.component.current.is_some() {
             return;
         }
-        if let Health::Inactive { .. } = self.health {
-            return self.jobs.clear();
+        if self.component.health == Health::Inactive {
+            return self.component.jobs.clear();
         }
         let Some(job) = self.next_job() else { return };
-        self.outputs.push_back(match &job {
+        self.reports.outputs.push_back(match &job {
             Job::Serve { request, .. } => {
                 let save = self.config.kind == StandbyKind::Warm;
                 ReplicaOutput::Execute { request: request.clone(), save }
@@ -414,13 +734,13 @@ impl Replica {
             Job::Load { state } => ReplicaOutput::Load { state: state.clone() },
             Job::Save => ReplicaOutput::Save,
         });
-        self.current_job = Some(job);
+        self.component.current = Some(job);
     }
 
     /// Removes and returns the next job. Requests whose deadline has passed are refused.
     fn next_job(&mut self) -> Option<Job> {
         loop {
-            let job = self.jobs.pop_front()?;
+            let job = self.component.jobs.pop_front()?;
             let Job::Serve { id, until: Some(until), .. } = &job else { return Some(job) };
             if self.now < *until {
                 return Some(job);
@@ -442,8 +762,8 @@ impl Replica {
             return;
         };
         // Requests that no standby has are dropped: their callers send them to the next primary.
-        self.jobs.retain(|job| !matches!(job, Job::Serve { .. } | Job::Save));
-        for caller in past.callers() {
+        self.component.jobs.retain(|job| !matches!(job, Job::Serve { .. } | Job::Save));
+        for caller in past.waiting.into_values() {
             let outcome = match self.config.kind {
                 // No other replica knows of the request.
                 StandbyKind::Cold => {
@@ -461,27 +781,33 @@ impl Replica {
     /// Reports the role, if it has changed.
     fn report_role(&mut self) {
         let role = self.role();
-        if role != self.reported_role {
-            self.reported_role = role.clone();
-            self.outputs.push_back(ReplicaOutput::RoleChanged(role));
+        if role != self.reports.role {
+            self.reports.role = role.clone();
+            self.reports.outputs.push_back(ReplicaOutput::RoleChanged(role.clone()));
         }
-        self.update_outage();
+        // The time without a known primary begins or ends.
+        if let Role::Standby { primary: None, .. } = role {
+            self.outage.since.get_or_insert(self.now);
+        } else {
+            self.outage = Outage { served: true, ..Outage::default() };
+            self.set_fault(FaultKind::ServiceUnavailable, None);
+        }
     }
 
     fn answer(&mut self, caller: u64, outcome: ServiceOutcome) {
-        self.outputs.push_back(ReplicaOutput::Answer { caller, outcome });
+        self.reports.outputs.push_back(ReplicaOutput::Answer { caller, outcome });
     }
 
     fn send(&mut self, to: &NodeName, message: &Message) {
         let message = self.agreement.sign(codec::encode_unbounded(message));
-        self.outputs.push_back(ReplicaOutput::Send { to: to.clone(), message });
+        self.reports.outputs.push_back(ReplicaOutput::Send { to: to.clone(), message });
     }
 
     fn send_to_others(&mut self, message: &Message) {
         let message = self.agreement.sign(codec::encode_unbounded(message));
         let members = self.config.members.iter().filter(|member| **member != self.config.own);
-        for to in members.cloned().chain(self.agreement.unlisted()) {
-            self.outputs.push_back(ReplicaOutput::Send { to, message: message.clone() });
+        for to in members.cloned() {
+            self.reports.outputs.push_back(ReplicaOutput::Send { to, message: message.clone() });
         }
     }
 }
@@ -502,12 +828,12 @@ impl Machine for Replica {
     type Output = ReplicaOutput;
 
     fn poll_output(&mut self) -> Option<ReplicaOutput> {
-        self.outputs.pop_front()
+        self.reports.outputs.pop_front()
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
         match &self.role {
-            RoleState::Primary(primary) => Some(primary.due(&self.config, &self.agreement)),
+            RoleState::Primary(primary) => Some(primary.due(&self.config)),
             RoleState::Standby(standby) => {
                 let outage = self.outage.due(&self.config);
                 Some(outage.map_or(standby.due(), |due| due.min(standby.due())))
@@ -518,9 +844,7 @@ impl Machine for Replica {
     fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
         match &self.role {
-            RoleState::Primary(primary)
-                if !primary.has_lease(&self.config, &self.agreement, now) =>
-            {
+            RoleState::Primary(primary) if !primary.has_lease(&self.config, now) => {
                 self.step_down(None, now);
             }
             RoleState::Primary(primary) if now >= primary.heartbeat_at => {

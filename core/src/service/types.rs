@@ -79,8 +79,9 @@ pub enum ReplicaOutput {
     /// Declare a fault of the service on this node. A later output of the same kind replaces its
     /// detail.
     Fault {
-        /// The kind: a state that cannot be kept, is on this node alone or is lost, or a service
-        /// without a primary.
+        /// The kind: a state that cannot be kept, is on this node alone or is lost, a service
+        /// without a primary, or a mismatch of configurations, until which no further replica
+        /// begins to serve.
         kind: FaultKind,
         /// The particulars, and how to clear the fault.
         detail: String,
@@ -90,17 +91,6 @@ pub enum ReplicaOutput {
         /// The kind of the fault.
         kind: FaultKind,
     },
-    /// Declare a configuration mismatch: another node has another configuration of the service, a
-    /// listed node does not carry it, or this replica has met more configurations than it can keep.
-    /// Until that is cleared, a replica serves only while too few nodes of each other configuration
-    /// are left to elect a primary.
-    ConfigMismatch {
-        /// The differences, and what to write.
-        detail: String,
-    },
-    /// Clear the configuration mismatch. If a part of it persists, a new
-    /// [`ConfigMismatch`](Self::ConfigMismatch) follows.
-    MismatchCleared,
     /// Ask a node for its configuration of the service, and report the answer by
     /// [`Replica::handle_configuration`](super::Replica::handle_configuration),
     /// [`Replica::handle_no_service`](super::Replica::handle_no_service) or

@@ -13,13 +13,10 @@ pub enum ServiceState {
     Standby,
     /// It knows of a primary, and does not have its state, or not yet.
     Behind,
-    /// It knows of a primary that another list of nodes has elected, and receives its state; it has
-    /// no vote there.
-    Learner,
     /// It knows of no node that serves. It votes, and stands for election when it is its turn.
     Candidate,
-    /// Nodes have different configurations of the service, and no node with this one's
-    /// configuration may serve.
+    /// It knows of no node that serves, and stands for no election: nodes have different
+    /// configurations of the service.
     Fenced,
     /// Its component is stopped or isolated, or the node is in the safe state.
     Resting,
@@ -31,7 +28,6 @@ impl fmt::Display for ServiceState {
             ServiceState::Primary => "primary",
             ServiceState::Standby => "standby",
             ServiceState::Behind => "behind",
-            ServiceState::Learner => "learner",
             ServiceState::Candidate => "candidate",
             ServiceState::Fenced => "fenced",
             ServiceState::Resting => "at rest",

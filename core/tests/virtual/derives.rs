@@ -1,7 +1,7 @@
 //! What the derives make of right uses. Wrong uses stand in `tests/derives`.
 
 use blastema_core::contract::codec::{decode, encode};
-use blastema_core::contract::packed::{difference, fingerprint, pack, size, unpack};
+use blastema_core::contract::packed::{pack, size, unpack};
 use blastema_core::{Contract, ContractIdentity, Described, EncodeError, LayoutDescription};
 use blastema_macros::{Event, Request, Structure};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -98,72 +98,6 @@ struct Step {
 fn a_bounded_type_that_contains_itself_has_no_packed_form() {
     let step = Step { parts: Vec::new() };
     assert!(step.parts.is_empty() && size(Step::layout).is_err());
-}
-
-/// The next edition of [`Plan`]'s sibling on a device.
-#[derive(Debug, PartialEq, Request)]
-#[contract(name = "arm/move", reply = Moved, crate = "crate::facade")]
-struct Move {
-    #[contract(unit = "rad")]
-    angle: f32,
-    slowly: bool,
-}
-
-#[derive(Clone, Debug, PartialEq, Structure)]
-#[contract(crate = "crate::facade")]
-struct Moved {
-    steps: u16,
-}
-
-#[test]
-fn of_a_contract_whose_fingerprint_differs_the_field_is_found() {
-    mod others {
-        use super::Moved;
-        use blastema_macros::{Request, Structure};
-
-        #[derive(Debug, Request)]
-        #[contract(name = "arm/move", reply = Moved, crate = "crate::facade")]
-        pub(super) struct Wide {
-            #[contract(unit = "rad")]
-            pub(super) angle: f64,
-            pub(super) slowly: bool,
-        }
-
-        #[derive(Debug, Request)]
-        #[contract(name = "arm/move", reply = Moved, crate = "crate::facade")]
-        pub(super) struct Short {
-            #[contract(unit = "rad")]
-            pub(super) angle: f32,
-        }
-
-        #[derive(Debug, Request)]
-        #[contract(name = "arm/move", reply = Far, crate = "crate::facade")]
-        pub(super) struct Same {
-            #[contract(unit = "rad")]
-            pub(super) angle: f32,
-            pub(super) slowly: bool,
-        }
-
-        pub(super) use far::Moved as Far;
-
-        mod far {
-            use super::Structure;
-
-            #[derive(Clone, Debug, Structure)]
-            #[contract(crate = "crate::facade")]
-            pub(crate) struct Moved {
-                pub(crate) steps: u32,
-            }
-        }
-    }
-    let found = |theirs| difference::<Move>(theirs).unwrap_or_default();
-    assert_eq!(found(fingerprint::<others::Wide>()), "the field `angle` is f64 there");
-    assert_eq!(found(fingerprint::<others::Short>()), "there is no field `slowly` there");
-    assert_eq!(found(fingerprint::<others::Same>()), "the field `steps` is u32 there");
-    assert_eq!(difference::<Move>(7), None);
-    let _ = |it: others::Wide| (it.angle, it.slowly);
-    let _ = |it: others::Short, far: others::Far| (it.angle, far.steps);
-    let _ = |it: others::Same| (it.angle, it.slowly);
 }
 
 #[derive(Clone, Debug, PartialEq, Structure)]

@@ -73,9 +73,7 @@ impl CanConfig {
     }
 }
 
-/// The bit rates of a bus that the SLCAN protocol has a command for, in bits a second.
-pub const SLCAN_BIT_RATES: [u32; 9] =
-    [10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000];
+pub use blastema_core::medium::can::slcan::BIT_RATES_HZ as SLCAN_BIT_RATES;
 
 /// The bit rates for the payload of CAN FD frames that adapters have a command for, in bits a
 /// second.

@@ -9,7 +9,7 @@
 
 use crate::can_node::{CanNode, CanPort};
 use crate::endpoint::SlcanConfig;
-use crate::usb_device::is_usb_device;
+use crate::usb_device::{is_usb_device, unopened};
 use blastema_core::Instant;
 use blastema_core::medium::can::slcan::{
     AdapterCommand, AdapterControl, AdapterReply, BitRate, DataRate, ReplyParser,
@@ -23,7 +23,7 @@ use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Sleep;
-use tokio_serial::{ErrorKind, SerialPort, SerialStream};
+use tokio_serial::{SerialPort, SerialStream};
 
 /// So many bytes are read at once: what the system holds of a terminal.
 const CHUNK: usize = 4096;
@@ -80,21 +80,6 @@ struct Line {
     question: Option<(Instant, Pin<Box<Sleep>>)>,
 }
 
-impl SlcanAdapter {
-    fn explain(&self, error: &tokio_serial::Error) -> io::Error {
-        let there = self.config.path.exists();
-        let advice = match error.kind() {
-            ErrorKind::Io(io::ErrorKind::PermissionDenied) => {
-                "the system forbids it: let this user use the port, often by the group dialout"
-            }
-            _ if !there => "there is no such port: plug the adapter in, or check the path",
-            ErrorKind::NoDevice => "another program uses this port: end it, or choose another port",
-            _ => "check that it is a serial port, and that it can what is asked of it",
-        };
-        io::Error::other(format!("{error}: {advice}"))
-    }
-}
-
 impl CanPort for SlcanAdapter {
     fn name(&self) -> String {
         format!("slcan {}", self.config.path.display())
@@ -123,7 +108,8 @@ impl CanPort for SlcanAdapter {
             }
         };
         let builder = tokio_serial::new(self.config.path.to_string_lossy(), self.config.baud);
-        let port = SerialStream::open(&builder).map_err(|error| self.explain(&error))?;
+        let port = SerialStream::open(&builder);
+        let port = port.map_err(|error| unopened(&self.config.path, &error))?;
         self.line = Some(Line {
             port,
             dialogue: AdapterControl::new(rate, data_rate),
@@ -301,7 +287,7 @@ impl Line {
     fn hear(&mut self) -> io::Result<Option<Option<CanFrame>>> {
         while let Some(byte) = self.unread.pop_front() {
             match self.listener.handle_byte(byte) {
-                Some(AdapterReply::Frame { frame, .. }) => return Ok(Some(Some(frame))),
+                Some(AdapterReply::Frame(frame)) => return Ok(Some(Some(frame))),
                 Some(reply) => self.dialogue.handle_reply(&reply),
                 None => {}
             }

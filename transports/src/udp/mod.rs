@@ -220,7 +220,9 @@ impl Udp {
             }
             match socket.try_recv_buf_from(&mut (&mut self.buffer).limit(capacity)) {
                 // What we have said to the group ourselves comes back from it.
-                Ok((_, from)) if self.group_brings_back(from) => self.buffer.clear(),
+                Ok((_, from)) if self.config.group.is_some() && self.binding.is_at(from) => {
+                    self.buffer.clear();
+                }
                 Ok((length, _)) if length > mtu => {
                     self.buffer.clear();
                     self.outlet.counters.refused += 1;
@@ -250,10 +252,6 @@ impl Udp {
             }
         }
         Turn::More
-    }
-
-    fn group_brings_back(&self, from: SocketAddr) -> bool {
-        self.config.group.is_some() && self.binding.is_at(from)
     }
 }
 
@@ -363,8 +361,8 @@ fn bind(address: SocketAddr, config: &UdpConfig) -> io::Result<UdpSocket> {
     UdpSocket::from_std(socket.into())
 }
 
-/// A datagram that is too large for a network on its path is lost, not cut up, whatever routers have
-/// said of the path: their messages may be forged, and links probe it (RFC 8899, 4.1).
+/// A datagram that is too large for a network on its path is lost, not cut up, whatever routers
+/// have said of the path: their messages may be forged, and links probe it (RFC 8899, 4.1).
 #[cfg(target_os = "linux")]
 fn forbid_fragments(socket: &Socket, address: SocketAddr) -> io::Result<()> {
     use rustix::net::sockopt::{

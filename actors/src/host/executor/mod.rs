@@ -8,13 +8,11 @@
 
 mod at_once;
 mod ending;
-mod lifecycle;
-mod outbox;
 mod shared;
 
 pub(crate) use shared::{SharedExecutor, executor_here};
 
-use outbox::DeferredReport;
+use ending::DeferredReport;
 
 use super::lifecycle::{Hook, IncarnationLifecycle, LifecycleStep, StopOrder};
 use super::schedule::{DueWork, ScheduledWork};

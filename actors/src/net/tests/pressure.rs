@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::{Event, Outcome, WhenFull};
+use blastema_contract::child::ChildOrder;
 use blastema_core::TrafficClass;
 use blastema_core::contract::codec;
 use blastema_core::net::peer_protocol::receive_backlog::MESSAGES_MAX;
@@ -213,7 +214,7 @@ fn an_object_that_is_stopped_for_good_turns_what_waits_into_dead_letters_and_nob
         advance(20 * MS).await;
         assert_eq!(jobs.tell(Job(200)).unwrap_err().kind, DeliveryError::Full);
 
-        child.stop();
+        child.order(ChildOrder::Stop { again: false });
         advance(10_000 * MS).await;
 
         let name = ObjectName::new("slow").unwrap();

@@ -19,14 +19,14 @@ use super::error::{PolicyPart, StartError};
 use crate::actuator::{ActuatorKey, ActuatorTable};
 use crate::component::environment::ComponentEnvironment;
 use crate::condition::{ConditionError, object_of};
-use crate::platform;
+use crate::platform::{self, lock};
 use actix::prelude::{ArbiterHandle, Recipient};
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::connection::{ConditionState, LostCommunication, LostCommunicationOutput};
 use blastema_core::lease::CommanderId;
 use blastema_core::{FaultKind, Incarnation, Instant, Machine, NodeName, ObjectName};
 use bytes::Bytes;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 use tokio::sync::watch;
 use tracing::info;
@@ -96,7 +96,7 @@ impl KeptPolicy {
     }
 
     fn lock(&self) -> MutexGuard<'_, LostCommunication> {
-        self.ladder.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.ladder)
     }
 
     /// Acts on how the condition is, and on the time.

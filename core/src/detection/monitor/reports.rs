@@ -3,7 +3,7 @@
 
 use super::Monitor;
 use crate::detection::hang::LivenessEvent;
-use crate::detection::{Finding, NodeCondition};
+use crate::detection::{Finding, NodeCondition, Observation};
 use crate::{FaultLocation, Incarnation, Instant, ObjectName};
 
 impl Monitor {
@@ -91,6 +91,7 @@ impl Monitor {
 
     fn observe_this_node(&mut self, condition: NodeCondition, now: Instant) {
         let location = FaultLocation::Node(self.node.clone());
-        self.observe(location, Incarnation::default(), Finding::Node(condition), now);
+        let (incarnation, finding) = (Incarnation::default(), Finding::Node(condition));
+        self.observe(Observation { location, incarnation, finding, seen_at: now });
     }
 }

@@ -20,7 +20,8 @@ use crate::net::wire::node_id::NodeId;
 use std::time::Duration;
 
 /// A hello's number may be ahead by so many more intervals than have passed since the last one was
-/// received, which may have been delayed, or have waited while this node was not run. The numbers in between count as missed.
+/// received, which may have been delayed, or have waited while this node was not run. The numbers
+/// in between count as missed.
 const AHEAD_MAX: i64 = 2;
 
 /// A hello that so many later ones have overtaken is none that was merely late.

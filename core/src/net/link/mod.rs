@@ -199,8 +199,8 @@ impl Link {
         self.path.as_ref().map_or(self.mtu, PathMtu::limit)
     }
 
-    /// The largest frame that passes, and the medium's largest one, in bytes, once probes have shown
-    /// that the path drops the latter.
+    /// The largest frame that passes, and the medium's largest one, in bytes, once probes have
+    /// shown that the path drops the latter.
     pub fn shortfall(&self) -> Option<(usize, usize)> {
         self.path.as_ref().and_then(PathMtu::shortfall)
     }
@@ -270,11 +270,6 @@ impl Link {
             }
             Frame::Probe(_) | Frame::ProbeAnswer(_) => self.neighbour.is_some(),
         }
-    }
-
-    /// Whether a hello is not late at present.
-    fn is_monitored(&self) -> bool {
-        self.state == LinkState::Up || self.is_proving()
     }
 
     fn carries(&self) -> bool {
@@ -396,12 +391,6 @@ impl Link {
     /// How often hellos are sent.
     pub fn hello_interval(&self) -> Duration {
         self.hello_interval
-    }
-
-    /// How surprising the neighbour's silence is by now, as φ: 1 is one in ten, 8 one in 10⁸, were
-    /// delays normally distributed. It is for display, and decides nothing.
-    pub fn phi(&self, now: Instant) -> f32 {
-        self.neighbour.as_ref().map_or(0.0, |record| record.arrivals.phi(now))
     }
 
     /// When the neighbour's last hello was received, if it is known.
@@ -552,11 +541,10 @@ impl Link {
     }
 
     fn hello(&self, now: Instant, sequence: u32) -> Hello {
-        let echo = self.neighbour.as_ref().map(NeighbourRecord::last_received);
-        let echo = echo.map(|(incarnation, sequence, at)| Echo {
-            incarnation,
-            sequence,
-            held_us: u32::try_from((now - at).as_micros()).unwrap_or(u32::MAX),
+        let echo = self.neighbour.as_ref().map(|record| Echo {
+            incarnation: record.neighbour.incarnation,
+            sequence: record.arrivals.highest(),
+            held_us: u32::try_from((now - record.received_at).as_micros()).unwrap_or(u32::MAX),
         });
         let lost = self.neighbour.as_ref().and_then(|record| record.arrivals.loss_permille());
         Hello {
@@ -580,14 +568,6 @@ impl Link {
         }
     }
 
-    fn detect_down(&mut self, now: Instant) {
-        if self.carries() {
-            self.go_down("the neighbour is not heard, or does not hear", now);
-        } else if let Some(record) = &mut self.neighbour {
-            record.forget_proof();
-        }
-    }
-
     fn suspect(&mut self, now: Instant) {
         self.proving = false;
         let lately = now - self.suspected_at <= Self::FLAP_MEMORY;
@@ -599,11 +579,6 @@ impl Link {
 }
 
 impl NeighbourRecord {
-    /// In which incarnation, which hello, and when.
-    fn last_received(&self) -> (Incarnation, u32, Instant) {
-        (self.neighbour.incarnation, self.arrivals.highest(), self.received_at)
-    }
-
     fn forget_proof(&mut self) {
         self.hellos_received = 0;
         self.echoed = None;

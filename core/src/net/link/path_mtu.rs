@@ -87,8 +87,8 @@ impl PathMtu {
         (self.found < self.configured).then_some((self.found, self.configured))
     }
 
-    /// The neighbour has answered a hello that was sent at `heard`. Returns the size of the probe to
-    /// send now. A size is refused after `tries` probes.
+    /// The neighbour has answered a hello that was sent at `heard`. Returns the size of the probe
+    /// to send now. A size is refused after `tries` probes.
     pub(super) fn poll_probe(&mut self, heard: Instant, tries: u32, now: Instant) -> Option<u16> {
         if let Some((size, sent)) = self.probe {
             if heard <= sent {

@@ -43,8 +43,8 @@ const BINDINGS_MAX: usize = 16 * 1024;
 
 /// The most requests to one peer that wait for its next session.
 const AGAIN_MAX: usize = 1024;
-/// The most unanswered requests of one peer whose replies have a stream of their own; beyond, they go with
-/// what others send.
+/// The most unanswered requests of one peer whose replies have a stream of their own; beyond, they
+/// go with what others send.
 const CALLS_MAX: usize = 64 * 1024;
 /// For the caller to see its deadline pass by itself.
 const GRACE: Duration = Duration::from_secs(1);
@@ -246,7 +246,7 @@ impl PeerProtocol {
     }
 
     fn tell(&mut self, peer: NodeId, message: &PeerMessage) {
-        if self.is_open(peer) {
+        if self.peers.get(&peer).is_some_and(|peer| peer.session.is_some()) {
             self.outputs.push_back(control(peer, message));
         }
     }
@@ -367,33 +367,20 @@ impl PeerProtocol {
         subscription: u32,
         why: DeliveryError,
     ) {
-        if self.is_open(peer) {
-            let message = PeerMessage::SubscribeRefused { subscription, why };
-            self.outputs.push_back(control(peer, &message));
-        }
+        self.tell(peer, &PeerMessage::SubscribeRefused { subscription, why });
     }
 
     /// This node ends in order.
     pub fn handle_leave(&mut self) {
-        self.tell_all(&PeerMessage::Leaving);
+        for (peer, _) in self.peers.iter().filter(|(_, state)| state.session.is_some()) {
+            self.outputs.push_back(control(*peer, &PeerMessage::Leaving));
+        }
     }
 
     /// Something waits for a peer to agree to a contract.
     pub fn is_waiting(&self) -> bool {
         let sessions = self.peers.values().filter_map(|peer| peer.session.as_ref());
         sessions.flat_map(|session| session.bindings.values()).any(|b| b.waiting.is_some())
-    }
-
-    fn tell_all(&mut self, message: &PeerMessage) {
-        for (peer, state) in &self.peers {
-            if state.session.is_some() {
-                self.outputs.push_back(control(*peer, message));
-            }
-        }
-    }
-
-    fn is_open(&self, peer: NodeId) -> bool {
-        self.peers.get(&peer).is_some_and(|peer| peer.session.is_some())
     }
 
     fn session(&mut self, peer: NodeId, epoch: SessionEpoch) -> Option<&mut PeerSession> {
@@ -432,7 +419,8 @@ impl PeerProtocol {
                 let to = MessageTarget::Subscription(subscription);
                 self.outputs.push_back(PeerProtocolOutput::Lost { peer, to, why });
             }
-            // It was made, and the session does not take it: the caller that waits for it is told so.
+            // It was made, and the session does not take it: the caller that waits for it is told
+            // so.
             PeerMessage::Reply { call, result } => {
                 let told = match (why, result) {
                     (DeliveryError::TooLargeForSession { limit }, _) => {

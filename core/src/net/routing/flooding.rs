@@ -2,7 +2,7 @@
 
 use super::keys::SignatureCheck;
 use super::names::UnusedLink;
-use super::topology::Adjacency;
+use super::topology::{Adjacency, patience};
 use super::{DatabaseEntry, Router, RouterOutput};
 use crate::Instant;
 use crate::NodeName;
@@ -93,7 +93,7 @@ impl Router {
     /// Gives these origins' advertisements to a neighbour until it confirms them.
     pub(super) fn announce(&mut self, link: LinkId, origins: &[NodeId]) {
         let Some(adjacent) = self.links.get_mut(&link) else { return };
-        let first = adjacent.patience(self.config.resend);
+        let first = patience(adjacent.mtu, self.config.resend);
         let longest = first * 8;
         let capacity = usize::from(adjacent.mtu) - FRAME_HEADER;
         for origin in origins {
@@ -125,7 +125,7 @@ impl Router {
     /// Tells a neighbour all that we know of, so that it can send what we lack.
     pub(super) fn compare(&mut self, link: LinkId) {
         let Some(adjacent) = self.links.get_mut(&link) else { return };
-        adjacent.compare_at = self.now + adjacent.patience(self.config.compare);
+        adjacent.compare_at = self.now + patience(adjacent.mtu, self.config.compare);
         self.wake_at = self.wake_at.min(adjacent.compare_at);
         let capacity = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / ID_LENGTH;
         let mut ids: Vec<_> = self.known.values().map(|known| known.advertisement.id).collect();

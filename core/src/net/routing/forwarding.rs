@@ -1,11 +1,14 @@
 //! Passing packets on: the look-up, and what becomes of what cannot be delivered.
 
+use super::keys::RouterKeys;
+use super::topology::Adjacency;
 use super::{Router, RouterOutput};
 use crate::net::wire::frame::FRAME_HEADER;
 use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
-use crate::net::wire::packet::{HOPS_MAX, Packet, PacketPriority, Payload, UndeliveredReason};
-use crate::sorted::SortedSet;
+use crate::net::wire::packet::{
+    HOPS_MAX, PACKET_HEADER, Packet, PacketPriority, Payload, UndeliveredReason,
+};
 use crate::{GatherBuffer, Instant};
 use bytes::Bytes;
 
@@ -54,9 +57,7 @@ impl Router {
         };
         // Before there are keys it waits with the session, which repeats it.
         let Some(segment) = self.protect((destination, link), class, segment) else { return };
-        let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
-        let (payload, passed) = (Payload::Segment(segment), Vec::new());
-        self.pass(link, &Packet { class, hops, destination, source, passed, payload });
+        self.originate(link, destination, class, Payload::Segment(segment));
     }
 
     /// Sends a copy over every link to the destination and over both next hops of its route: the
@@ -67,35 +68,39 @@ impl Router {
         class: PacketPriority,
         segment: &GatherBuffer,
     ) {
-        let direct = self.links.iter().filter(|(_, adjacent)| adjacent.id == destination);
-        let hops = self.routes.get(&destination).map(|route| (route.next, route.alternate));
-        let hops = hops.into_iter().flat_map(|(next, alternate)| [Some(next), alternate]);
-        let links: SortedSet<_> = direct.map(|(link, _)| *link).chain(hops.flatten()).collect();
-        let copies: Vec<_> = links
-            .into_iter()
-            .filter_map(|link| self.copy_over(link, destination, class, segment))
-            .collect();
-        if copies.is_empty() {
+        let seal = self.keys.as_ref().map_or(0, RouterKeys::overhead);
+        let fits = |adjacent: &Adjacency| {
+            let seal = if adjacent.id == destination { 0 } else { seal };
+            segment.len() + seal + FRAME_HEADER + PACKET_HEADER <= adjacent.mtu.into()
+        };
+        let route = self.routes.get(&destination);
+        let hops = route.map(|route| [Some(route.next), route.alternate]).unwrap_or_default();
+        let leads = |link: &LinkId, adjacent: &Adjacency| {
+            (adjacent.id == destination || hops.contains(&Some(*link))) && fits(adjacent)
+        };
+        let links = self.links.iter().filter(|(link, adjacent)| leads(link, adjacent));
+        let links: Vec<_> = links.map(|(link, _)| *link).collect();
+        if links.is_empty() {
             // It comes back, with the reason.
             return self.handle_segment(destination, class, segment.clone());
         }
-        self.outputs.extend(copies);
+        for link in links {
+            if let Some(copy) = self.protect((destination, link), class, segment.clone()) {
+                self.originate(link, destination, class, Payload::Segment(copy));
+            }
+        }
     }
 
-    fn copy_over(
+    /// Sends a packet of this node's own over a link.
+    pub(super) fn originate(
         &mut self,
         link: LinkId,
         destination: NodeId,
         class: PacketPriority,
-        segment: &GatherBuffer,
-    ) -> Option<RouterOutput> {
-        let mtu = self.links.get(&link)?.mtu;
-        let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
-        let segment = self.protect((destination, link), class, segment.clone())?;
-        let (payload, passed) = (Payload::Segment(segment), Vec::new());
-        let packet = Packet { class, hops, destination, source, passed, payload }.parcel();
-        let fits = packet.len() + FRAME_HEADER <= mtu.into();
-        fits.then_some(RouterOutput::Packet { link, packet })
+        payload: Payload,
+    ) {
+        let (hops, source, passed) = (self.config.hops.min(HOPS_MAX), self.id, Vec::new());
+        self.pass(link, &Packet { class, hops, destination, source, passed, payload });
     }
 
     /// Forwards a packet that came over a link, to no node that has had it: nodes that hear of a
@@ -139,11 +144,8 @@ impl Router {
             return;
         }
         let payload = Payload::Return { destination, reason };
-        let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
-        let (class, passed) = (PacketPriority::Control, Vec::new());
-        let answer = Packet { class, hops, destination: packet.source, source, passed, payload };
-        if let Some(link) = self.choose(answer.destination, &[]) {
-            self.pass(link, &answer);
+        if let Some(link) = self.choose(packet.source, &[]) {
+            self.originate(link, packet.source, PacketPriority::Control, payload);
         }
     }
 

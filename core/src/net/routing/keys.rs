@@ -25,7 +25,7 @@ use crate::net::trust::roster::NodeRoster;
 use crate::net::wire::advertisement::{Advertisement, SIGNATURE_LENGTH};
 use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
-use crate::net::wire::packet::{HOPS_MAX, Packet, PacketPriority, Payload};
+use crate::net::wire::packet::{PacketPriority, Payload};
 use crate::sorted::SortedMap;
 use crate::{GatherBuffer, Instant, Machine};
 use bytes::Bytes;
@@ -298,7 +298,12 @@ impl Router {
     pub(super) fn collect_seals(&mut self) {
         while let Some(output) = self.keys.as_mut().and_then(|keys| keys.sealer.poll_output()) {
             match output {
-                SealerOutput::Transmit { to, frame } => self.send_handshake(to, frame),
+                SealerOutput::Transmit { to, frame } => {
+                    if let Some(link) = self.choose(to, &[]) {
+                        let payload = Payload::Segment(frame.into());
+                        self.originate(link, to, PacketPriority::Control, payload);
+                    }
+                }
                 // What was sent before had no seal, and was not sent.
                 SealerOutput::PeerOpen { peer, renewed: false, .. } => {
                     if let Some(route) = self.routes.get(&peer)
@@ -317,12 +322,5 @@ impl Router {
         if let Some(due) = self.keys.as_ref().and_then(RouterKeys::due) {
             self.wake_at = self.wake_at.min(due);
         }
-    }
-
-    fn send_handshake(&mut self, destination: NodeId, frame: Bytes) {
-        let Some(link) = self.choose(destination, &[]) else { return };
-        let (hops, source, passed) = (self.config.hops.min(HOPS_MAX), self.id, Vec::new());
-        let (class, payload) = (PacketPriority::Control, Payload::Segment(frame.into()));
-        self.pass(link, &Packet { class, hops, destination, source, passed, payload });
     }
 }

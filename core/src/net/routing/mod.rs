@@ -22,7 +22,7 @@ pub use self::keys::RouterKeys;
 pub use self::types::{LinkHealth, LinkStatus, RouterConfig, RouterOutput};
 
 use self::keys::{CHECKS_MAX, CHECKS_PERIOD};
-use self::names::UnusedLink;
+use self::names::{UnusedLink, status_of};
 use super::wire::Refusals;
 use super::wire::advertisement::{Advertisement, AdvertisementId, RoutingMessage};
 use super::wire::link_id::LinkId;
@@ -253,20 +253,15 @@ impl Router {
             }
             return;
         }
-        let (isolated_links, links) = std::mem::take(&mut self.links)
-            .into_iter()
-            .partition(|(_, adjacent)| adjacent.id == id);
-        self.links = links;
-        let isolated_links: SortedMap<LinkId, Adjacency> = isolated_links;
-        if isolated_links.is_empty() {
+        let near = self.links.iter().filter(|(_, adjacent)| adjacent.id == id);
+        let near: Vec<_> = near.map(|(link, adjacent)| (*link, status_of(adjacent))).collect();
+        if near.is_empty() {
             return;
         }
+        self.links.retain(|_, adjacent| adjacent.id != id);
         self.choose_anew();
         self.announce_links();
-        for (link, Adjacency { neighbour, cost, mtu, health, .. }) in isolated_links {
-            let status = LinkStatus { neighbour, health, cost, mtu: mtu.into() };
-            self.isolated_links.insert(link, status);
-        }
+        self.isolated_links.extend(near);
     }
 
     /// A message of a neighbour's router was received.
@@ -296,15 +291,6 @@ impl Router {
         self.wake_at = self.wake_at.min(due);
     }
 
-    fn incarnation(&self) -> Incarnation {
-        self.own.incarnation
-    }
-
-    /// The part of the network that is used.
-    fn topology(&self) -> Topology<'_> {
-        self.topology_over(&self.links)
-    }
-
     /// The same, with these links of this node.
     fn topology_over<'a>(&'a self, links: &'a SortedMap<LinkId, Adjacency>) -> Topology<'a> {
         let known = self.known.iter().filter(|(id, _)| !self.isolated.contains(id));
@@ -317,7 +303,7 @@ impl Router {
     fn compute(&mut self) {
         self.compute_at = None;
         self.computed_at = self.now;
-        let routes = self.topology().routes();
+        let routes = self.topology_over(&self.links).routes();
         let mut before = std::mem::replace(&mut self.routes, routes);
         let mut found = Vec::new();
         for (id, route) in &self.routes {

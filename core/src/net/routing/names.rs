@@ -44,7 +44,7 @@ pub(super) struct UnusedLink {
     /// Which incarnation is challenged, and from which sequence on it has answered.
     challenged: Option<(Incarnation, u64)>,
     /// By when it must answer; `None` once that is over.
-    decide_at: Option<Instant>,
+    pub(super) decide_at: Option<Instant>,
     told_at: Instant,
     /// When the user was told of it last.
     reported_at: Option<Instant>,
@@ -75,7 +75,7 @@ impl Router {
     fn name_holder(&self, link: LinkId, neighbour: &Neighbour) -> Option<ReachedHolder> {
         if let Some((over, near)) = self.links_to_others(link, neighbour).next() {
             let (incarnation, over) = (near.neighbour.incarnation, Some(over));
-            let patience = near.patience(ANSWER_WITHIN);
+            let patience = patience(near.mtu, ANSWER_WITHIN);
             return Some(ReachedHolder { incarnation, over, patience });
         }
         let id = NodeId::of(&neighbour.node);
@@ -172,10 +172,6 @@ impl Router {
         }
     }
 
-    pub(super) fn challenge_due(&self) -> Option<Instant> {
-        self.unused.values().filter_map(|unused| unused.decide_at).min()
-    }
-
     /// The time of a challenge is over.
     pub(super) fn decide_challenges(&mut self) {
         let mut late = Vec::new();
@@ -240,7 +236,7 @@ impl Router {
     /// before this one, of an earlier incarnation, or of another node.
     pub(super) fn outdo(&mut self, theirs: &Advertisement) {
         let sequence = theirs.id.sequence;
-        if theirs.incarnation == self.incarnation() {
+        if theirs.incarnation == self.own.incarnation {
             // This router continues the count of the one before it.
             self.own.id.sequence = sequence;
             return self.renew();
@@ -256,7 +252,7 @@ impl Router {
             _ => 1,
         };
         self.outdone = Some((theirs.incarnation, times, self.now));
-        if times > OUTDONE_TIMES && self.incarnation() > theirs.incarnation {
+        if times > OUTDONE_TIMES && self.own.incarnation > theirs.incarnation {
             return self.outputs.push_back(RouterOutput::NameTaken { by: theirs.incarnation });
         }
         self.own.id.sequence = sequence.saturating_add(AHEAD);
@@ -264,7 +260,7 @@ impl Router {
     }
 }
 
-fn status_of(adjacent: &Adjacency) -> LinkStatus {
+pub(super) fn status_of(adjacent: &Adjacency) -> LinkStatus {
     let Adjacency { neighbour, cost, mtu, health, .. } = adjacent;
     let (neighbour, mtu) = (neighbour.clone(), usize::from(*mtu));
     LinkStatus { neighbour, health: *health, cost: *cost, mtu }

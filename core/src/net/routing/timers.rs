@@ -59,7 +59,9 @@ impl Timers for Router {
             }
             RouterTimer::CompareDatabase => links.map(|link| link.compare_at).min(),
             RouterTimer::ComputeRoutes => self.compute_at,
-            RouterTimer::Challenge => self.challenge_due(),
+            RouterTimer::Challenge => {
+                self.unused.values().filter_map(|unused| unused.decide_at).min()
+            }
             RouterTimer::RestartGrace => self.remembered.as_ref().map(|(until, _)| *until),
             RouterTimer::Handshake => self.keys.as_ref().and_then(RouterKeys::due),
         }

@@ -57,13 +57,6 @@ pub(crate) struct Adjacency {
     pub(crate) checks: SlidingWindow,
 }
 
-impl Adjacency {
-    /// How long an answer of the neighbour's may take, where it takes so long on a fast medium.
-    pub(crate) fn patience(&self, fast: Duration) -> Duration {
-        patience(self.mtu, fast)
-    }
-}
-
 /// How long an answer over links with this MTU may take, where it takes so long on fast ones.
 pub(crate) fn patience(mtu: u16, fast: Duration) -> Duration {
     fast * if is_narrow(segment_limit(mtu)) { 10 } else { 1 }
@@ -149,12 +142,8 @@ impl<'a> Topology<'a> {
 
     pub(crate) fn routes(&self) -> SortedMap<NodeId, Route> {
         let from_here = self.distances(self.here);
-        let from_neighbours: SortedMap<_, _> = self
-            .links
-            .values()
-            .map(|a| (a.id, ()))
-            .map(|(id, ())| (id, self.distances(id)))
-            .collect();
+        let neighbours = self.links.values().map(|adjacent| adjacent.id);
+        let from_neighbours = neighbours.map(|id| (id, self.distances(id))).collect();
         from_here
             .iter()
             .filter(|(id, _)| **id != self.here)

@@ -226,7 +226,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         peer.has_proof(frame, bytes)?;
         if self.repeats.contains(init.from, init.ephemeral()) {
             // Our answer may have been lost.
-            if let Some(offer) = peer.channels.offered()
+            if let Some(offer) = &peer.channels.offered
                 && offer.ephemeral == init.ephemeral()
             {
                 let answer = offer.answer.clone();
@@ -254,7 +254,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         from: &A,
         now: Instant,
     ) -> Result<(), OpenError> {
-        if self.budget.take(now) {
+        if self.budget.add((), now) {
             return Ok(());
         }
         if !self.config.forgeable_addresses {
@@ -300,7 +300,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             self.transmit(from.clone(), frame);
             return Ok(());
         }
-        if now < peer.knock_at || !self.budget.take(now) {
+        if now < peer.knock_at || !self.budget.add((), now) {
             return Err(OpenError::Limited);
         }
         self.repeats.insert(node, nonce);
@@ -365,22 +365,27 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         peer.approach = Approach::Asking { handshake, init, to: to.clone(), since: now };
         self.transmit(to, frame);
         self.index(node);
-        self.bound_asking();
-    }
-
-    /// Gives up the oldest handshake that was begun here, if there are too many: it is begun once
-    /// more at its next attempt.
-    fn bound_asking(&mut self) {
         let since = |peer: &SealedPeer<C, A>| match peer.approach {
             Approach::Asking { since, .. } => Some(since),
             _ => None,
         };
-        let asking = self.peers.iter().filter_map(|(node, peer)| Some((since(peer)?, *node)));
-        let (count, oldest) = (asking.clone().count(), asking.min());
-        if let Some((_, node)) = oldest.filter(|_| count > ASKING_MAX)
+        // It is begun once more at its next attempt.
+        self.bound(ASKING_MAX, since, |peer| peer.approach = Approach::Waiting);
+    }
+
+    /// Ends what is pending with the peer where that is the oldest, if there are more than `most`.
+    fn bound(
+        &mut self,
+        most: usize,
+        since: impl Fn(&SealedPeer<C, A>) -> Option<Instant>,
+        end: impl FnOnce(&mut SealedPeer<C, A>),
+    ) {
+        let pending = self.peers.iter().filter_map(|(node, peer)| Some((since(peer)?, *node)));
+        let (count, oldest) = (pending.clone().count(), pending.min());
+        if let Some((_, node)) = oldest.filter(|_| count > most)
             && let Some(peer) = self.peers.get_mut(&node)
         {
-            peer.approach = Approach::Waiting;
+            end(peer);
             self.index(node);
         }
     }
@@ -404,30 +409,12 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         let Some(peer) = self.peers.get_mut(&node) else { return };
         let answer = peer.encoded(&HandshakeFrame::Answer(answer), now);
         let ephemeral = init.ephemeral();
-        peer.channels.offer(OfferedChannel {
-            channel,
-            since: now,
-            ephemeral,
-            answer: answer.clone(),
-        });
+        let offer = OfferedChannel { channel, since: now, ephemeral, answer: answer.clone() };
+        peer.channels.offered = Some(offer);
         self.transmit(from, answer);
         self.index(node);
-        self.bound_offers();
-    }
-
-    /// Withdraws the oldest offer, if there are too many.
-    fn bound_offers(&mut self) {
-        let offers = self
-            .peers
-            .iter()
-            .filter_map(|(node, peer)| peer.channels.offered().map(|offer| (offer.since, *node)));
-        let (count, oldest) = (offers.clone().count(), offers.min());
-        if let Some((_, node)) = oldest.filter(|_| count > OFFERS_MAX)
-            && let Some(peer) = self.peers.get_mut(&node)
-        {
-            peer.channels.withdraw();
-            self.index(node);
-        }
+        let since = |peer: &SealedPeer<C, A>| Some(peer.channels.offered.as_ref()?.since);
+        self.bound(OFFERS_MAX, since, |peer| peer.channels.offered = None);
     }
 
     fn complete(&mut self, node: NodeId, answer: &AnswerFrame, to: A, now: Instant) {
@@ -448,7 +435,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if let Some(open) = peer.channels.in_use_by_other(theirs, now) {
             // For what the other one is told.
             let offer = OfferedChannel { channel, since: now, ephemeral, answer: Bytes::new() };
-            peer.channels.offer(offer);
+            peer.channels.offered = Some(offer);
             let in_use = SealerOutput::KeyInUse { peer: node, address: to, open, refused: theirs };
             self.outputs.push_back(in_use);
             return self.index(node);
@@ -471,9 +458,9 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         peer: Incarnation,
         keys: &ChannelKeys,
         now: Instant,
-    ) -> Channel<C::Cipher> {
+    ) -> Channel {
         let terms = ChannelTerms { profile: self.config.profile, suite, local, remote, peer };
-        Channel::new(terms, keys, |suite, keys| self.crypto.cipher(suite, keys), now)
+        Channel::new(terms, keys, &self.crypto, now)
     }
 
     /// A number that no frame to this node bears yet. A used one is returned only if all are used:

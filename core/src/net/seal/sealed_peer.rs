@@ -17,7 +17,7 @@ pub(super) struct SealedPeer<C: SealCrypto, A> {
     /// For `mac1`.
     pub(super) filter: MacKey,
     pub(super) cookie_cipher: CookieCipher,
-    pub(super) channels: PeerChannels<C::Cipher>,
+    pub(super) channels: PeerChannels,
     /// The incarnation in which it was open last.
     pub(super) was_open: Option<Incarnation>,
     /// Where it is.
@@ -81,14 +81,6 @@ impl<C: SealCrypto, A> SealedPeer<C, A> {
         }
     }
 
-    pub(super) fn has_key(&self, public: &[u8; PUBLIC_KEY]) -> bool {
-        self.public == *public
-    }
-
-    pub(super) fn set_address(&mut self, address: A) {
-        self.address = Some(address);
-    }
-
     pub(super) fn stop(&mut self) {
         self.approach = Approach::Idle;
         self.retransmit_at = None;
@@ -96,10 +88,6 @@ impl<C: SealCrypto, A> SealedPeer<C, A> {
 
     pub(super) fn is_idle(&self) -> bool {
         matches!(self.approach, Approach::Idle)
-    }
-
-    pub(super) fn retransmit_due(&self) -> Option<Instant> {
-        self.retransmit_at
     }
 
     /// Both ends use the present channel. Returns whether these are new keys for a peer that was

@@ -9,7 +9,7 @@ mod settling;
 
 use super::*;
 use crate::NodeName;
-use crate::net::wire::segment::{Ack, DelayTicks, OpenSegment, SeparateStream};
+use crate::net::wire::segment::{Ack, DelayTicks, OpenSegment};
 
 const MS: Duration = Duration::from_millis(1);
 

@@ -17,8 +17,9 @@
 //!
 //! The echo says which hello of the neighbour arrived last and how long ago: the neighbour learns
 //! that it is heard, and the round trip without any clock in common. Stance and loss say what this
-//! end thinks of the link, so that both ends use it, or neither; beside the stance stand six bits: how
-//! many hellos before this one were not sent, since their node was not run. Numbers are big-endian.
+//! end thinks of the link, so that both ends use it, or neither; beside the stance stand six bits:
+//! how many hellos before this one were not sent, since their node was not run. Numbers are
+//! big-endian.
 //!
 //! What a router says and no frame of the medium carries whole goes in parts, kind 4: one byte,
 //! which part it is from 0, with 128 added to the last, then the bytes.

@@ -180,7 +180,8 @@ impl Packet {
     }
 }
 
-/// Whether the first bytes of a packet say that it is of the class [`Control`](PacketPriority::Control).
+/// Whether the first bytes of a packet say that it is of the class
+/// [`Control`](PacketPriority::Control).
 pub(crate) fn is_control(packet: &[u8]) -> bool {
     let class = match packet.first() {
         Some(first) if first & PASSED == PASSED => packet.get(PACKET_HEADER),

@@ -74,6 +74,36 @@ pub enum GiveUpReason {
     Forgotten,
 }
 
+/// What a supervisor has a child do, besides to start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ChildOrder {
+    /// End the present incarnation in order. A child that is not alive answers at once.
+    Stop {
+        /// Another incarnation is to follow, so that what waits for the child goes on waiting.
+        again: bool,
+    },
+    /// The present incarnation is about to be asked to end, after others: a supervisor starts
+    /// nothing any more. No answer.
+    ExpectEnd,
+    /// The child has no incarnation that works, and none is to follow: give back what waits for it,
+    /// and give one up whose start has failed, with its last hooks. No answer. The next start takes
+    /// the child up again.
+    Retire,
+    /// Give the present incarnation up without asking it: its queue is taken away, what it still
+    /// says goes nowhere. No answer. The next start finds another place for the child if the old
+    /// one is stuck.
+    Abandon,
+    /// The same with an incarnation that has had its time to start, or to end; report where it
+    /// keeps its thread.
+    CutOff,
+    /// Recover from an error.
+    Reset,
+    /// Forbid sending and receiving, or allow it again.
+    Isolate(bool),
+    /// Leave a decision with the child's guard, or withdraw it.
+    RestartGrant(Option<RestartGrant>),
+}
+
 /// An output of a supervisor.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SupervisorOutput {
@@ -84,36 +114,12 @@ pub enum SupervisorOutput {
         /// Which incarnation it is.
         incarnation: Incarnation,
     },
-    /// Ask the child's incarnation to end.
-    Stop {
+    /// Have the child carry this out.
+    Order {
         /// The child.
         child: ObjectName,
-        /// Another incarnation is to follow, so that what waits for the child goes on waiting.
-        again: bool,
-    },
-    /// Tell the child, which is a supervisor, that its incarnation is about to end: others are
-    /// stopped before it.
-    ExpectEnd(ObjectName),
-    /// Give the child's incarnation up without asking it.
-    Abandon(ObjectName),
-    /// The child has had its time to end: give its incarnation up, and report where it keeps its
-    /// thread.
-    CutOff(ObjectName),
-    /// Ask a child in error to recover by itself.
-    Reset(ObjectName),
-    /// Forbid the child to send and receive, or allow it again.
-    Isolate {
-        /// The child.
-        child: ObjectName,
-        /// Forbidden, or allowed.
-        isolated: bool,
-    },
-    /// Leave a decision with the child's guard, or withdraw it.
-    RestartGrant {
-        /// The child.
-        child: ObjectName,
-        /// The decision.
-        order: Option<RestartGrant>,
+        /// What it does.
+        order: ChildOrder,
     },
     /// The request is fulfilled: the child is at work, or let go.
     Recovered {
@@ -166,8 +172,6 @@ pub enum SupervisorOutput {
         /// The deadline.
         limit: Duration,
     },
-    /// The child's end was final: what waits for it is to be given back.
-    Retire(ObjectName),
     /// The child has ended and is forgotten.
     Left(ObjectName),
     /// The root's restarts are not worth it any more: what must be safe is made safe now. All

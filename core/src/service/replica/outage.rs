@@ -36,27 +36,18 @@ impl ReplicaConfig {
 /// The time without a known primary.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Outage {
-    since: Option<Instant>,
+    pub(super) since: Option<Instant>,
     /// There has been a primary since this replica started.
-    served: bool,
+    pub(super) served: bool,
     /// When the causes were last described.
-    described_at: Option<Instant>,
+    pub(super) described_at: Option<Instant>,
     /// The members that did not vote for this replica in its last election.
-    unwilling: Vec<NodeName>,
+    pub(super) unwilling: Vec<NodeName>,
     /// The members that this node isolated when a message to them was last refused.
-    isolated: SortedSet<NodeName>,
+    pub(super) isolated: SortedSet<NodeName>,
 }
 
 impl Outage {
-    pub(super) fn starting(now: Instant) -> Self {
-        Outage { since: Some(now), ..Outage::default() }
-    }
-
-    /// Stores the members that did not vote for this replica.
-    pub(super) fn note_failed_election(&mut self, unwilling: Vec<NodeName>) {
-        self.unwilling = unwilling;
-    }
-
     /// Returns when the fault, or its detail, is due.
     pub(super) fn due(&self, config: &ReplicaConfig) -> Option<Instant> {
         let since = self.since?;
@@ -66,65 +57,42 @@ impl Outage {
             None => since + config.takeover().max(START_GRACE),
         })
     }
-}
 
-impl Replica {
-    /// The last message to this node was sent, or was refused because this node isolates it.
-    pub fn handle_sent(&mut self, to: &NodeName, isolated: bool) {
-        if !isolated {
-            self.outage.isolated.remove(to);
-        } else if self.config.members.contains(to) {
-            self.outage.isolated.insert(to.clone());
-        }
-    }
-
-    /// Starts or ends the time without a primary.
-    pub(super) fn update_outage(&mut self) {
-        let served = match &self.role {
-            RoleState::Primary(_) => true,
-            RoleState::Standby(standby) => standby.primary.is_some(),
-        };
-        let outage = &mut self.outage;
-        if served {
-            *outage = Outage { served: true, ..Outage::default() };
-            self.set_fault(FaultKind::ServiceUnavailable, None);
-        } else if outage.since.is_none() {
-            outage.since = Some(self.now);
-        }
-    }
-
-    /// Declares the fault, or updates its detail, if that is due.
-    pub(super) fn report_outage(&mut self, now: Instant) {
-        if self.outage.due(&self.config).is_none_or(|due| now < due) {
-            return;
-        }
-        self.outage.described_at = Some(now);
-        let detail = self.describe_outage(now);
-        self.set_fault(FaultKind::ServiceUnavailable, Some(detail));
-    }
-
-    fn describe_outage(&self, now: Instant) -> String {
-        let RoleState::Standby(standby) = &self.role else { return String::new() };
+    /// Returns why this replica knows of no primary.
+    pub(super) fn describe(&self, replica: &Replica, now: Instant) -> String {
+        let RoleState::Standby(standby) = &replica.role else { return String::new() };
+        let Replica { config, agreement, .. } = replica;
         let mut causes = Vec::new();
-        if let Health::Inactive { .. } = self.health {
+        if replica.component.health == Health::Inactive {
             causes.push(
                 "its component here accepts no jobs, as it is stopped or isolated, or its node is at rest (bring it \
                  back)"
                     .to_owned(),
             );
         }
-        let summary = self.agreement.summarize_members(&self.config);
-        if self.agreement.is_fenced() || !summary.differing.is_empty() {
-            let who = match self.agreement.has_overflowed() {
-                true => "too many to list".to_owned(),
-                false => some_of(&summary.differing, ", "),
-            };
+        let isolated = &self.isolated;
+        let (mut available, mut unreachable, mut without_service) = (1, vec![], vec![]);
+        for member in config.members.iter().filter(|member| **member != config.own) {
+            match agreement.known.get(member) {
+                Some(known) if known.differs() => {}
+                Some(known) if agreement.is_absent(member, known) => {
+                    without_service.push(member.as_str());
+                }
+                Some(known) if known.seen => available += 1,
+                _ if isolated.contains(member) => {}
+                _ => unreachable.push(member.as_str()),
+            }
+        }
+        let known = agreement.known.iter();
+        let differing: Vec<_> =
+            known.filter(|(_, known)| known.differs()).map(|(node, _)| node.as_str()).collect();
+        if !differing.is_empty() {
             causes.push(format!(
-                "not all nodes have the same configuration of it; it differs on {who} (the fault contract \
-                 mismatch, B10, says what to write)"
+                "not all nodes have the same configuration of it; it differs on {} (the fault contract \
+                 mismatch, B10, says what to write)",
+                some_of(&differing, ", ")
             ));
         }
-        let isolated = &self.outage.isolated;
         if !isolated.is_empty() {
             let nodes: Vec<_> = isolated.iter().map(NodeName::as_str).collect();
             causes.push(format!(
@@ -132,47 +100,42 @@ impl Replica {
                 some_of(&nodes, ", ")
             ));
         }
-        let unreachable = summary.unreachable.into_iter();
-        let unreachable =
-            unreachable.filter(|node| !isolated.iter().any(|out| out.as_str() == *node));
-        let (members, majority) = (self.config.members.len(), self.config.majority());
-        if self.config.on_partition == OnPartition::Stop && summary.available < majority {
-            let needs = format!(
-                "there is no majority: it needs {majority} of its {members} nodes, and has {}",
-                summary.available
-            );
+        let (members, majority) = (config.members.len(), config.majority());
+        if config.on_partition == OnPartition::Stop && available < majority {
             let missing = [
-                ("not reachable", unreachable.collect(), "start them, or repair the path to them"),
+                ("not reachable", unreachable, "start them, or repair the path to them"),
                 (
                     "without this service",
-                    summary.without_service,
+                    without_service,
                     "add the service there, or remove them from all lists",
                 ),
             ];
-            causes.push(needs);
+            causes.push(format!(
+                "there is no majority: it needs {majority} of its {members} nodes, and has {available}"
+            ));
             causes.extend(describe_lists(missing));
         }
         // An isolated node does not explain why the others have elected no primary.
         if causes.len() == usize::from(!isolated.is_empty()) {
-            causes.push(self.describe_election(standby, now));
+            causes.push(self.describe_election(replica, standby, now));
         }
         format!("no primary is known here: {}", causes.join("; "))
     }
 
     /// Returns why the reachable members have elected no primary.
-    fn describe_election(&self, standby: &Standby, now: Instant) -> String {
+    fn describe_election(&self, replica: &Replica, standby: &Standby, now: Instant) -> String {
         if standby.checking_dependencies {
             return "it waits for the services that it depends on, which have no primary either (see their faults)"
                 .to_owned();
         }
-        let timeout = self.config.state_timeout();
-        if self.waiting_since().is_some_and(|since| now < since + timeout) {
+        let timeout = replica.config.state_timeout();
+        if replica.waiting_since().is_some_and(|since| now < since + timeout) {
             let seconds = timeout.as_secs_f64();
             return format!(
                 "this node lacks the state, and waits {seconds:.1} s for a node that has it before it starts without it"
             );
         }
-        let Outage { unwilling, isolated, .. } = &self.outage;
+        let Outage { unwilling, isolated, .. } = self;
         let unwilling = unwilling.iter().filter(|node| !isolated.contains(*node));
         let unwilling: Vec<_> = unwilling.map(NodeName::as_str).collect();
         match unwilling.is_empty() {
@@ -181,7 +144,7 @@ impl Replica {
                 "this node stood for election without the votes of {} (their components may be at rest, they may know \
                  of a newer state, or their messages may take longer than the heartbeat interval, {:?})",
                 some_of(&unwilling, ", "),
-                self.config.heartbeat_interval
+                replica.config.heartbeat_interval
             ),
         }
     }

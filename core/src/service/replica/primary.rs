@@ -1,18 +1,25 @@
-//! A replica that serves: heartbeats, followers and replies.
+//! A replica that serves: heartbeats, followers and replies; and the faults when too few standbys
+//! hold its state.
+//!
+//! ```text
+//!  enough standbys in step ◄──────── one comes into step ──────── under-replicated: replies do not
+//!            │                                                      wait, and a fault is declared
+//!            └─ fewer: replies are held back ── none can come: a lease; one may: twenty ──►
+//! ```
+//!
+//! A primary does not wait for a standby that is inactive or silent: most robots need the service
+//! more than they need certainty. The fault says what a failure of this node would cost. After such
+//! a failure, a primary that starts without the state declares that it is lost: each replica keeps
+//! the last position whose reply was sent, and sends it with its vote.
 
+use super::agreement::{describe_lists, some_of};
 use super::*;
-
-/// The most heartbeats that are kept until lease promises answer them.
-const HEARTBEATS_KEPT: usize = 16;
 
 /// The state of a replica that serves.
 #[derive(Debug)]
 pub(super) struct Primary {
     pub(super) epoch: u64,
     pub(super) heartbeat_at: Instant,
-    heartbeat_number: u64,
-    /// The heartbeats, by number, and when each was sent.
-    sent_heartbeats: VecDeque<(u64, Instant)>,
     pub(super) standbys: SortedMap<NodeName, Follower>,
     /// The caller that waits for each request.
     pub(super) waiting: SortedMap<MessageId, u64>,
@@ -34,8 +41,6 @@ pub(super) struct Follower {
     pub(super) promised: Instant,
     pub(super) catch_up: CatchUp,
     position: Position,
-    /// It is a learner: its list of members differs, and its promise does not count.
-    pub(super) is_learner: bool,
 }
 
 /// How far a standby has caught up with the primary's log.
@@ -53,8 +58,13 @@ pub(super) enum CatchUp {
 
 impl Follower {
     /// A follower that has no entries yet.
-    fn behind(promised: Instant, is_learner: bool) -> Self {
-        Follower { promised, catch_up: CatchUp::Behind, position: Position::default(), is_learner }
+    fn behind(promised: Instant) -> Self {
+        Follower { promised, catch_up: CatchUp::Behind, position: Position::default() }
+    }
+
+    /// Returns whether its promise is no older than a lease and the margin.
+    pub(super) fn is_live(&self, config: &ReplicaConfig, now: Instant) -> bool {
+        now - self.promised <= config.lease() + config.margin()
     }
 }
 
@@ -63,8 +73,6 @@ impl Primary {
         Primary {
             epoch,
             heartbeat_at: now,
-            heartbeat_number: 0,
-            sent_heartbeats: VecDeque::new(),
             standbys: SortedMap::new(),
             waiting: SortedMap::new(),
             held_replies: VecDeque::new(),
@@ -81,8 +89,7 @@ impl Primary {
         if needed == 0 || config.on_partition == OnPartition::Continue {
             return None;
         }
-        let voters = self.standbys.values().filter(|follower| !follower.is_learner);
-        let promised = voters.map(|follower| follower.promised);
+        let promised = self.standbys.values().map(|follower| follower.promised);
         // A vote is a promise as well, from the time of the request.
         let mut promised: Vec<_> =
             promised.chain(std::iter::repeat_n(self.elected_at, needed)).collect();
@@ -90,41 +97,57 @@ impl Primary {
         promised.get(needed - 1).map(|at| *at + config.lease())
     }
 
-    /// Returns whether a majority's promises hold, and exclude a primary of each other
-    /// configuration.
-    pub(super) fn has_lease(
-        &self,
-        config: &ReplicaConfig,
-        agreement: &ConfigAgreement,
-        now: Instant,
-    ) -> bool {
-        let supports = |node: &NodeName| {
-            let follower = self.standbys.get(node);
-            *node == config.own
-                || follower
-                    .is_some_and(|known| !known.is_learner && now < known.promised + config.lease())
-        };
+    /// Returns whether a majority's promises hold.
+    pub(super) fn has_lease(&self, config: &ReplicaConfig, now: Instant) -> bool {
         self.lease_until(config).is_none_or(|until| now < until)
-            && (agreement.is_unanimous() || agreement.permits(supports, now))
     }
 
-    /// Returns when the next heartbeat is due, or a promise ends that the lease needs.
-    pub(super) fn due(&self, config: &ReplicaConfig, agreement: &ConfigAgreement) -> Instant {
-        let until = self
-            .lease_until(config)
-            .map_or(self.heartbeat_at, |until| until.min(self.heartbeat_at));
-        if agreement.is_unanimous() {
-            return until;
+    /// Returns when the next heartbeat is due, or the lease ends.
+    pub(super) fn due(&self, config: &ReplicaConfig) -> Instant {
+        self.lease_until(config).map_or(self.heartbeat_at, |until| until.min(self.heartbeat_at))
+    }
+
+    /// Returns how many standbys are in step.
+    fn holders(&self) -> usize {
+        self.standbys.values().filter(|follower| follower.catch_up == CatchUp::InStep).count()
+    }
+
+    /// Returns whether a standby may still come into step.
+    fn expects_follower(&self, config: &ReplicaConfig, now: Instant) -> bool {
+        let comes = |follower: &Follower| {
+            matches!(follower.catch_up, CatchUp::Behind | CatchUp::SnapshotSent(_))
+        };
+        self.standbys.values().any(|follower| comes(follower) && follower.is_live(config, now))
+    }
+
+    fn describe_replication(&self, config: &ReplicaConfig, now: Instant) -> String {
+        let (mut holding, mut resting, mut behind, mut unreachable) =
+            (vec![], vec![], vec![], vec![]);
+        for member in config.members.iter().filter(|member| **member != config.own) {
+            let follower =
+                self.standbys.get(member).filter(|follower| follower.is_live(config, now));
+            let list = match follower.map(|follower| follower.catch_up) {
+                Some(CatchUp::InStep) => &mut holding,
+                Some(CatchUp::Inactive) => &mut resting,
+                Some(CatchUp::Behind | CatchUp::SnapshotSent(_)) => &mut behind,
+                None => &mut unreachable,
+            };
+            list.push(member.as_str());
         }
-        // Another configuration may be excluded by one promise alone.
-        let last_sent = self.sent_heartbeats.back().map_or(self.elected_at, |(_, at)| *at);
-        let ends = self.standbys.values().map(|known| known.promised + config.lease());
-        ends.filter(|end| *end > last_sent).fold(until, Instant::min)
-    }
-
-    /// Returns the callers that wait.
-    pub(super) fn callers(self) -> impl Iterator<Item = u64> {
-        self.waiting.into_values()
+        let who = match holding.is_empty() {
+            true => "no standby holds its state: a failure of this node now loses it".to_owned(),
+            false => format!(
+                "of its standbys only {} hold its state, with this node fewer than a majority: further \
+                 failures now lose it",
+                some_of(&holding, ", ")
+            ),
+        };
+        let lists = [
+            ("at rest, stopped or isolated", resting, "bring their components back"),
+            ("not in step", behind, "see whether their components can load the state"),
+            ("not reachable", unreachable, "start them, or repair the path to them"),
+        ];
+        format!("{who}; {}", describe_lists(lists).join("; "))
     }
 }
 
@@ -139,11 +162,11 @@ impl Replica {
         now: Instant,
     ) {
         let lost = self.start_without_lost_state(epoch);
-        let mut primary = Primary::new(epoch, self.position, asked);
-        let (position, learned) = (self.position, self.learned);
+        let mut primary = Primary::new(epoch, self.log.position, asked);
+        let position = self.log.position;
         primary.standbys.extend(voters.into_iter().map(|(node, in_step)| {
-            let mut follower = Follower::behind(asked, false);
-            if in_step && !lost && !learned {
+            let mut follower = Follower::behind(asked);
+            if in_step && !lost {
                 (follower.catch_up, follower.position) = (CatchUp::InStep, position);
             }
             (node, follower)
@@ -153,67 +176,49 @@ impl Replica {
         self.report_role();
         match self.config.kind {
             StandbyKind::Cold => {
-                self.table.clear();
-                self.jobs.push_back(Job::Load { state: self.initial.clone() });
+                self.log.table.clear();
+                self.component.jobs.push_back(Job::Load { state: self.log.initial.clone() });
             }
             StandbyKind::Warm => {
-                let state = self.last_state();
-                self.jobs.push_back(Job::Load { state });
+                let state = self.log.last_state();
+                self.component.jobs.push_back(Job::Load { state });
             }
             StandbyKind::Hot => {
                 // The component has executed all requests, or they are among its jobs. A component
                 // without the state starts as it was built.
-                if let Health::Stateless { .. } = self.health {
-                    self.jobs.push_back(Job::Load { state: self.initial.clone() });
+                if self.component.health == Health::Stateless {
+                    self.component.jobs.push_back(Job::Load { state: self.log.initial.clone() });
                 }
             }
         }
-        self.health = Health::Complete;
+        self.component.health = Health::Complete;
         self.start_next_job();
         self.send_heartbeat(now);
     }
 
     pub(super) fn send_heartbeat(&mut self, now: Instant) {
         let RoleState::Primary(primary) = &mut self.role else { return };
-        primary.heartbeat_number += 1;
         primary.heartbeat_at = now + self.config.heartbeat_interval;
-        primary.sent_heartbeats.push_back((primary.heartbeat_number, now));
-        if primary.sent_heartbeats.len() > HEARTBEATS_KEPT {
-            primary.sent_heartbeats.pop_front();
-        }
-        let (epoch, number, position) = (primary.epoch, primary.heartbeat_number, self.position);
-        let answered = self.answered;
-        let known_configurations = self.agreement.relevant_fingerprints(now);
-        let heartbeat =
-            ReplicaHeartbeat { epoch, number, position, answered, known_configurations };
+        let (epoch, position, answered) = (primary.epoch, self.log.position, self.log.answered);
+        let heartbeat = ReplicaHeartbeat { epoch, sent: now.as_nanos(), position, answered };
         self.send_to_others(&Message::Heartbeat(heartbeat));
     }
 
-    pub(super) fn handle_promise(
-        &mut self,
-        from: ReplicaOrigin<'_>,
-        promise: &LeasePromise,
-        now: Instant,
-    ) {
-        let LeasePromise { epoch, number, position, status, .. } = *promise;
-        let (from, is_learner) = (from.node, from.other_configuration.is_some());
+    pub(super) fn handle_promise(&mut self, from: &NodeName, promise: &LeasePromise, now: Instant) {
+        let LeasePromise { epoch, sent, position, status, .. } = *promise;
         let lease = self.config.lease();
-        let comparable = self.comparable_by_position() && !is_learner && !self.learned;
-        let nothing_missing = comparable && position == self.position;
+        let nothing_missing = self.comparable_by_position() && position == self.log.position;
         let RoleState::Primary(primary) = &mut self.role else { return };
         if epoch != primary.epoch {
             return;
         }
-        let heartbeat = primary.sent_heartbeats.iter().find(|(sent, _)| *sent == number);
-        let sent_at = heartbeat.map(|(_, at)| *at);
-        // A standby with another configuration has restarted, and has no entries.
-        if primary.standbys.get(from).is_some_and(|known| known.is_learner != is_learner) {
-            primary.standbys.remove(from);
-        }
+        // No heartbeat was sent later than now, or before this replica was elected.
+        let sent_at = sent.map(|sent| Instant::from_nanos(sent).min(now));
+        let sent_at = sent_at.filter(|at| *at >= primary.elected_at);
         // A standby becomes a follower by its first promise.
         let before = primary.standbys.get(from).map(|known| known.promised);
         let Some(promised) = sent_at.or(before) else { return };
-        let fresh = Follower::behind(promised, is_learner);
+        let fresh = Follower::behind(promised);
         let follower = primary.standbys.entry(from.clone()).or_insert(fresh);
         follower.promised = follower.promised.max(promised);
         follower.catch_up = match (follower.catch_up, status) {
@@ -246,9 +251,9 @@ impl Replica {
             follower.catch_up = CatchUp::Behind;
         }
         if follower.catch_up == CatchUp::Behind && self.config.kind != StandbyKind::Cold {
-            let mut jobs = self.jobs.iter().chain(&self.current_job);
+            let mut jobs = self.component.jobs.iter().chain(&self.component.current);
             if !jobs.any(|job| matches!(job, Job::Save)) {
-                self.jobs.push_back(Job::Save);
+                self.component.jobs.push_back(Job::Save);
             }
         }
         self.start_next_job();
@@ -258,7 +263,7 @@ impl Replica {
     /// Sends the component's state to all followers that are behind.
     pub(super) fn send_snapshots(&mut self, state: &Bytes, now: Instant) {
         let RoleState::Primary(primary) = &mut self.role else { return };
-        let (epoch, position) = (primary.epoch, self.position);
+        let (epoch, position) = (primary.epoch, self.log.position);
         let mut recipients = Vec::new();
         for (node, follower) in &mut primary.standbys {
             if follower.catch_up == CatchUp::Behind {
@@ -269,8 +274,8 @@ impl Replica {
             }
         }
         // Later entries are changes of the last state that was kept.
-        let kept = self.state.as_ref().filter(|_| self.config.kind == StandbyKind::Warm);
-        let (state, table) = (kept.unwrap_or(state).to_vec(), self.table.clone());
+        let kept = self.log.state.as_ref().filter(|_| self.config.kind == StandbyKind::Warm);
+        let (state, table) = (kept.unwrap_or(state).to_vec(), self.log.table.clone());
         let snapshot = Message::Snapshot(Snapshot { epoch, position, state, table });
         recipients.iter().for_each(|node| self.send(node, &snapshot));
     }
@@ -289,10 +294,9 @@ impl Replica {
         let RoleState::Primary(primary) = &mut self.role else { return };
         let epoch = primary.epoch;
         if self.config.kind != StandbyKind::Cold {
-            self.position = Position { epoch, number: self.position.number + 1 };
-            self.learned = false;
+            self.log.position = Position { epoch, number: self.log.position.number + 1 };
         }
-        let position = self.position;
+        let position = self.log.position;
         primary.held_replies.push_back((position, id, now));
         let followers = primary.standbys.iter().filter(|(_, follower)| {
             matches!(follower.catch_up, CatchUp::SnapshotSent(_) | CatchUp::InStep)
@@ -300,13 +304,13 @@ impl Replica {
         let recipients: Vec<_> = followers.map(|(node, _)| node.clone()).collect();
         let failed = result.is_err();
         let served = Served { id, result: result.map(Vec::from) };
-        self.table.settle(id.sender, settled);
-        self.table.note(served.clone());
+        self.log.table.settle(id.sender, settled);
+        self.log.table.note(served.clone());
         if self.config.kind != StandbyKind::Cold {
             let payload = match (self.config.kind, state) {
                 (StandbyKind::Warm, Some(state)) => {
-                    let change = Change::between(self.state.as_deref(), &state);
-                    self.state = Some(state);
+                    let change = Change::between(self.log.state.as_deref(), &state);
+                    self.log.state = Some(state);
                     EntryPayload::State(change)
                 }
                 (StandbyKind::Hot, _) if !failed => EntryPayload::Request(request.into()),
@@ -326,7 +330,7 @@ impl Replica {
         let under_replicated = self.check_replication(now);
         let config = &self.config;
         let RoleState::Primary(primary) = &mut self.role else { return };
-        if !primary.has_lease(config, &self.agreement, now) {
+        if !primary.has_lease(config, now) {
             return;
         }
         let mut answers = Vec::new();
@@ -336,7 +340,7 @@ impl Replica {
                 let in_step = followers.filter(|follower| follower.catch_up == CatchUp::InStep);
                 let knows = |follower: &&Follower| follower.position >= position;
                 let all = in_step.clone().all(|follower| knows(&follower));
-                let known = in_step.filter(|follower| !follower.is_learner).filter(knows).count();
+                let known = in_step.filter(knows).count();
                 let enough = under_replicated
                     || config.on_partition == OnPartition::Continue
                     || known + 1 >= config.majority();
@@ -346,11 +350,11 @@ impl Replica {
             }
             primary.held_replies.pop_front();
             primary.released = position;
-            self.answered = self.answered.max(position);
+            self.log.answered = self.log.answered.max(position);
             answers.extend(primary.waiting.remove(&id).map(|caller| (caller, id)));
         }
         for (caller, id) in answers {
-            let outcome = match self.table.find(id) {
+            let outcome = match self.log.table.find(id) {
                 Some(served) => ServiceOutcome::Served(served.result.clone().map(Bytes::from)),
                 // The caller has abandoned the request.
                 None => ServiceOutcome::Refused(DeliveryError::Expired),
@@ -368,5 +372,112 @@ impl Replica {
                 follower.catch_up = CatchUp::Behind;
             }
         }
+    }
+
+    /// Returns whether replies are sent before a majority has them, as too few standbys can be in
+    /// step.
+    pub(super) fn check_replication(&mut self, now: Instant) -> bool {
+        let RoleState::Primary(primary) = &mut self.role else { return false };
+        let config = &self.config;
+        if config.kind == StandbyKind::Cold || primary.holders() + 1 >= config.majority() {
+            primary.under_replicated_since = None;
+            self.set_fault(FaultKind::Unreplicated, None);
+            return false;
+        }
+        let since = *primary.under_replicated_since.get_or_insert(now);
+        // With `Continue`, the first node to start is alone until the others have started.
+        let comes =
+            config.on_partition == OnPartition::Continue || primary.expects_follower(config, now);
+        let wait = if comes { config.state_timeout() } else { config.lease() };
+        if now - since < wait {
+            return false;
+        }
+        let detail = primary.describe_replication(config, now);
+        self.set_fault(FaultKind::Unreplicated, Some(detail));
+        true
+    }
+
+    /// Declares a fault with this detail, or clears it.
+    pub(super) fn set_fault(&mut self, kind: FaultKind, detail: Option<String>) {
+        match detail {
+            Some(detail) if self.reports.faults.get(&kind) != Some(&detail) => {
+                self.reports.faults.insert(kind.clone(), detail.clone());
+                self.reports.outputs.push_back(ReplicaOutput::Fault { kind, detail });
+            }
+            None if self.reports.faults.remove(&kind).is_some() => {
+                self.reports.outputs.push_back(ReplicaOutput::FaultCleared { kind });
+            }
+            Some(_) | None => {}
+        }
+    }
+
+    /// Clears the faults of a primary.
+    pub(super) fn clear_faults(&mut self) {
+        self.set_fault(FaultKind::Unreplicated, None);
+        self.set_fault(FaultKind::StateLost, None);
+    }
+
+    /// Starts this epoch without the entries that this replica lacks, as no reachable member has
+    /// them. Returns whether there are any. The new position is greater than all earlier ones.
+    pub(super) fn start_without_lost_state(&mut self, epoch: u64) -> bool {
+        let lost = self.config.kind != StandbyKind::Cold && self.log.position < self.log.answered;
+        if lost {
+            self.report_loss(self.log.position, self.log.answered);
+            self.log.position = Position { epoch, number: 0 };
+            self.log.answered = self.log.position;
+        }
+        lost
+    }
+
+    /// Does so in the middle of an epoch, for the only member of a service.
+    pub(super) fn restart_without_lost_state(&mut self, epoch: u64) {
+        self.log.position = Position::default();
+        self.start_without_lost_state(epoch);
+        if let RoleState::Primary(primary) = &mut self.role {
+            (primary.base, primary.released) = (self.log.position, self.log.position);
+        }
+    }
+
+    /// Detects from a standby's promise that replies were sent before this epoch for entries that
+    /// this primary lacks.
+    pub(super) fn detect_loss(&mut self, epoch: u64, answered: Position) {
+        let RoleState::Primary(primary) = &self.role else { return };
+        let base = primary.base;
+        let is_loss = epoch == primary.epoch && answered > base && answered.epoch < epoch;
+        // With `Continue`, the entries of one part are lost when the parts meet.
+        if is_loss
+            && self.comparable_by_position()
+            && !self.reports.faults.contains_key(&FaultKind::StateLost)
+        {
+            self.report_loss(base, answered);
+        }
+    }
+
+    fn report_loss(&mut self, had: Position, known: Position) {
+        let what = match had == Position::default() {
+            true => "starts again with the state that it was built with",
+            false => "goes on with an older state",
+        };
+        let detail = format!(
+            "it {what}: the state after {} answered requests, the last in epoch {}, was lost with the nodes that \
+             held it; let more nodes carry the service, and keep a standby in step",
+            known.number, known.epoch
+        );
+        self.set_fault(FaultKind::StateLost, Some(detail));
+    }
+
+    /// Returns the position that a candidate needs for this replica's vote: while a node that has
+    /// the state may return, the greatest one that is known.
+    pub(super) fn required_position(&self, now: Instant) -> Position {
+        let waits =
+            self.waiting_since().is_some_and(|since| now < since + self.config.state_timeout());
+        if waits { self.log.position.max(self.log.answered) } else { self.log.position }
+    }
+
+    /// Returns since when this replica waits for a node that has the state that it lacks.
+    pub(super) fn waiting_since(&self) -> Option<Instant> {
+        // With `Continue`, no part waits for another one.
+        let lacks = self.comparable_by_position() && self.log.position < self.log.answered;
+        (lacks || self.component.health != Health::Complete).then_some(self.primary_seen_at)
     }
 }

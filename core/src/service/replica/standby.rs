@@ -8,17 +8,16 @@ use std::time::Duration;
 pub(super) struct Standby {
     /// The node of the primary, if one is known.
     pub(super) primary: Option<NodeName>,
-    /// The fingerprint of the primary's configuration, if that is not this replica's own.
-    other_configuration: Option<u64>,
     /// Until then this replica votes for no other one.
-    promised_until: Instant,
+    pub(super) promised_until: Instant,
     /// When this replica stands for election, unless it receives a heartbeat before.
     pub(super) election_at: Instant,
     /// The epoch in which it was brought into step. It has all entries of that epoch since.
-    in_step: Option<u64>,
+    pub(super) in_step: Option<u64>,
     /// It has all entries up to its position.
     complete: bool,
-    candidacy: Option<Candidacy>,
+    /// Votes for it count while it is there.
+    pub(super) candidacy: Option<Candidacy>,
     /// It is due to stand for election, and waits for the services that it depends on.
     pub(super) checking_dependencies: bool,
     /// Those services have primaries, which counts for one election.
@@ -29,7 +28,7 @@ pub(super) struct Standby {
 
 /// An epoch in which this replica stands for election.
 #[derive(Debug)]
-struct Candidacy {
+pub(super) struct Candidacy {
     epoch: u64,
     requested_at: Instant,
     /// This replica's position at that time.
@@ -45,7 +44,6 @@ impl Standby {
         Standby {
             election_at: promised_until + election_delay(config, primary.as_ref()),
             primary,
-            other_configuration: None,
             promised_until,
             in_step: None,
             complete: false,
@@ -69,33 +67,10 @@ impl Standby {
         }
     }
 
-    /// Returns the role, where `epoch` is the greatest one that is known.
-    pub(super) fn role(&self, epoch: u64, kind: StandbyKind) -> Role {
-        let primary = self.primary.clone();
-        // A cold standby keeps no state, so it lacks none.
-        let in_step = kind == StandbyKind::Cold || self.in_step == Some(epoch);
-        Role::Standby { in_step: in_step && primary.is_some(), primary }
-    }
-
-    /// Returns whether this replica follows a primary that has another list.
-    pub(super) fn is_learner(&self) -> bool {
-        self.primary.is_some() && self.other_configuration.is_some()
-    }
-
-    /// Ends the lease promise, as its receiver serves no more.
-    pub(super) fn release_promise(&mut self, now: Instant) {
-        self.promised_until = self.promised_until.min(now);
-    }
-
     /// Stands for election as soon as the promise has ended and it is this replica's turn.
     pub(super) fn advance_election(&mut self, config: &ReplicaConfig, now: Instant) {
         let delay = election_delay(config, self.primary.as_ref());
         self.election_at = self.election_at.min(self.promised_until.max(now) + delay);
-    }
-
-    /// Ends the candidacy: votes for it do not count any more.
-    pub(super) fn withdraw(&mut self) {
-        self.candidacy = None;
     }
 
     /// This replica lacks entries of the primary.
@@ -130,89 +105,36 @@ impl Replica {
             }
             self.step_down(Some(from.clone()), now);
         }
-        if !self.knows_all_configurations(from, &heartbeat.known_configurations) {
-            return;
-        }
-        let from = ReplicaOrigin { node: from, other_configuration: None };
-        self.follow(from, &heartbeat, now);
-        if let RoleState::Standby(standby) = &mut self.role {
-            standby.promised_until = now + self.config.lease() + self.config.margin();
-        }
-    }
-
-    /// Follows the primary that sent this heartbeat, and answers it.
-    fn follow(&mut self, from: ReplicaOrigin<'_>, heartbeat: &ReplicaHeartbeat, now: Instant) {
-        let ReplicaHeartbeat { epoch, number, position, answered, .. } = *heartbeat;
+        let ReplicaHeartbeat { epoch, sent, position, answered } = heartbeat;
         self.note_epoch(epoch);
-        self.answered = self.answered.max(answered);
-        self.note_primary_seen(now);
-        let (own, loading) = (self.position, self.is_loading());
-        let has_log = self.comparable_by_position();
-        let comparable = has_log && from.other_configuration.is_none() && !self.learned;
+        self.log.answered = self.log.answered.max(answered);
+        self.primary_seen_at = now;
+        let (own, loading) = (self.log.position, self.component.is_loading());
+        let comparable = self.comparable_by_position();
         let RoleState::Standby(standby) = &mut self.role else { return };
-        if standby.other_configuration != from.other_configuration {
-            // Each list of members has its own epochs.
-            (standby.other_configuration, standby.in_step) = (from.other_configuration, None);
-        }
         if comparable && standby.complete && position == own {
             standby.in_step = Some(epoch);
-        } else if has_log && position > own {
+        } else if comparable && position > own {
             // The missing entries were sent to others only.
             standby.in_step = None;
         }
-        standby.primary = Some(from.node.clone());
+        standby.primary = Some(from.clone());
         (standby.candidacy, standby.pending_request) = (None, None);
         standby.checking_dependencies = false;
         let timeout = self.config.lease() + self.config.margin();
-        standby.election_at = now + timeout + election_delay(&self.config, Some(from.node));
-        let status = match (self.config.kind, self.health) {
+        standby.promised_until = now + timeout;
+        standby.election_at = standby.promised_until + election_delay(&self.config, Some(from));
+        let status = match (self.config.kind, self.component.health) {
             (StandbyKind::Cold, _) => StandbyStatus::InStep,
-            (StandbyKind::Hot, Health::Inactive { .. }) => StandbyStatus::Inactive,
+            (StandbyKind::Hot, Health::Inactive) => StandbyStatus::Inactive,
             _ if standby.in_step != Some(epoch) => StandbyStatus::Behind,
-            _ if loading => StandbyStatus::Loading,
+            (StandbyKind::Hot, _) if loading => StandbyStatus::Loading,
             _ => StandbyStatus::InStep,
         };
-        let (position, answered) = (self.position, self.answered);
-        let promise = LeasePromise { epoch, number, position, answered, status };
-        self.send(from.node, &Message::LeasePromise(promise));
+        let (position, answered) = (self.log.position, self.log.answered);
+        let promise = LeasePromise { epoch, sent: Some(sent), position, answered, status };
+        self.send(from, &Message::LeasePromise(promise));
         self.report_role();
-    }
-
-    /// Handles a message of a node whose configuration differs in the list alone. Such a node can
-    /// be followed without a promise, so that a new list continues with the state of the old one.
-    pub(super) fn handle_other_list(
-        &mut self,
-        from: ReplicaOrigin<'_>,
-        message: Message,
-        now: Instant,
-    ) {
-        self.handle_timeout(now);
-        let followed = match &self.role {
-            RoleState::Standby(standby) => standby.primary.as_ref() == Some(from.node),
-            RoleState::Primary(_) => false,
-        };
-        match message {
-            Message::Heartbeat(heartbeat) => {
-                if let RoleState::Standby(standby) = &self.role
-                    && heartbeat.epoch >= self.epoch
-                    // A primary of this replica's own list goes first.
-                    && (followed || standby.primary.is_none())
-                {
-                    self.follow(from, &heartbeat, now);
-                }
-            }
-            Message::LeasePromise(promise) => {
-                self.note_answered(promise.answered, now);
-                self.handle_promise(from, &promise, now);
-            }
-            Message::Entry(entry) if followed => self.handle_entry(from, entry),
-            Message::Snapshot(snapshot) if followed => self.handle_snapshot(from, snapshot),
-            Message::Resigned { epoch } if followed && epoch == self.epoch => {
-                // The lease promise of this replica was made to a primary of its own list.
-                self.follow_none(now);
-            }
-            _ => {}
-        }
     }
 
     /// Stands for election in a new epoch, unless this replica is not eligible.
@@ -222,9 +144,7 @@ impl Replica {
         let RoleState::Standby(standby) = &mut self.role else { return };
         standby.election_at = now + again;
         standby.primary = None;
-        if self.agreement.is_fenced()
-            || !self.agreement.permits(|node| self.agreement.may_support(node), now)
-        {
+        if self.agreement.is_disputed() {
             standby.checking_dependencies = false;
             return self.report_role();
         }
@@ -234,7 +154,7 @@ impl Replica {
         }
         if self.config.depends && !std::mem::take(&mut standby.dependencies_ready) {
             if !std::mem::replace(&mut standby.checking_dependencies, true) {
-                self.outputs.push_back(ReplicaOutput::CheckDependencies);
+                self.reports.outputs.push_back(ReplicaOutput::CheckDependencies);
             }
             return self.report_role();
         }
@@ -242,24 +162,19 @@ impl Replica {
         if let Some(before) = &standby.candidacy {
             let others = self.config.members.iter().filter(|member| **member != self.config.own);
             let unwilling = others.filter(|member| !before.votes.contains_key(*member));
-            self.outage.note_failed_election(unwilling.cloned().collect());
+            self.outage.unwilling = unwilling.cloned().collect();
         }
         self.report_role();
         let epoch = self.epoch.max(self.used_epoch).saturating_add(1);
         self.used_epoch = epoch;
-        let position = self.position;
+        let position = self.log.position;
         let RoleState::Standby(standby) = &mut self.role else { return };
         let votes = SortedMap::new();
         standby.candidacy = Some(Candidacy { epoch, requested_at: now, position, votes });
         if self.config.majority() == 1 || self.config.on_partition == OnPartition::Continue {
-            if self.agreement.permits(|node| *node == self.config.own, now) {
-                self.take_over(epoch, now, [], now);
-            }
-            return;
+            return self.take_over(epoch, now, [], now);
         }
-        let known_configurations = self.agreement.relevant_fingerprints(now);
-        let request = VoteRequest { epoch, position, known_configurations };
-        self.send_to_others(&Message::VoteRequest(request));
+        self.send_to_others(&Message::VoteRequest(VoteRequest { epoch, position }));
     }
 
     pub(super) fn handle_vote_request(
@@ -272,13 +187,13 @@ impl Replica {
             // The candidate has not received a heartbeat yet, and will.
             return;
         }
-        let VoteRequest { epoch, position, .. } = request;
+        let VoteRequest { epoch, position } = request;
         let voted = self.epoch.max(self.used_epoch);
         if epoch <= voted {
             return self.send(from, &Message::Voted { epoch: voted });
         }
         let ineligible = self.ineligible_until(now);
-        let (required, learned) = (self.required_position(now), self.learned);
+        let required = self.required_position(now);
         let RoleState::Standby(standby) = &mut self.role else { return };
         if position < required {
             self.used_epoch = self.used_epoch.max(epoch);
@@ -294,20 +209,19 @@ impl Replica {
             standby.pending_request = Some((from.clone(), request));
             return;
         }
-        if !self.knows_all_configurations(from, &request.known_configurations) {
+        if self.agreement.is_disputed() {
             return;
         }
-        let RoleState::Standby(standby) = &mut self.role else { return };
         // A vote is a lease promise as well.
         (standby.candidacy, standby.pending_request) = (None, None);
         standby.promised_until = now + self.config.lease() + self.config.margin();
         standby.election_at = standby.promised_until + election_delay(&self.config, None);
-        let in_step = standby.complete && !learned && position == self.position;
+        let in_step = standby.complete && position == self.log.position;
         if in_step {
             standby.in_step = Some(epoch);
         }
         self.note_epoch(epoch);
-        let answered = self.answered;
+        let answered = self.log.answered;
         self.send(from, &Message::Vote(Vote { epoch, in_step, answered }));
     }
 
@@ -318,7 +232,7 @@ impl Replica {
         if epoch != self.epoch || standby.primary.as_ref() != Some(from) {
             return;
         }
-        standby.release_promise(now);
+        standby.promised_until = standby.promised_until.min(now);
         self.follow_none(now);
     }
 
@@ -348,9 +262,9 @@ impl Replica {
         if self.config.kind == StandbyKind::Cold {
             return;
         }
-        self.position.number += 1;
-        self.state = state.or(self.state.take());
-        self.table.note(Served { id, result: result.map(Vec::from) });
+        self.log.position.number += 1;
+        self.log.state = state.or(self.log.state.take());
+        self.log.table.note(Served { id, result: result.map(Vec::from) });
     }
 
     /// Returns whether two replicas at one position have the same entries. With
@@ -360,42 +274,40 @@ impl Replica {
     }
 
     pub(super) fn handle_vote(&mut self, from: &NodeName, vote: Vote, now: Instant) {
-        self.answered = self.answered.max(vote.answered);
+        self.log.answered = self.log.answered.max(vote.answered);
         let in_step = vote.in_step && self.comparable_by_position();
         let RoleState::Standby(standby) = &mut self.role else { return };
         let Some(candidacy) = &mut standby.candidacy else { return };
-        if candidacy.epoch != vote.epoch || now - candidacy.requested_at >= self.config.lease() {
+        if candidacy.epoch != vote.epoch
+            || now - candidacy.requested_at >= self.config.lease()
+            || self.agreement.is_disputed()
+        {
             return;
         }
         candidacy.votes.insert(from.clone(), in_step);
-        let votes = &candidacy.votes;
-        let supports = |node: &NodeName| *node == self.config.own || votes.contains_key(node);
-        if votes.len() + 1 >= self.config.majority() && self.agreement.permits(supports, now) {
+        if candidacy.votes.len() + 1 >= self.config.majority() {
             let requested_at = candidacy.requested_at;
             let votes = std::mem::take(&mut candidacy.votes);
             // The voters compared their positions with the one at the request.
-            let unchanged = candidacy.position == self.position;
+            let unchanged = candidacy.position == self.log.position;
             let voters = votes.into_iter().map(|(node, in_step)| (node, unchanged && in_step));
             self.take_over(vote.epoch, requested_at, voters, now);
         }
     }
 
-    pub(super) fn handle_entry(&mut self, from: ReplicaOrigin<'_>, entry: LogEntry) {
+    pub(super) fn handle_entry(&mut self, from: &NodeName, entry: LogEntry) {
         let LogEntry { epoch, position, served, settled, payload } = entry;
         let RoleState::Standby(standby) = &mut self.role else { return };
-        if epoch < self.epoch
-            || standby.in_step != Some(epoch)
-            || standby.other_configuration != from.other_configuration
-        {
+        if epoch < self.epoch || standby.in_step != Some(epoch) {
             return;
         }
-        if position.number != self.position.number.saturating_add(1) {
+        if position.number != self.log.position.number.saturating_add(1) {
             standby.fall_behind();
             return self.report_role();
         }
         match payload {
-            EntryPayload::State(change) => match change.apply(self.state.as_deref()) {
-                Some(state) => self.state = Some(state.into()),
+            EntryPayload::State(change) => match change.apply(self.log.state.as_deref()) {
+                Some(state) => self.log.state = Some(state.into()),
                 // The state is not the one that the primary made the change for.
                 None => {
                     standby.fall_behind();
@@ -403,54 +315,46 @@ impl Replica {
                 }
             },
             EntryPayload::Request(request) => {
-                self.jobs.push_back(Job::Replay { request: request.into() });
+                self.component.jobs.push_back(Job::Replay { request: request.into() });
             }
             EntryPayload::Failed => {}
         }
-        self.position = position;
-        self.table.settle(served.id.sender, settled);
-        self.table.note(served);
+        self.log.position = position;
+        self.log.table.settle(served.id.sender, settled);
+        self.log.table.note(served);
         self.start_next_job();
-        self.confirm(from.node, epoch);
+        self.confirm(from, epoch);
     }
 
-    pub(super) fn handle_snapshot(&mut self, from: ReplicaOrigin<'_>, snapshot: Snapshot) {
+    pub(super) fn handle_snapshot(&mut self, from: &NodeName, snapshot: Snapshot) {
         let Snapshot { epoch, position, state, table } = snapshot;
         let inactive =
-            self.config.kind == StandbyKind::Hot && matches!(self.health, Health::Inactive { .. });
+            self.config.kind == StandbyKind::Hot && self.component.health == Health::Inactive;
         let RoleState::Standby(standby) = &mut self.role else { return };
         if epoch < self.epoch || inactive {
             return;
         }
-        (standby.other_configuration, standby.in_step) = (from.other_configuration, Some(epoch));
-        standby.complete = true;
-        self.learned = from.other_configuration.is_some();
-        if let Health::Stateless { .. } = self.health {
-            self.health = Health::Complete;
+        (standby.in_step, standby.complete) = (Some(epoch), true);
+        if self.component.health == Health::Stateless {
+            self.component.health = Health::Complete;
         }
         self.note_epoch(epoch);
-        self.position = position;
-        self.table = table.bounded();
+        self.log.position = position;
+        self.log.table = table.bounded();
         // The snapshot does not contain the request that the component executes now.
-        if let Some(Job::Serve { request, .. }) = &self.current_job {
-            self.current_job = Some(Job::Replay { request: request.clone() });
+        if let Some(Job::Serve { request, .. }) = &self.component.current {
+            self.component.current = Some(Job::Replay { request: request.clone() });
         }
         match self.config.kind {
             StandbyKind::Hot => {
-                self.jobs.clear();
-                self.jobs.push_back(Job::Load { state: state.into() });
+                self.component.jobs.clear();
+                self.component.jobs.push_back(Job::Load { state: state.into() });
             }
-            StandbyKind::Warm | StandbyKind::Cold => self.state = Some(state.into()),
+            StandbyKind::Warm | StandbyKind::Cold => self.log.state = Some(state.into()),
         }
         self.start_next_job();
-        self.confirm(from.node, epoch);
+        self.confirm(from, epoch);
         self.report_role();
-    }
-
-    /// Returns whether a hot component has yet to load the state that this replica has received.
-    fn is_loading(&self) -> bool {
-        let mut jobs = self.jobs.iter().chain(&self.current_job);
-        self.config.kind == StandbyKind::Hot && jobs.any(|job| matches!(job, Job::Load { .. }))
     }
 
     /// Confirms to the primary that the component has loaded the state.
@@ -465,11 +369,12 @@ impl Replica {
 
     /// Sends this replica's position to the primary, without a promise.
     fn confirm(&mut self, primary: &NodeName, epoch: u64) {
-        if self.is_loading() {
+        if self.config.kind == StandbyKind::Hot && self.component.is_loading() {
             return;
         }
-        let (position, answered, status) = (self.position, self.answered, StandbyStatus::InStep);
-        let confirmation = LeasePromise { epoch, number: 0, position, answered, status };
+        let (position, answered, status) =
+            (self.log.position, self.log.answered, StandbyStatus::InStep);
+        let confirmation = LeasePromise { epoch, sent: None, position, answered, status };
         self.send(primary, &Message::LeasePromise(confirmation));
     }
 }

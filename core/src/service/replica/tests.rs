@@ -5,9 +5,9 @@ mod agreement;
 mod component;
 mod election;
 mod lists;
-mod other_configurations;
 mod outage;
 mod requests;
+mod single;
 mod under_replication;
 
 use super::*;
@@ -89,8 +89,6 @@ struct Robot {
     served_ms: Option<u64>,
     /// The configuration of each member, where they are not all equal.
     configurations: SortedMap<usize, ReplicaConfig>,
-    /// The configuration mismatch that each member has declared.
-    mismatches: SortedMap<usize, String>,
     /// The declared faults of each member.
     faults: SortedMap<(usize, FaultKind), String>,
     /// How often a member declared that state was lost.
@@ -123,7 +121,6 @@ impl Robot {
             overlaps: 0,
             served_ms: None,
             configurations: SortedMap::new(),
-            mismatches: SortedMap::new(),
             faults: SortedMap::new(),
             losses: 0,
             snapshots: 0,
@@ -173,9 +170,9 @@ impl Robot {
             let member = member.as_ref()?;
             let now = self.clock(member.drift);
             match &member.replica.role {
-                RoleState::Primary(primary) => primary
-                    .has_lease(&member.replica.config, &member.replica.agreement, now)
-                    .then_some(()),
+                RoleState::Primary(primary) => {
+                    primary.has_lease(&member.replica.config, now).then_some(())
+                }
                 RoleState::Standby(_) => None,
             }
         };
@@ -197,10 +194,6 @@ impl Robot {
                 ReplicaOutput::RoleChanged(Role::Standby { .. }) => {}
                 ReplicaOutput::CheckDependencies => own.inquires = true,
                 ReplicaOutput::Compare { with } => self.compare(member, index(&with)),
-                ReplicaOutput::ConfigMismatch { detail } => {
-                    drop(self.mismatches.insert(member, detail))
-                }
-                ReplicaOutput::MismatchCleared => drop(self.mismatches.remove(&member)),
                 ReplicaOutput::Fault { kind, detail } => {
                     self.losses += u64::from(kind == FaultKind::StateLost);
                     self.faults.insert((member, kind), detail);

@@ -1,7 +1,7 @@
 //! The leaves of the application, and what the driver decides about them from outside.
 
+use super::NodeAnswer;
 use super::called::CalledLeaf;
-use super::execute::NodeAnswer;
 use super::leaf::{Halt, Leaf, LeafContext, LeafRun, LeafState};
 use super::{TickProblem, Tree, TreeNodeId};
 use crate::model::{Kind, LeafKind};
@@ -33,7 +33,7 @@ impl Tree {
             if state.deferred {
                 return Ok(Status::Running);
             }
-            state.since = self.now;
+            state.since = self.clock.now;
             state.starts = state.starts.wrapping_add(1);
         }
         let call = if runs { <dyn Leaf>::running } else { <dyn Leaf>::start };
@@ -87,7 +87,7 @@ impl Tree {
             return;
         }
         if self.with_body(id, |body, cx| body.halt(cx)) == Halt::Pending {
-            self.halting.push((run, self.now));
+            self.halting.push((run, self.clock.now));
         }
     }
 
@@ -153,7 +153,7 @@ impl Tree {
     fn answer(&mut self, node: TreeNodeId, answer: Option<Status>) {
         let state = self.leaf_mut(node);
         (state.answer, state.deferred) = (answer, answer.is_none());
-        self.wake_at(self.now);
+        self.wake_at(self.clock.now);
     }
 
     /// Lets a leaf fail when it is ticked next, after an error, a panic, or its time limit. It is
@@ -171,7 +171,7 @@ impl Tree {
     fn stop(&mut self, node: TreeNodeId, now: Duration, answer: Option<Status>) -> bool {
         let is_leaf = matches!(self.node(node).kind, Kind::Leaf(_));
         if is_leaf {
-            self.now = self.now.max(now);
+            self.clock.now = self.clock.now.max(now);
             self.halt_leaf(node);
             self.answer(node, answer);
         }

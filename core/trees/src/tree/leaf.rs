@@ -188,7 +188,7 @@ pub struct LeafContext<'a> {
 impl LeafContext<'_> {
     /// The time that the driver gave to the tick.
     pub fn now(&self) -> Duration {
-        self.tree.now
+        self.tree.clock.now
     }
 
     /// The leaf's path in the tree.

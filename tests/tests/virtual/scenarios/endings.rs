@@ -1,6 +1,6 @@
 //! Incarnations that end in an unusual place: while they stop, before they work, or between two.
 
-use crate::scenarios::puppet::{Deed, News, Pull, Strings, ask, incarnation, strike};
+use crate::scenarios::puppet::{Deed, Pull, Strings, ask, incarnation};
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema_testkit::TestNode;
@@ -8,21 +8,6 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
-const HOUR: Duration = Duration::from_secs(3600);
-
-#[blastema_testkit::test]
-async fn one_that_stops_by_itself_and_does_not_end_in_time_is_replaced() {
-    let strings = Strings::default();
-    let spec = strings.spec("arm").shutdown_within(1000 * MS);
-    let mut node = TestNode::start(Node::builder("module1").child(spec)).await;
-    strings.pull("arm", "on_deactivated", Pull::Wait(HOUR));
-
-    ask(&node, "arm", Deed::Stop).await.unwrap();
-    node.await_fault(FaultKind::UnexpectedExit, "arm").await;
-    node.await_recovered(FaultKind::UnexpectedExit, "arm").await;
-
-    assert_eq!(incarnation(&node, "arm").await, 2);
-}
 
 #[blastema_testkit::test]
 async fn one_that_did_not_come_to_work_and_panics_is_left_to_its_supervisor() {
@@ -95,27 +80,6 @@ async fn one_that_does_not_come_to_work_has_failed_whichever_hook_failed() {
         let kinds: Vec<_> = kinds.collect();
         assert_eq!(kinds.len(), 1, "{hook}: {kinds:?}");
     }
-}
-
-#[blastema_testkit::test]
-async fn a_condition_that_panics_between_two_incarnations_is_a_failed_check() {
-    let strings = Strings::default();
-    let group = SupervisorSpec::new("group", Strategy::OneForAll)
-        .child(strings.spec("arm"))
-        .child(strings.spec("ear"));
-    let mut node = TestNode::start(Node::builder("module1").supervisor(group)).await;
-    let news = node.publisher::<News>("test/news").unwrap();
-    // The ear has ended, and its next incarnation begins when the arm's has.
-    strings.pull("arm", "on_initialize", Pull::Wait(500 * MS));
-
-    strike(&node, "arm").await;
-    node.advance(100 * MS).await;
-    news.publish(News(13)).unwrap();
-
-    let fault = node.await_fault(FaultKind::CheckFailed, "ear").await;
-    assert!(fault.detail.contains("unlucky"), "{}", fault.detail);
-    node.await_recovered(FaultKind::Panic, "arm").await;
-    assert_eq!(incarnation(&node, "ear").await, 2);
 }
 
 #[derive(Debug, Request)]

@@ -196,7 +196,7 @@ impl AdapterControl {
                 }
                 return;
             }
-            AdapterReply::Frame { .. } => return,
+            AdapterReply::Frame(_) => return,
         };
         match self.state {
             State::Waiting { step: SetupStep::Close, .. } => {}
@@ -336,9 +336,7 @@ mod tests {
         let expected = [close, pause, set, rate_refused, join, open_refused, open, failed];
         check(|dialogue| dialogue.handle_reply(&AdapterReply::Refused), expected);
         let frame = CanFrame::remote(CanId::standard(1).unwrap(), 0).unwrap();
-        for reply in
-            [AdapterReply::Frame { frame, time_ms: None }, AdapterReply::Answer("V1013".into())]
-        {
+        for reply in [AdapterReply::Frame(frame), AdapterReply::Answer("V1013".into())] {
             check(|dialogue| dialogue.handle_reply(&reply), before());
         }
     }

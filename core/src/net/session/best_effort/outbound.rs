@@ -35,8 +35,8 @@ pub(crate) struct BestEffortOutbound {
     /// Those of which the peer has not told yet.
     flying: VecDeque<Flying>,
     flying_bytes: usize,
-    /// How many were lost, as far as that was noticed; not known at first, and after some were given up, of which
-    /// the peer may tell yet.
+    /// How many were lost, as far as that was noticed; not known at first, and after some were
+    /// given up, of which the peer may tell yet.
     lost: Option<u64>,
     /// Messages that gave way to newer ones, or whose path went.
     pub(crate) replaced: u64,

@@ -167,7 +167,7 @@ fn what_comes_back_from_a_peer_that_breaks_the_protocol_was_good_itself() {
     let mut pair = Pair::open();
     pair.lose = Box::new(|end, _| end == 0);
     pair.send(0, text("good"));
-    let tag = pair.ends[0].tag;
+    let tag = pair.ends[0].identity.tag;
     let (first, last, again) = (false, true, false);
     let (piece, ack, payload) = (None, None, text("an end without a start").into());
     let (stream, sequence) = (TrafficClass::Request, 0);

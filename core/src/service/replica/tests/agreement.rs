@@ -1,6 +1,7 @@
 //! Members with different configurations.
 
 use super::*;
+use crate::service::ServiceState;
 
 const SECOND: u64 = 1000;
 
@@ -22,7 +23,7 @@ impl Robot {
         change(&mut config);
         self.configurations.insert(member, config);
         self.kill(member);
-        self.mismatches.remove(&member);
+        self.faults.remove(&(member, FaultKind::ContractMismatch));
         self.start(member);
     }
 
@@ -39,10 +40,7 @@ impl Robot {
             };
             let Some(Some(to)) = self.members.get_mut(to) else { return };
             let now = Instant::from_nanos(self.now.as_nanos() / 1000 * (1000 + to.drift));
-            match from == member {
-                true => to.replica.handle_comparison_request(&node(from), &configuration, now),
-                false => to.replica.handle_configuration(&node(from), &configuration, now),
-            }
+            to.replica.handle_configuration(&node(from), &configuration, now);
         }
         self.drain(with);
     }
@@ -60,79 +58,185 @@ impl Robot {
                 let found: Vec<_> = (0..self.size).filter(seen).map(node).collect();
                 if let Some(own) = self.members[member].as_mut() {
                     let now = Instant::from_nanos(self.now.as_nanos() / 1000 * (1000 + own.drift));
-                    own.replica.handle_reachable(&found);
-                    own.replica.handle_carriers(&found, now);
+                    own.replica.handle_carriers(&found, |_| true, now);
                     self.drain(member);
                 }
             }
         }
     }
 
+    /// Lets all members compare their configurations now.
+    pub(super) fn meet(&mut self) {
+        for (member, with) in (0..self.size).flat_map(|one| (0..one).map(move |other| (one, other)))
+        {
+            self.compare(member, with);
+            self.drain(member);
+        }
+    }
+
+    fn mismatch(&self, member: usize) -> Option<&str> {
+        self.faults.get(&(member, FaultKind::ContractMismatch)).map(String::as_str)
+    }
+
     fn mismatching(&self) -> Vec<usize> {
-        self.mismatches.keys().copied().collect()
+        (0..self.size).filter(|member| self.mismatch(*member).is_some()).collect()
     }
 }
 
 #[test]
-fn where_lists_differ_at_most_one_of_the_nodes_that_agree_serves_and_each_declares_why() {
-    let cases: [(&[&[usize]], &[usize]); 6] = [
+fn nodes_that_meet_before_one_of_them_serves_do_not_begin_and_each_names_the_difference() {
+    let cases: [&[&[usize]]; 5] = [
+        &[&[0], &[1]],
+        &[&[0, 1], &[1, 0]],
+        &[&[0], &[0, 1, 2], &[0, 1, 2]],
+        &[&[0, 1, 2], &[1, 0, 2], &[0, 1, 2]],
+        &[&[0, 1, 2], &[1, 2, 0], &[2, 0, 1]],
+    ];
+    for lists in cases {
+        let mut robot = Robot::configured(lists);
+        robot.meet();
+        let asked = robot.ask();
+        for _ in 0..200 {
+            robot.advance_ms(10);
+            assert_eq!(robot.primaries(), [], "{lists:?}");
+        }
+        robot.poll_directories(SECOND);
+
+        assert_eq!(robot.primaries(), [], "{lists:?}");
+        assert_eq!(robot.callers[asked].answer, None, "{lists:?}");
+        assert_eq!(robot.mismatching(), (0..lists.len()).collect::<Vec<_>>(), "{lists:?}");
+        for member in 0..lists.len() {
+            let detail = robot.mismatch(member).unwrap();
+            assert!(detail.contains("its nodes are") && detail.contains("write the same list"));
+        }
+
+        for member in 0..lists.len() {
+            robot.reconfigure(member, |_| {});
+        }
+        robot.poll_directories(SECOND);
+        assert_eq!((robot.primaries().len(), robot.mismatching()), (1, vec![]), "{lists:?}");
+        assert_eq!(robot.callers[asked].answer, Some(1), "{lists:?}");
+    }
+}
+
+#[test]
+fn whatever_differs_on_a_node_that_starts_the_primary_goes_on_and_no_further_node_begins() {
+    type Change = fn(&mut ReplicaConfig);
+    let changes: [(&str, Change); 6] = [
+        ("its nodes are", |config| config.members = vec![node(2)]),
+        ("its nodes are", |config| config.members = (0..5).map(node).collect()),
+        ("standbys", |config| config.kind = StandbyKind::Hot),
+        ("majority", |config| config.on_partition = OnPartition::Continue),
+        ("heartbeat", |config| config.heartbeat_interval = HEARTBEAT * 3),
+        ("heartbeat", |config| config.heartbeat_interval = HEARTBEAT / 2),
+    ];
+    for (what, change) in changes {
+        let mut robot = Robot::new(1, 3, StandbyKind::Warm, OnPartition::Stop);
+        robot.poll_directories(500);
+        robot.ask_some(2);
+        let epochs = robot.epochs.clone();
+        robot.reconfigure(2, change);
+        robot.meet();
+        for _ in 0..30 {
+            robot.poll_directories(100);
+            assert_eq!(robot.primaries(), [0], "{what}");
+        }
+        robot.ask_some(2);
+
+        assert_eq!(robot.epochs, epochs, "{what}: the primary is not disturbed");
+        assert_eq!(robot.mismatching(), [0, 1, 2], "{what}");
+        assert!((0..3).all(|member| robot.mismatch(member).unwrap().contains(what)), "{what}");
+        let view = robot.members[2].as_ref().unwrap().replica.view();
+        assert_eq!((view.state, view.primary), (ServiceState::Fenced, None), "{what}");
+
+        robot.kill(0);
+        robot.poll_directories(2 * SECOND);
+        assert_eq!(robot.primaries(), [], "{what}");
+        robot.reconfigure(2, |_| {});
+        robot.poll_directories(SECOND);
+        robot.ask_some(1);
+        let expected: Vec<_> = (1..=5).map(Some).collect();
+        assert_eq!(robot.answers(), expected, "{what}: nothing is lost");
+        assert_eq!(robot.overlaps, 0, "{what}");
+    }
+}
+
+#[test]
+fn of_two_primaries_that_meet_the_one_with_the_longer_list_goes_on() {
+    let cases: [(&[&[usize]], &[usize]); 3] = [
         (&[&[0], &[0, 1, 2], &[0, 1, 2]], &[1, 2]),
-        (&[&[0, 1], &[0, 1, 2], &[0, 1, 2]], &[1, 2]),
-        (&[&[0, 1, 2], &[1, 0, 2], &[0, 1, 2]], &[0, 2]),
-        // One of them serves, always the same one.
+        (&[&[0], &[1, 2], &[1, 2]], &[1, 2]),
+        // Always the same one.
         (&[&[0], &[1]], &[0, 1]),
-        // Neither list has a majority.
-        (&[&[0, 1], &[1, 0]], &[]),
-        (&[&[0, 1, 2], &[1, 2, 0], &[2, 0, 1]], &[]),
     ];
     for (lists, who) in cases {
         let mut robot = Robot::configured(lists);
-        robot.poll_directories(SECOND);
+        robot.advance_ms(200);
+        assert_eq!(robot.primaries().len(), 2, "{lists:?}: they have not met");
+        robot.poll_directories(2 * SECOND);
         robot.overlaps = 0;
         robot.poll_directories(SECOND);
 
         let primaries = robot.primaries();
-        assert_eq!(primaries.len(), who.len().min(1), "{lists:?}: {primaries:?}");
+        assert_eq!(primaries.len(), 1, "{lists:?}: {primaries:?}");
         assert!(primaries.iter().all(|primary| who.contains(primary)), "{lists:?}: {primaries:?}");
         assert_eq!(robot.overlaps, 0, "{lists:?}");
         assert_eq!(robot.mismatching(), (0..lists.len()).collect::<Vec<_>>(), "{lists:?}");
-        for (member, detail) in &robot.mismatches {
-            // A node that may serve declares so, as far as it can know.
-            let fenced = detail.contains("no node with this configuration serves");
-            assert!(fenced || who.contains(member), "{lists:?}: {detail}");
-        }
-        let asked = robot.ask();
-        robot.advance_ms(100);
-        assert_eq!(robot.callers[asked].answer.is_some(), !who.is_empty(), "{lists:?}");
+        robot.ask_some(1);
+        assert_eq!(robot.answers(), [Some(1)], "{lists:?}");
     }
 }
 
 #[test]
-fn whatever_else_differs_on_one_node_the_others_go_on_but_for_the_heartbeat_interval() {
-    type Change = fn(&mut ReplicaConfig);
-    let changes: [(&str, Change, usize); 4] = [
-        ("standbys", |config| config.kind = StandbyKind::Hot, 1),
-        ("majority", |config| config.on_partition = OnPartition::Continue, 1),
-        ("heartbeat", |config| config.heartbeat_interval = HEARTBEAT * 3, 0),
-        ("heartbeat", |config| config.heartbeat_interval = HEARTBEAT / 2, 0),
-    ];
-    for (what, change, serving) in changes {
-        let mut robot = Robot::new(1, 3, StandbyKind::Warm, OnPartition::Stop);
-        robot.advance_ms(200);
-        robot.reconfigure(1, change);
-        robot.poll_directories(SECOND);
-        robot.overlaps = 0;
-        robot.poll_directories(SECOND);
+fn a_primary_that_leads_asks_again_the_one_that_took_it_for_a_standby() {
+    let mut robot = Robot::configured(&[&[0], &[0, 1, 2], &[0, 1, 2]]);
+    robot.advance_ms(200);
+    let [0, leader] = robot.primaries()[..] else { panic!("{:?}", robot.primaries()) };
+    // Its answer came to a question that was sent before the leader served.
+    let theirs = robot.members[0].as_ref().unwrap().replica.configuration();
+    let now = robot.clock(robot.members[leader].as_ref().unwrap().drift);
+    let own = &mut robot.members[leader].as_mut().unwrap().replica;
+    own.handle_carriers(&[node(0)], |_| true, now);
+    own.handle_configuration(&node(0), &theirs, now);
+    while own.poll_output().is_some() {}
+    assert_eq!(robot.primaries().len(), 2);
 
-        let primaries = robot.primaries();
-        assert_eq!(primaries.len(), serving, "{what}: {primaries:?}");
-        assert!(!primaries.contains(&1) && robot.overlaps == 0, "{what}: {primaries:?}");
-        assert!(robot.mismatches.len() == 3, "{what}: {:?}", robot.mismatches);
-        assert!(
-            robot.mismatches.values().all(|text| text.contains(what)),
-            "{:?}",
-            robot.mismatches
-        );
+    let own = &mut robot.members[leader].as_mut().unwrap().replica;
+    own.handle_carriers(&[node(0)], |_| true, now);
+    robot.drain(leader);
+
+    assert_eq!(robot.primaries(), [leader]);
+}
+
+#[test]
+fn a_node_with_another_configuration_counts_out_of_sight_until_it_agrees_or_has_left() {
+    for (dies, leaves) in [(true, true), (true, false), (false, true), (false, false)] {
+        let mut robot = Robot::configured(&[&[2, 1, 0], &[0, 1, 2], &[0, 1, 2]]);
+        robot.meet();
+        robot.poll_directories(SECOND);
+        if dies {
+            robot.kill(0);
+        } else {
+            robot.sides[0] = 1;
+        }
+        robot.poll_directories(100 * SECOND);
+        assert_eq!(robot.primaries(), [], "it may be alive");
+        assert!(robot.mismatch(1).is_some() && robot.mismatch(2).is_some());
+
+        robot.sides[0] = 0;
+        if leaves {
+            robot.kill(0);
+            robot.faults.remove(&(0, FaultKind::ContractMismatch));
+            for member in [1, 2] {
+                robot.members[member].as_mut().unwrap().replica.handle_left(&node(0));
+                robot.drain(member);
+            }
+        } else {
+            robot.reconfigure(0, |_| {});
+        }
+        robot.poll_directories(SECOND);
+        assert_eq!(robot.primaries().len(), 1, "dies: {dies}, leaves: {leaves}");
+        assert_eq!(robot.mismatching(), [0; 0], "dies: {dies}, leaves: {leaves}");
     }
 }
 
@@ -144,7 +248,7 @@ fn members_that_list_each_other_find_out_before_they_vote() {
         // No member has polled the directory yet.
         robot.advance_ms(500);
         assert_eq!(robot.overlaps, 0, "{first}");
-        assert!(robot.mismatches.len() >= 2, "{first}: {:?}", robot.mismatches);
+        assert!(robot.mismatching().len() >= 2, "{first}: {:?}", robot.mismatching());
     }
 }
 
@@ -156,14 +260,14 @@ fn once_the_wrong_node_is_corrected_the_service_goes_on_with_its_state() {
     robot.advance_ms(50);
     robot.reconfigure(0, |config| config.members = vec![node(0)]);
     robot.poll_directories(2 * SECOND);
-    assert!(matches!(robot.primaries()[..], [1 | 2]) && robot.mismatches.len() == 3);
+    assert!(matches!(robot.primaries()[..], [1 | 2]) && robot.mismatching().len() == 3);
     robot.ask();
     robot.advance_ms(50);
 
     robot.reconfigure(0, |_| {});
     robot.poll_directories(SECOND);
 
-    assert_eq!(robot.mismatching(), [0; 0], "{:?}", robot.mismatches);
+    assert_eq!(robot.mismatching(), [0; 0], "{:?}", robot.mismatching());
     assert_eq!(robot.primaries().len(), 1);
     robot.ask();
     robot.advance_ms(200);
@@ -171,171 +275,10 @@ fn once_the_wrong_node_is_corrected_the_service_goes_on_with_its_state() {
 }
 
 #[test]
-fn a_node_with_another_configuration_that_died_or_is_cut_off_prevents_no_election() {
-    let wrong: [&[usize]; 4] = [&[0], &[2, 1, 0], &[0, 1], &[0, 1, 2, 3]];
-    for (wrong, dies) in wrong.iter().flat_map(|wrong| [(wrong, true), (wrong, false)]) {
-        let mut robot = Robot::configured(&[wrong, &[0, 1, 2], &[0, 1, 2]]);
-        robot.poll_directories(SECOND);
-        if dies {
-            robot.kill(0);
-        } else {
-            robot.sides[0] = 1;
-        }
-        robot.overlaps = 0;
-        // Long after any promise.
-        robot.poll_directories(SECOND);
-
-        assert!(matches!(robot.primaries()[..], [1 | 2]), "{wrong:?}: {:?}", robot.primaries());
-        assert_eq!(robot.overlaps, 0, "{wrong:?}");
-        robot.ask_some(1);
-        assert_eq!(robot.answers(), [Some(1)], "{wrong:?}");
-        // The next primary may serve, too.
-        let first = robot.primaries()[0];
-        let now = robot.clock(robot.members[first].as_ref().unwrap().drift);
-        robot.members[first].as_mut().unwrap().replica.handle_component_stopped(now);
-        robot.drain(first);
-        robot.advance_ms(200);
-        assert_eq!(robot.primaries(), [3 - first], "{wrong:?}");
-    }
-}
-
-#[test]
-fn a_node_that_died_before_it_was_bound_prevents_an_election_where_it_may_serve_by_itself() {
-    let mut robot = Robot::configured(&[&[0], &[0, 1, 2], &[0, 1, 2]]);
-    robot.advance_ms(100);
-    let configuration = robot.members[0].as_ref().unwrap().replica.configuration();
-    for member in [1, 2] {
-        let now = robot.clock(robot.members[member].as_ref().unwrap().drift);
-        let own = &mut robot.members[member].as_mut().unwrap().replica;
-        own.handle_comparison_request(&node(0), &configuration, now);
-        while own.poll_output().is_some() {}
-    }
-    robot.kill(0);
-    robot.poll_directories(3 * SECOND);
-    assert_eq!(robot.primaries(), [], "it never received their configuration");
-
-    for member in [1, 2] {
-        let now = robot.clock(robot.members[member].as_ref().unwrap().drift);
-        robot.members[member].as_mut().unwrap().replica.handle_left(&node(0), now);
-        robot.drain(member);
-    }
-    robot.advance_ms(300);
-    assert_eq!(robot.primaries().len(), 1);
-}
-
-#[test]
-fn the_fault_of_a_wrong_node_that_is_gone_for_a_minute_ends_if_it_is_harmless() {
-    let wrong: [&[usize]; 4] = [&[0], &[2, 1, 0], &[0, 1], &[0, 1, 2, 3]];
-    for wrong in wrong {
-        let mut robot = Robot::configured(&[wrong, &[0, 1, 2], &[0, 1, 2]]);
-        robot.poll_directories(SECOND);
-        robot.kill(0);
-        robot.mismatches.remove(&0);
-        // By clocks that run up to a twentieth faster.
-        robot.poll_directories(55 * SECOND);
-        assert_eq!(robot.mismatching(), [1, 2], "{wrong:?}: it may come back");
-
-        robot.poll_directories(6 * SECOND);
-
-        assert_eq!(robot.mismatching(), [0; 0], "{wrong:?}: {:?}", robot.mismatches);
-        assert_eq!(robot.primaries().len(), 1, "{wrong:?}");
-        for member in [1, 2] {
-            let own = &robot.members[member].as_ref().unwrap().replica;
-            assert_eq!(
-                own.agreement.relevant_fingerprints(own.now).len(),
-                1,
-                "{wrong:?}: it is not forgotten"
-            );
-        }
-        // The node was alive, and has the same configuration.
-        robot.start(0);
-        robot.poll_directories(SECOND);
-        robot.overlaps = 0;
-        robot.poll_directories(SECOND);
-        assert_eq!(robot.mismatching(), [0, 1, 2], "{wrong:?}");
-        assert_eq!(robot.overlaps, 0, "{wrong:?}");
-    }
-}
-
-#[test]
-fn the_fault_of_wrong_nodes_that_are_gone_stands_while_too_few_are_left_to_serve() {
-    let mut robot = Robot::configured(&[&[0, 1, 2], &[1, 2], &[1, 2]]);
-    robot.poll_directories(SECOND);
-    for wrong in [1, 2] {
-        robot.kill(wrong);
-        robot.mismatches.remove(&wrong);
-    }
-
-    robot.poll_directories(150 * SECOND);
-
-    assert_eq!(robot.mismatching(), [0], "it is fenced, and declares why");
-    assert_eq!(robot.primaries().len(), 0);
-}
-
-#[test]
-fn the_fault_of_a_wrong_node_that_is_gone_stands_while_it_might_serve_where_it_is() {
-    // Another heartbeat interval; and a node that asked and never answered.
-    let mut robot = Robot::configured(&[&[0, 1, 2], &[0, 1, 2], &[0, 1, 2]]);
-    robot.reconfigure(0, |config| config.heartbeat_interval = HEARTBEAT * 2);
-    robot.poll_directories(SECOND);
-    let mut unanswered = Robot::configured(&[&[0], &[0, 1, 2], &[0, 1, 2]]);
-    let configuration = unanswered.members[0].as_ref().unwrap().replica.configuration();
-    for member in [1, 2] {
-        let own = &mut unanswered.members[member].as_mut().unwrap().replica;
-        own.handle_comparison_request(&node(0), &configuration, own.now);
-        while let Some(output) = own.poll_output() {
-            if let ReplicaOutput::ConfigMismatch { detail } = output {
-                unanswered.mismatches.insert(member, detail);
-            }
-        }
-    }
-    for mut robot in [robot, unanswered] {
-        robot.kill(0);
-        robot.mismatches.remove(&0);
-
-        robot.poll_directories(150 * SECOND);
-
-        assert_eq!(robot.mismatching(), [1, 2], "{:?}", robot.configurations[&0]);
-        assert_eq!(robot.primaries(), [], "{:?}", robot.configurations[&0]);
-        // A new node of its name with the right configuration ends the mismatch.
-        robot.configurations.clear();
-        robot.start(0);
-        robot.poll_directories(SECOND);
-        assert_eq!((robot.mismatching(), robot.primaries().len()), (vec![], 1));
-    }
-}
-
-#[test]
-fn a_voter_sends_a_candidate_the_configurations_that_it_lacks() {
-    let mut robot = Robot::configured(&[&[0, 1, 2], &[0, 1, 2], &[0, 1, 2]]);
-    robot.poll_directories(SECOND);
-    let first = robot.primaries()[0];
-    let others: Vec<_> = (0..3).filter(|member| *member != first).collect();
-    let wrong = ReplicaConfig { members: vec![node(3), node(4)], ..robot.config(3) };
-    let wrong = Replica::new(ReplicaConfig { own: node(3), ..wrong }, Bytes::new(), robot.now);
-    // They alone have met a node that has ended since.
-    for member in &others {
-        let now = robot.clock(robot.members[*member].as_ref().unwrap().drift);
-        let own = &mut robot.members[*member].as_mut().unwrap().replica;
-        own.handle_configuration(&node(3), &wrong.configuration(), now);
-    }
-
-    robot.advance_ms(200);
-
-    let replica = &robot.members[first].as_ref().unwrap().replica;
-    assert_eq!(
-        replica.agreement.relevant_fingerprints(replica.now).len(),
-        1,
-        "it received the configuration"
-    );
-    assert!(others.contains(&robot.primaries()[0]), "the voters know that the other node defers");
-}
-
-#[test]
 fn a_restarted_actor_still_knows_of_the_mismatch() {
     let mut robot = Robot::configured(&[&[0], &[1]]);
     robot.poll_directories(SECOND);
-    robot.mismatches.clear();
+    robot.faults.clear();
     let now = robot.clock(robot.members[0].as_ref().unwrap().drift);
     let own = robot.members[0].as_mut().unwrap();
     own.replica = own.replica.restarted(now);
@@ -360,11 +303,11 @@ fn a_further_mismatch_changes_the_detail_and_one_that_is_over_clears_the_fault()
         own.handle_configuration(&node(from), configuration, Instant::from_millis(1));
         let outputs = std::iter::from_fn(|| own.poll_output());
         let reports = outputs.filter_map(|output| match output {
-            ReplicaOutput::ConfigMismatch { detail } => {
+            ReplicaOutput::Fault { detail, .. } => {
                 let named = |n: &usize| detail.contains(&format!("on module{n}:"));
                 Some(format!("mismatch {:?}", (0..3).filter(named).collect::<Vec<_>>()))
             }
-            ReplicaOutput::MismatchCleared => Some("agreed".to_owned()),
+            ReplicaOutput::FaultCleared { .. } => Some("agreed".to_owned()),
             _ => None,
         });
         reports.collect()
@@ -373,7 +316,7 @@ fn a_further_mismatch_changes_the_detail_and_one_that_is_over_clears_the_fault()
     assert_eq!(receive(1, &configuration), ["mismatch [1]"]);
     assert_eq!(receive(1, &configuration), [""; 0]);
     assert_eq!(receive(2, &configuration), ["mismatch [1, 2]"]);
-    assert_eq!(receive(1, &same), ["agreed", "mismatch [2]"]);
+    assert_eq!(receive(1, &same), ["mismatch [2]"]);
     assert_eq!(receive(2, &same), ["agreed"]);
 }
 
@@ -383,7 +326,7 @@ fn nodes_that_agree_are_asked_once_and_the_others_again_and_again() {
     let own = &mut robot.members[0].as_mut().unwrap().replica;
     let mut asked = |found: &[usize], millis: u64| {
         let found: Vec<_> = found.iter().copied().map(node).collect();
-        own.handle_carriers(&found, Instant::from_millis(millis));
+        own.handle_carriers(&found, |_| true, Instant::from_millis(millis));
         let outputs = std::iter::from_fn(|| own.poll_output());
         let asked = outputs.filter_map(|output| match output {
             ReplicaOutput::Compare { with } => Some(index(&with)),
@@ -412,10 +355,9 @@ fn nodes_that_agree_are_asked_once_and_the_others_again_and_again() {
 fn a_member_that_does_not_carry_the_service_is_named_and_prevents_no_election() {
     let mut robot = Robot::new(1, 3, StandbyKind::Warm, OnPartition::Stop);
     let report = |robot: &mut Robot, of: usize| {
-        let now = robot.now;
-        robot.members[0].as_mut().unwrap().replica.handle_no_service(&node(of), now);
+        robot.members[0].as_mut().unwrap().replica.handle_no_service(&node(of));
         robot.drain(0);
-        robot.mismatches.get(&0).cloned()
+        robot.mismatch(0).map(str::to_owned)
     };
     assert_eq!(report(&mut robot, 2), None, "it may be starting");
     let detail = report(&mut robot, 2).expect("it does not");

@@ -18,7 +18,7 @@ impl Robot {
         let own = self.members[member].as_mut().unwrap();
         if rests {
             own.replica.handle_component_stopped(now);
-        } else if let Health::Inactive { .. } = own.replica.health {
+        } else if own.replica.component.health == Health::Inactive {
             own.sum = 0;
             own.replica.handle_component_resumed(now);
         }

@@ -110,15 +110,17 @@ fn only_a_member_that_is_cut_off_declares_the_outage() {
 fn an_outage_by_different_configurations_names_the_nodes() {
     let mut robot = Robot::new(3, 3, StandbyKind::Warm, OnPartition::Stop);
     robot.poll_directories(500);
-    robot.reconfigure(1, |config| config.heartbeat_interval = HEARTBEAT * 2);
+    assert_eq!(robot.primaries(), [0]);
+    robot.reconfigure(0, |config| config.heartbeat_interval = HEARTBEAT * 2);
+    robot.meet();
     robot.poll_directories(3000);
 
-    assert_eq!(robot.without_primary(), [0, 2], "the third has just started");
+    assert_eq!(robot.without_primary(), [1, 2], "the first has just started");
     let detail = robot.outage(2).unwrap();
-    assert!(detail.contains("it differs on module1 (the fault contract"), "{detail}");
+    assert!(detail.contains("it differs on module0 (the fault contract"), "{detail}");
     robot.poll_directories(3000);
-    let detail = robot.outage(1).unwrap();
-    assert!(detail.contains("it differs on module0, module2 ("), "{detail}");
+    let detail = robot.outage(0).unwrap();
+    assert!(detail.contains("it differs on module1, module2 ("), "{detail}");
 }
 
 #[test]

@@ -118,7 +118,12 @@ fn replies_are_kept_until_their_callers_have_them_and_no_longer() {
         }
         for member in robot.members.iter().flatten() {
             let kept = (0..50).filter(|sequence| {
-                member.replica.table.find(MessageId { sender: 1, sequence: *sequence }).is_some()
+                member
+                    .replica
+                    .log
+                    .table
+                    .find(MessageId { sender: 1, sequence: *sequence })
+                    .is_some()
             });
             assert!(kept.count() <= 4, "{kind:?}");
         }

@@ -90,7 +90,7 @@ fn a_node_that_may_claim_a_service_no_more_does_not_stop_it_any_more() {
     blastema::run(async {
         let open: Vec<_> = NODES.map(|node| (node, Role::Node)).into();
         let robot = Robot::new(&open, &[]);
-        // The longer list leads, and has no majority: the head does not carry the service.
+        // The arm has no majority: the head does not carry the service.
         let carry = |own, node: NodeBuilder| match own {
             0 => node.service(map("base", 0)),
             1 => node.service(ServiceSpec::new("map", ["arm", "head"], || Map(0))),
