@@ -184,9 +184,9 @@ impl PeerSessions {
         }
     }
 
-    /// The session with a peer, and its name.
-    pub(super) fn peer(&self, peer: NodeId) -> Option<(&NodeName, &Session)> {
-        Some((&self.peers.get(&peer)?.node, self.machines.get(peer)?))
+    /// The name of a peer.
+    pub(super) fn name(&self, peer: NodeId) -> Option<&NodeName> {
+        self.peers.get(&peer).map(|peer| &peer.node)
     }
 
     pub(super) fn handle_reachable(&mut self, peer: NodeId, incarnation: Incarnation, mtu: usize) {

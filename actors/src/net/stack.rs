@@ -200,10 +200,10 @@ impl NetworkStack {
 
     fn carry_out_of_session(&mut self, peer: NodeId, output: SessionOutput) {
         match output {
-            SessionOutput::Opened { incarnation } => {
-                let Some((node, session)) = self.lower.sessions.peer(peer) else { return };
+            SessionOutput::Opened { incarnation, number } => {
+                let Some(node) = self.lower.sessions.name(peer) else { return };
                 info!(%node, %incarnation, "session open");
-                self.gateway.session_opened(node, incarnation, session.number());
+                self.gateway.session_opened(node, incarnation, number);
             }
             SessionOutput::Message { message, .. } | SessionOutput::Newest { message, .. } => {
                 self.gateway.handle_message(peer, message);
