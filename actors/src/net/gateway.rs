@@ -168,7 +168,10 @@ impl ObjectGateway {
                 let sent = sessions.send_reliable(session, (stream, strand), message, credit);
                 self.give_back(peer, sent);
             }
-            PeerProtocolOutput::SendNewest { peer, channel, message, .. } => {
+            PeerProtocolOutput::SendNewest { peer, channel, message, credit } => {
+                // Given back when the stack has yielded: senders on other threads would keep its
+                // mailbox filled, and actix serves that before any timer.
+                actix_rt::spawn(async move { drop(credit) });
                 let session = (peer, self.peers.get(&peer).map_or(0, |peer| peer.session));
                 let sent = sessions.send_latest(session, channel, message);
                 self.give_back(peer, sent);
