@@ -16,6 +16,7 @@ use super::gateway_messages::{LocalReply, TopicInterestChanged};
 use super::sessions::{DiscardedSession, PeerSessions};
 use super::stub::{PeerCondition, PeerSendState, PeerStubs};
 use crate::messaging::dead_letters::DeadLetterLog;
+use crate::platform;
 use crate::registry::remote_watch::DeathWatchService;
 use crate::registry::{MessageMetadata, Registry, ReplyTo};
 use crate::topic::{TopicKey, Topics};
@@ -28,7 +29,9 @@ use blastema_core::net::peer_protocol::{
     PeerProtocol, PeerProtocolOutput, SessionEpoch, TopicContract,
 };
 use blastema_core::sorted::{SortedMap, SortedSet};
-use blastema_core::{DeliveryError, FaultKind, GatherBuffer, Incarnation, NodeName, ObjectName};
+use blastema_core::{
+    DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant, NodeName, ObjectName,
+};
 use bytes::Bytes;
 use forbidden::ForbiddenAlarm;
 use inbound::{InboundBacklog, PeerBinding};
@@ -79,8 +82,8 @@ pub(super) struct ObjectGateway {
     /// Messages of isolated nodes.
     of_isolated: u64,
     forbidden: ForbiddenAlarm,
-    /// The node ends; the sessions follow once nothing waits here.
-    leaving: bool,
+    /// The node ends; the sessions follow once nothing waits here, and then at the latest.
+    leaving: Option<Instant>,
 }
 
 impl ObjectGateway {
@@ -121,7 +124,7 @@ impl ObjectGateway {
             next: 0,
             of_isolated: 0,
             forbidden: ForbiddenAlarm::default(),
-            leaving: false,
+            leaving: None,
         }
     }
 
@@ -144,20 +147,20 @@ impl ObjectGateway {
 
     /// Carries out all that waits.
     pub(super) fn drive(&mut self, sessions: &mut PeerSessions) {
-        while let Some(output) = self.exchange.poll_output() {
-            self.carry_out(output, sessions);
-        }
-        if self.leaving && !self.exchange.is_waiting() {
-            self.leave(sessions);
+        self.carry_out_all(sessions);
+        let is_over = |until| until <= platform::now() || !self.exchange.is_waiting();
+        if self.leaving.is_some_and(is_over) {
+            self.exchange.handle_leave();
+            self.carry_out_all(sessions);
+            sessions.close();
+            self.leaving = None;
         }
     }
 
-    /// The node ends: its peers are told, and the sessions end.
-    pub(super) fn leave(&mut self, sessions: &mut PeerSessions) {
-        if std::mem::take(&mut self.leaving) {
-            self.exchange.handle_leave();
-            self.drive(sessions);
-            sessions.close();
+    /// A panic in here has consumed an output.
+    pub(super) fn carry_out_all(&mut self, sessions: &mut PeerSessions) {
+        while let Some(output) = self.exchange.poll_output() {
+            self.carry_out(output, sessions);
         }
     }
 

@@ -38,6 +38,8 @@ pub(super) struct PeerSessions {
     /// The highest number of a session with a peer that was forgotten: those with a new one are
     /// above it, for it may be the same peer.
     forgotten: u32,
+    /// This node ends: no session begins any more.
+    closed: bool,
     rates: ByteRates<NodeId>,
 }
 
@@ -76,12 +78,13 @@ impl PeerSessions {
             complaints: RefusalAlarms::default(),
             strangers: Refusals::default(),
             forgotten: 0,
+            closed: false,
             rates: ByteRates::default(),
         }
     }
 
     fn build(&mut self, id: NodeId) {
-        let Some(peer) = self.peers.get(&id) else { return };
+        let Some(peer) = self.peers.get(&id).filter(|_| !self.closed) else { return };
         let (node, incarnation) = (self.node.clone(), self.incarnation);
         let config = SessionConfig::new(node, incarnation, peer.node.clone());
         let (number, idle_timeout) = (peer.number, self.idle_timeout);
@@ -233,6 +236,7 @@ impl PeerSessions {
 
     /// This node ends in order: what was sent is to be delivered, then every session ends.
     pub(super) fn close(&mut self) {
+        self.closed = true;
         let peers: Vec<_> = self.peers.keys().copied().collect();
         for peer in peers {
             if let Some(session) = self.machines.get_mut(peer) {

@@ -39,8 +39,6 @@ use tracing::{debug, error, info};
 const TIME_INTERVAL: Duration = Duration::from_millis(200);
 /// How often it is looked at what was refused and lost.
 const LOOK_INTERVAL: Duration = Duration::from_secs(1);
-/// How long a node that ends waits for peers to agree to contracts of messages it has accepted.
-const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// The actor of the gateway, the sessions and the router.
 pub(super) struct NetworkStack {
@@ -361,10 +359,6 @@ impl Handler<CloseSessions> for NetworkStack {
 
     fn handle(&mut self, _: CloseSessions, context: &mut Context<Self>) {
         self.gateway.handle_end();
-        context.run_later(LEAVE_TIMEOUT, |stack, context| {
-            stack.gateway.leave(&mut stack.lower.sessions);
-            stack.drive(context);
-        });
         self.drive_all(context);
     }
 }

@@ -209,7 +209,7 @@ impl ObjectGateway {
                 return;
             }
         }
-        self.wiring.stack.capacity.do_send(CapacityAvailable { peer, object });
+        self.watch(peer, object, Box::pin(std::future::ready(())));
     }
 
     /// The session with this peer is over: what waits is not served any more.

@@ -13,7 +13,11 @@ use blastema_core::net::peer_protocol::{Call, TransmitState};
 use blastema_core::{DeliveryError, Incarnation, NodeName, ObjectAddress};
 use bytes::Bytes;
 use std::sync::Arc;
+use std::time::Duration;
 use tracing::debug;
+
+/// How long a node that ends waits for peers to agree to contracts of messages it has accepted.
+const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
 
 impl ObjectGateway {
     /// A node can be reached; a session will begin.
@@ -147,7 +151,7 @@ impl ObjectGateway {
 
     /// This node ends in order: once nothing waits here, the sessions end.
     pub(in crate::net) fn handle_end(&mut self) {
-        self.leaving = true;
+        self.leaving.get_or_insert(platform::now() + LEAVE_TIMEOUT);
     }
 
     pub(in crate::net) fn handle_answer(&mut self, message: LocalReply) {
