@@ -66,7 +66,7 @@ struct GatewaySetup {
 /// Speaks for the objects of this node.
 pub(super) struct ObjectGateway {
     wiring: GatewaySetup,
-    exchange: PeerProtocol,
+    pub(super) exchange: PeerProtocol,
     peers: SortedMap<NodeId, GatewayPeer>,
     /// Where replies go, by our number of the request.
     replies: SortedMap<u64, (NodeName, ReplyTo)>,
@@ -145,7 +145,7 @@ impl ObjectGateway {
         self.next
     }
 
-    /// Carries out all that waits.
+    /// Carries out all that waits. A node that ends tells its peers, and ends its sessions.
     pub(super) fn drive(&mut self, sessions: &mut PeerSessions) {
         self.carry_out_all(sessions);
         let is_over = |until| until <= platform::now() || !self.exchange.is_waiting();

@@ -156,8 +156,9 @@ impl NodeRouter {
     }
 
     pub(super) fn handle_link(&mut self, changed: LinkChanged) {
-        self.machine.handle_link(changed.link, changed.status.clone(), platform::now());
-        self.links.insert(changed.link, changed);
+        // Before the machine has it: a machine that is built again is given the last of each link.
+        self.links.insert(changed.link, changed.clone());
+        self.machine.handle_link(changed.link, changed.status, platform::now());
         self.answer_inquirers();
     }
 
@@ -184,11 +185,11 @@ impl NodeRouter {
     }
 
     pub(super) fn handle_isolation(&mut self, node: &NodeName, isolated: bool) {
-        self.machine.handle_isolation(node, isolated, platform::now());
         match isolated {
             true => drop(self.isolated.insert(node.clone())),
             false => drop(self.isolated.remove(node)),
         }
+        self.machine.handle_isolation(node, isolated, platform::now());
     }
 
     fn carry(&self, link: LinkId, load: LinkPayload) {

@@ -2,6 +2,7 @@
 
 use super::fault_reporter::FaultReporter;
 use crate::platform;
+use crate::platform::panics;
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
 use blastema_core::TrafficClass;
@@ -14,7 +15,6 @@ use blastema_core::net::{
 use blastema_core::sorted::SortedMap;
 use blastema_core::{Credit, DeliveryError, FaultKind, GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
 use tracing::warn;
 
@@ -121,7 +121,7 @@ impl PeerSessions {
     fn discard(&mut self, peer: NodeId) -> Option<DiscardedSession> {
         let mut machine = self.machines.remove(peer)?;
         // After a panic, what it holds is given back if it can be read at all.
-        let held = catch_unwind(AssertUnwindSafe(|| machine.take_unacknowledged()));
+        let held = panics::caught(|| machine.take_unacknowledged());
         if let Some(known) = self.peers.get_mut(&peer) {
             known.number = known.number.max(machine.number());
         }

@@ -5,8 +5,9 @@
 //!  objects ◄─ gateway ◄─ sessions ◄─ router ◄─ links
 //! ```
 //!
-//! A panic of the router costs only its machine: a new one is given what the links have
-//! reported, and the sessions retransmit. After any other panic every session is reset.
+//! After a panic the router's machine is built again: the new one is given what the links have
+//! reported, and the sessions retransmit. If the panic was not the router's, every session is
+//! reset as well.
 
 use super::NetEnvironment;
 use super::gateway::{CapacityAvailable, LocalEvent, ObjectGateway, StackRecipients};
@@ -18,6 +19,7 @@ use super::router::{NodeRouter, Verdict};
 use super::sessions::PeerSessions;
 use super::stub::PeerStubs;
 use crate::platform;
+use crate::platform::panics;
 use crate::registry::remote_watch::DeathWatchService;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
@@ -51,7 +53,7 @@ pub(super) struct NetworkStack {
 /// The sessions and the router, driven as one machine.
 pub(super) struct LowerFloors {
     pub(super) sessions: PeerSessions,
-    router: NodeRouter,
+    pub(super) router: NodeRouter,
     /// The router is being served.
     in_router: bool,
     /// A change of a path that waits for what the sessions do about earlier segments.
@@ -243,17 +245,23 @@ impl Actor for NetworkStack {
 impl Supervised for NetworkStack {
     fn restarting(&mut self, context: &mut Context<Self>) {
         self.wake = WakeTimer::default();
-        if std::mem::take(&mut self.lower.in_router) {
-            self.lower.router.rebuild();
-        } else {
+        // What the old machine reported and was not carried out, the new one reports again.
+        self.lower.held = None;
+        self.lower.router.rebuild();
+        if !std::mem::take(&mut self.lower.in_router) {
             for discarded in self.lower.sessions.replace_all() {
                 self.gateway.session_discarded(discarded);
             }
-            self.drive_gateway();
+            let NetworkStack { gateway, lower, .. } = self;
+            // The output that panicked may not be the only one that does. Each round consumes one.
+            while let Err(again) = panics::caught(|| gateway.carry_out_all(&mut lower.sessions)) {
+                error!(%again, "a restarted network panics once more");
+            }
             self.gateway.resolve_lost();
         }
         self.started(context);
-        self.drive_all(context);
+        // Later, where a panic leads to the next restart.
+        self.drive_soon(context);
     }
 }
 

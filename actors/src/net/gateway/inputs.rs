@@ -113,8 +113,14 @@ impl ObjectGateway {
         self.session_ended(peer, why);
     }
 
-    /// Resolves the requests that a panic has lost: those that no session will answer.
+    /// Every session was discarded after a panic, which may have lost an output: what the peers had
+    /// here goes, and requests that no session will answer are resolved.
     pub(in crate::net) fn resolve_lost(&mut self) {
+        let known = self.peers.iter().map(|(id, peer)| (*id, peer.node.to_string()));
+        for (peer, node) in known.collect::<Vec<_>>() {
+            let why = self.because(peer, DeliveryError::Unreachable { node });
+            self.forget(peer, &why);
+        }
         let lost = |number: &u64| !self.exchange.is_to_repeat(*number);
         let lost: Vec<_> = self.replies.keys().copied().filter(lost).collect();
         for (node, reply_to) in lost.iter().filter_map(|number| self.replies.remove(number)) {
