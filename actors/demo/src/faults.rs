@@ -230,8 +230,7 @@ impl DemoFault {
             // Each side loses all that it reached through the other one.
             (Blow::Blackout, _) => (is_kind, is_kind),
             (Blow::Router, FaultLocation::Object(at)) => {
-                let here =
-                    at.node.as_str() == module.name() && at.object.as_str().contains("router");
+                let here = at.node.as_str() == module.name() && at.object.as_str() == "net/stack";
                 (here && is_kind, here)
             }
             (Blow::Kill, FaultLocation::Node(node)) => {
@@ -306,7 +305,7 @@ mod tests {
         check("hang", FaultKind::Panic, object("module2", "laser"), FaultMatch::Foreign);
         check("hang", FaultKind::Hang, object("module2", "operator"), FaultMatch::Foreign);
         check("hang", FaultKind::Hang, object("module1", "laser"), FaultMatch::Foreign);
-        let router = object("module1", "blastema/router");
+        let router = object("module1", "net/stack");
         check("panic in the router", FaultKind::Panic, router.clone(), FaultMatch::Named);
         check("panic", FaultKind::Panic, router, FaultMatch::Foreign);
     }

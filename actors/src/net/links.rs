@@ -20,7 +20,7 @@ use crate::runtime::guardian::answers_the_monitor;
 use actix::prelude::*;
 use blastema_contract::link::{
     CarrierChanged, LinkChanged, LinkPayload, LinkRow, LinkSeal, ReadLinks, ReceivedOnLink,
-    ReportLinks, TransmitOnLink,
+    TransmitOnLink,
 };
 use blastema_contract::monitor::LinkReported;
 use blastema_contract::reports::LivenessReported;
@@ -520,14 +520,6 @@ impl Handler<TransmitOnLink> for LinksActor {
             LinkPayload::Taken(holder) => link.handle_taken(holder),
         });
         self.drive_soon(context);
-    }
-}
-
-impl Handler<ReportLinks> for LinksActor {
-    type Result = ();
-
-    fn handle(&mut self, _: ReportLinks, _: &mut Context<Self>) {
-        self.tell_router_all();
     }
 }
 

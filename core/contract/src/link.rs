@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! transport ──Received, TransportReport──► links ──LinkChanged, Arrived──► router
-//!           ◄─Transmit────────────────────       ◄────Carry, ReportLinks───────
+//!           ◄─Transmit────────────────────       ◄────Carry────────────────────
 //! ```
 
 use actix::{Message, Recipient};
@@ -57,11 +57,6 @@ pub struct LinkChanged {
     pub remote: Arc<str>,
 }
 
-/// The router restarts: every link is to report its state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "()")]
-pub struct ReportLinks;
-
 /// The interface that a network uses has lost its carrier, or has it again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
@@ -78,8 +73,6 @@ pub struct AddLinks {
     pub links: Vec<LinkId>,
     /// Takes what they are to carry.
     pub carry: Recipient<TransmitOnLink>,
-    /// Asks them how they are.
-    pub report: Recipient<ReportLinks>,
 }
 
 /// Asks a network for all its links.

@@ -1,117 +1,9 @@
-//! Between the sessions and the gateway, which speaks for the objects of the node.
-//!
-//! ```text
-//! gateway ──Say, SayNewest──► sessions ──SessionReported──► gateway
-//! ```
+//! What the rest of the node asks of its sessions, and is told of them.
 
-use actix::{Message, Recipient};
+use actix::Message;
 use blastema_core::net::ByteRate;
 use blastema_core::net::session::SessionStatus;
-use blastema_core::net::{NodeId, OrderingKey};
-use blastema_core::{Credit, DeliveryError, GatherBuffer, Incarnation, NodeName, TrafficClass};
-use bytes::Bytes;
-use std::collections::BTreeMap;
-
-/// Sends a message, exactly once and in the order of its stream. If it cannot be, it comes back as
-/// [`SessionReported::Returned`].
-#[derive(Debug, Message)]
-#[rtype(result = "()")]
-pub struct SendReliable {
-    /// The node that it is for.
-    pub peer: NodeId,
-    /// In which session: what was meant for one is never said in the next.
-    pub session: u32,
-    /// The ordered stream that carries it.
-    pub stream: TrafficClass,
-    /// With what it stays in order there.
-    pub strand: OrderingKey,
-    /// The encoded message.
-    pub message: GatherBuffer,
-    /// The credit that it holds until the peer has acknowledged it.
-    pub credit: Option<Credit>,
-}
-
-/// Sends a message once, if at all: of one channel the newest that arrives counts.
-#[derive(Debug, Message)]
-#[rtype(result = "()")]
-pub struct SendLatest {
-    /// The node that it is for.
-    pub peer: NodeId,
-    /// The number of the session on this node.
-    pub session: u32,
-    /// The channel on which the newest message counts.
-    pub channel: u32,
-    /// The encoded message.
-    pub message: GatherBuffer,
-    /// The credit that it holds until the session has it.
-    pub credit: Option<Credit>,
-}
-
-/// What a session has to tell.
-#[derive(Clone, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "()")]
-pub enum SessionReported {
-    /// A node can be reached; a session will begin.
-    Reachable {
-        /// The node that can be reached.
-        node: NodeName,
-        /// The node's incarnation.
-        incarnation: Incarnation,
-    },
-    /// No path leads to it any more; its session waits for one for a while.
-    Unreachable {
-        /// The node that no path leads to.
-        node: NodeName,
-    },
-    /// A session has begun.
-    Opened {
-        /// The node at the other end.
-        node: NodeName,
-        /// The incarnation of that node.
-        incarnation: Incarnation,
-        /// The session's number on this node.
-        session: u32,
-    },
-    /// A message has arrived.
-    Message {
-        /// The node that sent it.
-        peer: NodeId,
-        /// The encoded message.
-        message: Bytes,
-    },
-    /// A message was not delivered, or perhaps not.
-    Returned {
-        /// The node that it was for.
-        peer: NodeId,
-        /// The encoded message.
-        message: Bytes,
-        /// Why it was not delivered.
-        why: DeliveryError,
-        /// Some of it was sent, so that it may have arrived; otherwise it has not.
-        sent: bool,
-    },
-    /// A session is over; what was unacknowledged has been returned.
-    Ended {
-        /// The node at the other end.
-        peer: NodeId,
-        /// Why the session ended.
-        why: DeliveryError,
-    },
-}
-
-/// The gateway presents itself to the sessions.
-#[derive(Clone, Debug, Message)]
-#[rtype(result = "()")]
-pub struct AddGateway(pub Recipient<SessionReported>);
-
-/// The gateway restarts, with all peers or with one: the session is to end and begin again,
-/// so that both ends agree.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "()")]
-pub struct ResetSession {
-    /// The node at the other end; `None` for all sessions.
-    pub peer: Option<NodeId>,
-}
+use blastema_core::{Incarnation, NodeName};
 
 /// This node ends in order: what was sent is to be delivered, then every session ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
@@ -159,8 +51,3 @@ pub enum PeerStatusChanged {
         node: NodeName,
     },
 }
-
-/// Which contracts do nodes not mean alike?
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "BTreeMap<NodeName, Vec<String>>")]
-pub struct ReadDifferences;

@@ -86,7 +86,7 @@ fn a_second_node_of_a_name_stops_and_the_first_ones_traffic_is_unharmed() {
             add().await;
         }
 
-        assert_eq!(of_far.location.to_string(), "head:net/router");
+        assert_eq!(of_far.location.to_string(), "head:net/stack");
         let parts = [
             format!("has come up at {other}"),
             "reached at an address that is not known".to_owned(),

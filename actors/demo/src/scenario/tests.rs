@@ -51,7 +51,7 @@ fn place_of(fault: &DemoFault) -> FaultLocation {
             FaultLocation::Link { node: node(Module::Module1), link: cable.into(), neighbour: None }
         }
         Blow::Blackout | Blow::Kill => FaultLocation::Node(node(fault.module)),
-        Blow::Router => object(fault.module, "net/router"),
+        Blow::Router => object(fault.module, "net/stack"),
         _ => object(fault.module, fault.object),
     }
 }

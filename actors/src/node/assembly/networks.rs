@@ -157,7 +157,7 @@ impl NodeAssembly {
     }
 }
 
-/// Starts transports, links, router, sessions and gateway, and connects them to the fault chain.
+/// Starts transports, links and the stack above them, and connects them to the fault chain.
 fn make_networks(
     description: &mut NetworkDescription,
     (arbiter, transports): (Option<ArbiterHandle>, &mut Vec<Recipient<Close>>),

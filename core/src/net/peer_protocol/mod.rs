@@ -89,38 +89,6 @@ struct PeerRecord {
 }
 
 impl PeerProtocol {
-    /// A protocol in the place of one that failed. No number of the old one's is used again; what
-    /// waited in it is lost for this reason, and what comes back of its sessions is known. Callers
-    /// have been told.
-    pub fn restarted(&self, why: &DeliveryError) -> Self {
-        let mut next = PeerProtocol {
-            next_subscription: self.next_subscription,
-            next_binding: self.next_binding,
-            next_call: self.next_call,
-            epochs: self.epochs,
-            requests: self.requests.clone(),
-            access: self.access.clone(),
-            is_started: self.is_started,
-            refusals: self.refusals,
-            ..PeerProtocol::default()
-        };
-        for (peer, state) in &self.peers {
-            let past = state.session.as_ref().map_or(&state.past, |session| &session.numbers);
-            next.peers.insert(*peer, PeerRecord { past: past.clone(), ..PeerRecord::default() });
-            let bindings = state.session.iter().flat_map(|session| &session.bindings);
-            for ((object, contract, _), binding) in bindings {
-                let tells =
-                    binding.waiting.iter().flatten().filter(|tells| tells.pending.is_none());
-                for _ in tells {
-                    let (peer, why) = (*peer, why.clone());
-                    let to = MessageTarget::Object(object.clone(), contract);
-                    next.outputs.push_back(PeerProtocolOutput::Lost { peer, to, why });
-                }
-            }
-        }
-        next
-    }
-
     /// The next thing to do, in order.
     pub fn poll_output(&mut self) -> Option<PeerProtocolOutput> {
         self.outputs.pop_front()
@@ -154,6 +122,12 @@ impl PeerProtocol {
     /// Whether a path to this node is known.
     pub fn is_reachable(&self, peer: NodeId) -> bool {
         self.peers.get(&peer).is_some_and(|peer| peer.reachable)
+    }
+
+    /// Whether the request with this number is sent again in the next session.
+    pub fn is_to_repeat(&self, reply_as: u64) -> bool {
+        let mut again = self.peers.values().flat_map(|peer| &peer.again);
+        again.any(|call| call.reply_as == Some(reply_as))
     }
 
     /// A session with this peer has begun.

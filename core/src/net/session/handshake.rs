@@ -162,7 +162,8 @@ impl Session {
         self.state = State::Open { peer };
         self.identity.newest = self.identity.newest.max((peer.incarnation, peer.number));
         self.record_receipt();
-        self.outputs.push_back(SessionOutput::Opened { incarnation: peer.incarnation });
+        let (incarnation, number) = (peer.incarnation, self.identity.number);
+        self.outputs.push_back(SessionOutput::Opened { incarnation, number });
     }
 
     pub(super) fn handle_reset(&mut self, tag: u32) {

@@ -386,8 +386,12 @@ impl Session {
     }
 
     /// Takes out what was not acknowledged, and whether some of it was sent, when this machine is
-    /// about to be replaced.
+    /// about to be replaced. What it has returned and nothing has polled comes first.
     pub fn take_unacknowledged(&mut self) -> Vec<(TrafficClass, Bytes, bool)> {
+        let returned = std::mem::take(&mut self.outputs).into_iter().filter_map(|output| {
+            let SessionOutput::Returned { stream, message, sent, .. } = output else { return None };
+            Some((stream, message, sent))
+        });
         let unsettled =
             self.identity.unsettled.take().into_iter().flat_map(|unsettled| unsettled.messages);
         let unsettled = unsettled.map(|(stream, _, message)| (stream, message, true));
@@ -395,7 +399,7 @@ impl Session {
             let messages = self.streams[stream as usize].outbound.take_all();
             messages.map(move |(message, sent)| (stream, message, sent))
         });
-        unsettled.chain(held).collect()
+        returned.chain(unsettled).chain(held).collect()
     }
 
     /// A segment from the peer's node arrived.

@@ -20,6 +20,8 @@ pub enum SessionOutput {
     Opened {
         /// With this incarnation of the peer.
         incarnation: Incarnation,
+        /// This end's number of it. A later output may already be of the next session.
+        number: u32,
     },
     /// A message has arrived, once and in its order.
     Message {

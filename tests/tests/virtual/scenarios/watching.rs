@@ -85,14 +85,14 @@ async fn who_watches_a_supervisor_is_told_when_it_gives_up_and_when_it_is_stoppe
 #[blastema_testkit::test]
 async fn who_watches_an_object_of_the_middleware_is_told_of_its_panic() {
     let robot = Robot::start().await;
-    robot.watch("net/router").await;
+    robot.watch("net/stack").await;
     assert_eq!(robot.watched().await, [""; 0]);
 
     robot.module1.panic_router();
 
     let watched = robot.watched().await;
     let [only] = &watched[..] else { panic!("{watched:?}") };
-    assert!(only.starts_with("watcher#1 watched net/router#1: Panicked"), "{only}");
+    assert!(only.starts_with("watcher#1 watched net/stack#1: Panicked"), "{only}");
 }
 
 #[blastema_testkit::test]
