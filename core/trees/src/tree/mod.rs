@@ -15,7 +15,7 @@ pub(crate) use leaf::{BoundPort, LeafModel, LeafState, MakeLeaf, PortBinding};
 pub use leaf::{Halt, Leaf, LeafContext, LeafResult, LeafRun};
 
 use crate::blackboard::{Blackboard, BoardId, KeyId};
-use crate::model::{TickOrder, Kind};
+use crate::model::{Kind, TickOrder};
 use crate::script::{Script, truth};
 use crate::status::Status;
 use crate::value::{PortType, PortValue, Value};
